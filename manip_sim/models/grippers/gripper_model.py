@@ -1,0 +1,191 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What all grippers share: standard sites and sensors, the state of ``format_action``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+import copy
+from os import PathLike
+from typing import Any, TypeVar
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
+from manip_sim.models.registry import Registry
+from manip_sim.typing import FloatArray
+
+_IDENTITY_WXYZ = (1.0, 0.0, 0.0, 0.0)
+_AXIS_SITE_OFFSET_M = 0.1
+
+GripperT = TypeVar('GripperT', bound='GripperModel')
+
+
+class GripperModel(MujocoXMLModel, ABC):
+    """
+    A gripper or hand that is mounted on the end effector body of an arm.
+
+    The file needs a body ``eef``, the grasp frame. The standard sites and sensors that it does
+    not have are added: ``ft_frame`` with the sensors ``force_ee`` and ``torque_ee`` on the root
+    body, ``grip_site``, ``grip_site_cylinder``, ``ee``, ``ee_x``, ``ee_y`` and ``ee_z`` on
+    ``eef``. Names that a subclass declares in ``_important_geoms``, ``_important_sites`` or
+    ``_important_sensors`` must exist.
+
+    :ivar current_action: what :meth:`format_action` has come to, zeros of shape (dof,) at first
+    :raises UnknownNameError: if the file has no body ``eef`` or lacks a declared name
+    """
+
+    #: How far one call of :meth:`format_action` moves the command, of a range of 2.
+    speed = 0.0
+
+    _important_sites: Mapping[str, str] = {
+        'grip_site': 'grip_site', 'grip_cylinder': 'grip_site_cylinder',
+        'ee': 'ee', 'ee_x': 'ee_x', 'ee_y': 'ee_y', 'ee_z': 'ee_z'}
+    _important_geoms: Mapping[str, list[str]] = {
+        'left_finger': [], 'right_finger': [], 'left_fingerpad': [], 'right_fingerpad': []}
+    _important_sensors: Mapping[str, str] = {'force_ee': 'force_ee', 'torque_ee': 'torque_ee'}
+
+    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if registered:
+            GRIPPERS.register(cls)
+
+    def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
+        super().__init__(fname, idn=idn)
+        self._root()
+        self.current_action = np.zeros(self.dof)
+
+    def _prepare_spec(self, spec: Any) -> None:
+        eef = spec.body('eef')
+        if eef is None:
+            raise UnknownNameError(f'body of gripper {self.file}', 'eef',
+                                   [body.name for body in spec.bodies[1:]])
+        present = {site.name for site in spec.sites}
+        reach = _AXIS_SITE_OFFSET_M
+        for name, pos in (('grip_site', (0, 0, 0)), ('grip_site_cylinder', (0, 0, 0)),
+                          ('ee', (0, 0, 0)), ('ee_x', (reach, 0, 0)), ('ee_y', (0, reach, 0)),
+                          ('ee_z', (0, 0, reach))):
+            if name not in present:
+                _add_site(eef, name, pos)
+        if 'ft_frame' not in present:
+            _add_site(self._mount_body(spec), 'ft_frame', (0, 0, 0))
+        sensors = {sensor.name for sensor in spec.sensors}
+        for name, kind in (('force_ee', mujoco.mjtSensor.mjSENS_FORCE),
+                           ('torque_ee', mujoco.mjtSensor.mjSENS_TORQUE)):
+            if name not in sensors:
+                spec.add_sensor(name=name, type=kind, objname='ft_frame',
+                                objtype=mujoco.mjtObj.mjOBJ_SITE)
+
+    def _mount_body(self, spec: Any) -> Any:
+        self._spec = spec
+        return self._root()
+
+    @property
+    def naming_prefix(self) -> str:
+        """What stands before each name of this gripper in the compiled model."""
+        return f'gripper{self.idn}_'
+
+    @property
+    def dof(self) -> int:
+        """Length of the actions that :meth:`format_action` takes."""
+        return len(self._actuators)
+
+    @property
+    @abstractmethod
+    def init_qpos(self) -> ArrayLike | None:
+        """Where the joints start, in the order of :attr:`joints` [rad or m], or None for zero."""
+
+    @abstractmethod
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """
+        Map an abstract action to actuator commands; one call is one step of :attr:`speed`.
+
+        :param action: +1 closes, -1 opens, shape (dof,)
+        :returns: commands that stand for the actuators' control ranges, in [-1, 1], in the order
+            of :attr:`actuators`, a copy
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+
+    @property
+    def rotation_offset(self) -> FloatArray:
+        """
+        The rotation from the mount to the body ``eef``, x, y, z, w with unit norm, shape (4,).
+
+        It is that of the compiled model. The reference multiplies the quaternions of the root
+        body and ``eef`` in the wrong order and leaves out the bodies between them, so its values
+        differ where these do not commute.
+        """
+        data = mujoco.MjData(self._own_model)
+        mujoco.mj_kinematics(self._own_model, data)
+        return wxyz_to_xyzw(relative_quat_wxyz(_IDENTITY_WXYZ, data.body('eef').xquat))
+
+    def set_mount_pose(self, pos: ArrayLike | None = None,
+                       quat_wxyz: ArrayLike | None = None) -> None:
+        """
+        Give the root body another pose in the frame of the body that it is mounted on.
+
+        :param pos: position [m], shape (3,); None keeps it
+        :param quat_wxyz: w, x, y, z, shape (4,); None keeps it
+        """
+        root = self._root()
+        if pos is not None:
+            root.pos = np.asarray(pos, dtype=float)
+        if quat_wxyz is not None:
+            root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            root.quat = np.asarray(quat_wxyz, dtype=float)
+        self._record()
+
+    def clone(self: GripperT, idn: int | str) -> GripperT:
+        """Return an own copy with another idn."""
+        twin = copy.copy(self)
+        twin.idn = idn
+        twin._spec = self._spec.copy()
+        twin.current_action = np.zeros(self.dof)
+        return twin
+
+    def start_at(self, command: ArrayLike) -> None:
+        """
+        Let :meth:`format_action` go on from an actuator command.
+
+        Grippers keep :attr:`current_action` per actuator or per action; of the two, the one whose
+        idle command comes nearest is taken.
+
+        :param command: commands in [-1, 1], one for each actuator
+        """
+        wanted = np.asarray(command, dtype=float)
+        best, best_error = np.zeros(self.dof), np.inf
+        for state in (wanted, wanted[:self.dof], np.zeros(self.dof)):
+            self.current_action = state.copy()
+            idle = self.format_action(np.zeros(self.dof))
+            error = np.abs(idle - wanted).max(initial=0.0) if idle.shape == wanted.shape else np.inf
+            if error < best_error:
+                best, best_error = state, float(error)
+        self.current_action = best.copy()
+
+    def _checked(self, action: ArrayLike) -> FloatArray:
+        """Return an action as an array, or raise :class:`CommandError`."""
+        checked = np.asarray(action, dtype=float)
+        if checked.shape != (self.dof,):
+            raise CommandError(f'{type(self).__name__} takes {self.dof} numbers, '
+                               f'got shape {checked.shape}')
+        if not np.isfinite(checked).all():
+            raise CommandError(f'{type(self).__name__} takes finite numbers, got {checked}')
+        return checked
+
+    def _integrate(self, step: ArrayLike) -> FloatArray:
+        """Move :attr:`current_action` by a step, within [-1, 1], and return a copy."""
+        self.current_action = np.clip(self.current_action + step, -1.0, 1.0)
+        return self.current_action.copy()
+
+
+GRIPPERS: Registry[GripperModel] = Registry('gripper')
+
+
+def _add_site(body: Any, name: str, pos: ArrayLike) -> None:
+    body.add_site(name=name, pos=np.asarray(pos, dtype=float), group=4, size=[0.005] * 3)

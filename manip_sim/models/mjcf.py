@@ -1,0 +1,328 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Load one MJCF file, prefix its names and tell what is in it; composing parts is elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, overload
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.typing import FloatArray
+
+_MIN_MASS_KG = 1e-6
+_MIN_INERTIA = 1e-9
+
+
+class MujocoXMLModel:
+    """
+    One part: an MJCF file, its prefix and lists of its elements.
+
+    The lists (:attr:`joints`, :attr:`bodies`, ...) are recorded at construction, in the order of
+    the compiled model, with prefixed names. Unnamed elements get names first: geoms
+    ``g{n}_col`` where they collide and ``g{n}_vis`` where they do not, others
+    ``joint{n}``, ``site{n}`` and so on.
+
+    :param fname: path of an MJCF file
+    :param idn: number or word that tells this part from others of its kind; part of the prefix
+    :raises ModelError: if the file is missing or is not MJCF
+    """
+
+    _important_sites: Mapping[str, str] = {}
+    _important_geoms: Mapping[str, list[str]] = {}
+    _important_sensors: Mapping[str, str] = {}
+    _horizontal_radius: float = 0.0
+
+    def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
+        self.file = Path(fname)
+        self.idn = idn
+        self._spec = _load(self.file)
+        self._prepare_spec(self._spec)
+        _name_unnamed_elements(self._spec)
+        self._record()
+
+    def _prepare_spec(self, spec: Any) -> None:
+        """Complete the spec that was just loaded; for subclasses with a standard to fill in."""
+
+    def _record(self) -> None:
+        alone = self._own_model = self._compile_alone()
+
+        def names(count: int, kind: Callable[[int], Any], wanted: Iterable[int] | None = None
+                  ) -> list[str]:
+            ids = range(count) if wanted is None else wanted
+            return [kind(i).name for i in ids]
+
+        collides = (alone.geom_contype != 0) | (alone.geom_conaffinity != 0)
+        free = int(mujoco.mjtJoint.mjJNT_FREE)
+        not_free = np.flatnonzero(alone.jnt_type != free).tolist()
+        self._bodies = names(alone.nbody, alone.body)[1:]
+        self._joints = names(alone.njnt, alone.joint, not_free)
+        self._actuators = names(alone.nu, alone.actuator)
+        self._sites = names(alone.nsite, alone.site)
+        self._sensors = names(alone.nsensor, alone.sensor)
+        self._cameras = names(alone.ncam, alone.camera)
+        self._contact_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(collides).tolist())
+        self._visual_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(~collides).tolist())
+        self._check_important('site', self._important_sites.values(), self._sites)
+        self._check_important('sensor', self._important_sensors.values(), self._sensors)
+        geoms = self._contact_geoms + self._visual_geoms
+        for group in self._important_geoms.values():
+            self._check_important('geom', group, geoms)
+
+    def _check_important(self, kind: str, wanted: Iterable[str], existing: list[str]) -> None:
+        for name in wanted:
+            if name not in existing:
+                raise UnknownNameError(f'{kind} of {self.name} in {self.file}', name, existing)
+
+    def _compile_alone(self) -> Any:
+        # Parts without mass, such as a virtual base, are only usable below something that has it.
+        spec = self._spec.copy()
+        spec.compiler.boundmass = _MIN_MASS_KG
+        spec.compiler.boundinertia = _MIN_INERTIA
+        return compile_spec(spec, self.name)
+
+    @property
+    def spec(self) -> Any:
+        """
+        This part's own ``mujoco.MjSpec``, with the names of its file, without prefix.
+
+        Edits are seen by every later :meth:`compile`, also of a robot that this part is mounted
+        on. Parts that are mounted on this one are not in it.
+        """
+        return self._spec
+
+    @property
+    def name(self) -> str:
+        """Class name and idn, such as ``Panda0``."""
+        return f'{type(self).__name__}{self.idn}'
+
+    @property
+    def naming_prefix(self) -> str:
+        """What stands before each name of this part in the compiled model."""
+        return f'{self.idn}_'
+
+    @overload
+    def correct_naming(self, names: str) -> str: ...
+
+    @overload
+    def correct_naming(self, names: list[str] | tuple[str, ...]) -> list[str]: ...
+
+    @overload
+    def correct_naming(self, names: Mapping[str, Any]) -> dict[str, Any]: ...
+
+    def correct_naming(self, names: Any) -> Any:
+        """
+        Return names with this part's prefix, always a copy.
+
+        :param names: a name, a sequence of names, or a mapping whose values are either
+        :raises TypeError: for anything else
+        """
+        if isinstance(names, str):
+            return self.naming_prefix + names
+        if isinstance(names, (list, tuple)):
+            return [self.correct_naming(name) for name in names]
+        if isinstance(names, Mapping):
+            return {key: self.correct_naming(value) for key, value in names.items()}
+        raise TypeError('names must be a str, a list, a tuple or a dict of them, '
+                        f'not {type(names).__name__}')
+
+    @property
+    def root_body(self) -> str:
+        """
+        The one body that everything else hangs on.
+
+        :raises ModelError: if the file has none or several
+        """
+        return self.correct_naming(self._root().name)
+
+    def _root(self) -> Any:
+        roots = self._spec.worldbody.bodies
+        if len(roots) != 1:
+            found = ', '.join(body.name for body in roots) or 'none'
+            raise ModelError(f'{self.file} must have exactly one root body, found {len(roots)}: '
+                             f'{found}')
+        return roots[0]
+
+    @property
+    def bodies(self) -> list[str]:
+        """All bodies but the world."""
+        return self.correct_naming(self._bodies)
+
+    @property
+    def joints(self) -> list[str]:
+        """All joints but free joints; a ball joint counts once."""
+        return self.correct_naming(self._joints)
+
+    @property
+    def actuators(self) -> list[str]:
+        """All actuators."""
+        return self.correct_naming(self._actuators)
+
+    @property
+    def sites(self) -> list[str]:
+        """All sites."""
+        return self.correct_naming(self._sites)
+
+    @property
+    def sensors(self) -> list[str]:
+        """All sensors."""
+        return self.correct_naming(self._sensors)
+
+    @property
+    def cameras(self) -> list[str]:
+        """All cameras."""
+        return self.correct_naming(self._cameras)
+
+    @property
+    def contact_geoms(self) -> list[str]:
+        """The geoms that can collide, by contype and conaffinity."""
+        return self.correct_naming(self._contact_geoms)
+
+    @property
+    def visual_geoms(self) -> list[str]:
+        """The geoms that cannot collide."""
+        return self.correct_naming(self._visual_geoms)
+
+    @property
+    def important_sites(self) -> dict[str, str]:
+        """Sites by role."""
+        return self.correct_naming(self._important_sites)
+
+    @property
+    def important_geoms(self) -> dict[str, list[str]]:
+        """Lists of geoms by role."""
+        return self.correct_naming(self._important_geoms)
+
+    @property
+    def important_sensors(self) -> dict[str, str]:
+        """Sensors by role."""
+        return self.correct_naming(self._important_sensors)
+
+    @property
+    def dof(self) -> int:
+        """Number of :attr:`joints`."""
+        return len(self._joints)
+
+    @property
+    def base_offset(self) -> FloatArray:
+        """Position that the file gives the root body [m], shape (3,), a copy."""
+        return np.array(self._root().pos)
+
+    @property
+    def bottom_offset(self) -> FloatArray:
+        """From the origin to the lowest point [m], shape (3,), a copy."""
+        return self.base_offset
+
+    @property
+    def top_offset(self) -> FloatArray:
+        """From the origin to the highest point [m], shape (3,), a copy."""
+        return np.zeros(3)
+
+    @property
+    def horizontal_radius(self) -> float:
+        """Radius of the upright cylinder about the origin that holds the part [m]."""
+        return self._horizontal_radius
+
+    def attach_to(self, spec: Any, frame: Any) -> None:
+        """
+        Add a copy of this part, with prefixed names, to another spec.
+
+        Options, keyframes and visual settings of the file are left behind.
+
+        :param spec: the ``mujoco.MjSpec`` to add to
+        :param frame: the frame of that spec to hang the part on
+        :raises ModelError: if the spec has a body of the same name already
+        """
+        if spec.body(self.correct_naming(self._bodies[0])) if self._bodies else False:
+            raise ModelError(f"a part with the prefix '{self.naming_prefix}' is there already: "
+                             f'give {self.name} another idn')
+        self._attach_copy(spec, frame, self._spec.copy())
+
+    def _attach_copy(self, spec: Any, frame: Any, own: Any) -> None:
+        for key in list(own.keys):
+            own.delete(key)
+        own.option = spec.option
+        spec.attach(own, prefix=self.naming_prefix, frame=frame)
+
+    def compose(self) -> Any:
+        """Return a new ``mujoco.MjSpec`` of this part and all that is mounted on it."""
+        spec = mujoco.MjSpec()
+        spec.modelname = self.name
+        spec.option = self._spec.option
+        self.attach_to(spec, spec.worldbody.add_frame())
+        return spec
+
+    def compile(self) -> Any:
+        """
+        Compile this part and all that is mounted on it.
+
+        :returns: a new ``mujoco.MjModel``
+        :raises ModelError: with what MuJoCo says
+        """
+        return compile_spec(self.compose(), self.name)
+
+    def to_xml(self) -> str:
+        """Return the MJCF of this part and all that is mounted on it."""
+        spec = self.compose()
+        compile_spec(spec, self.name)
+        xml: str = spec.to_xml()
+        return xml
+
+
+def compile_spec(spec: Any, name: str) -> Any:
+    """
+    Compile a spec.
+
+    :param name: what it is, for the message
+    :returns: a new ``mujoco.MjModel``
+    :raises ModelError: with what MuJoCo says
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
+
+
+def _load(file: Path) -> Any:
+    if not file.is_file():
+        raise ModelError(f'no such MJCF file: {file}')
+    try:
+        return mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
+
+
+def _one_line(error: Exception) -> str:
+    return ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
+
+
+def _name_unnamed_elements(spec: Any) -> None:
+    for kind, elements in (
+            ('body', spec.bodies), ('joint', spec.joints), ('site', spec.sites),
+            ('camera', spec.cameras), ('actuator', spec.actuators), ('sensor', spec.sensors)):
+        _name_unnamed(elements, lambda element, kind=kind: f'{kind}{{}}')  # type: ignore[misc]
+    _name_unnamed(spec.geoms, lambda geom: 'g{}_col' if _collides(geom) else 'g{}_vis')
+
+
+def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> None:
+    taken = {element.name for element in elements}
+    next_number: dict[str, int] = {}
+    for element in elements:
+        if element.name:
+            continue
+        form = pattern(element)
+        number = next_number.get(form, 0)
+        while form.format(number) in taken:
+            number += 1
+        element.name = form.format(number)
+        next_number[form] = number + 1
+
+
+def _collides(geom: Any) -> bool:
+    return bool(geom.contype or geom.conaffinity)

@@ -1,0 +1,390 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What all robots share: joints and actuators by subsystem, a base and a place in the world."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from os import PathLike
+import re
+from typing import Any, Union
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
+from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.quaternion import quat_wxyz_from_rpy
+from manip_sim.models.registry import Registry
+from manip_sim.typing import FloatArray
+
+#: The subsystems of a robot, in the order in which names are looked at; what fits none is arm.
+KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
+MANIPULATOR_MOUNT = 'manipulator_mount'
+SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs')
+#: A position [m], or a function that takes the length of the table [m] and returns one.
+Position = tuple[float, float, float]
+Placement = Union[Position, Callable[[float], Position]]
+_WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
+
+
+class RobotModel(MujocoXMLModel, ABC):
+    """
+    A robot without hands, and the base it stands on. Prefix ``robot{idn}_``.
+
+    :param fname: path of an MJCF file with one root body
+    :raises ModelError: if the file has no root body or several
+    """
+
+    #: Subsystem by raw joint name, for joints whose names do not tell.
+    _subsystem_of_joint: Mapping[str, str] = {}
+    #: What the robot stands with on a base or the floor, seen from the root [m]; None: the
+    #: file's root body hangs where it shall be above the floor.
+    _foot_offset: tuple[float, float, float] | None = None
+    _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        ROBOTS.register(cls)
+
+    def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
+        super().__init__(fname, idn=idn)
+        self._resolve_root_orientation()
+        self._authored_offset = self.base_offset
+        self._base: RobotBaseModel | None = None
+        self.update_joints()
+        self.update_actuators()
+
+    @property
+    def naming_prefix(self) -> str:
+        """What stands before each name of this robot in the compiled model."""
+        return f'robot{self.idn}_'
+
+    @property
+    @abstractmethod
+    def default_base(self) -> str | None:
+        """Name of the base that the robot stands on unless another is asked for."""
+
+    @property
+    @abstractmethod
+    def default_controller_config(self) -> dict[str, str]:
+        """Names of the reference's controller settings, by arm or subsystem."""
+
+    @property
+    @abstractmethod
+    def init_qpos(self) -> FloatArray:
+        """Where the joints start, in the order of :attr:`joints` [rad or m], shape (dof,)."""
+
+    @property
+    @abstractmethod
+    def base_xpos_offset(self) -> dict[str, Placement]:
+        """Where to place the robot by arena [m]; for ``table`` a function of its length [m]."""
+
+    @property
+    def init_base_qpos(self) -> FloatArray | None:
+        """Where the joints of the base start, in its order, or None for zero."""
+        return None
+
+    # ------------------------------------------------------------------ base and place
+
+    @property
+    def base(self) -> RobotBaseModel | None:
+        """What the robot stands on, or None."""
+        return self._base
+
+    @property
+    def models(self) -> list[MujocoXMLModel]:
+        """All parts that are mounted on the robot: the base, then the grippers."""
+        return [] if self._base is None else [self._base]
+
+    def add_base(self, base: RobotBaseModel) -> None:
+        """
+        Put the robot on a base.
+
+        :raises TypeError: if it is not a base
+        :raises ModelError: if the robot has a base already
+        """
+        if not isinstance(base, RobotBaseModel):
+            raise TypeError(f'a base must be a RobotBaseModel, not {type(base).__name__}')
+        if self._base is not None:
+            raise ModelError(f'{self.name} stands on {self._base.name} already, '
+                             f'cannot add {base.name}')
+        if isinstance(base, MobileBaseModel) and base.spec.body(base.support_body) is None:
+            raise UnknownNameError(f'body of {base.name} to mount a robot on', base.support_body,
+                                   [body.name for body in base.spec.bodies[1:]])
+        self._base = base
+        self.update_joints()
+        self.update_actuators()
+
+    @property
+    def foot_offset(self) -> FloatArray:
+        """From the root body to what the robot stands with [m], shape (3,), a copy."""
+        if self._foot_offset is None:
+            return -self._authored_offset
+        return np.array(self._foot_offset)
+
+    @property
+    def bottom_offset(self) -> FloatArray:
+        """From the root body to the floor that the robot stands on [m], shape (3,), a copy."""
+        if self._base is None:
+            return self.foot_offset
+        return self.foot_offset + self._base.bottom_offset - self._base.top_offset
+
+    @property
+    def top_offset(self) -> FloatArray:
+        """From the root body to the highest point [m], shape (3,), a copy."""
+        return np.array(self._top_offset)
+
+    @property
+    def horizontal_radius(self) -> float:
+        """Radius of the upright cylinder about the root that holds robot and base [m]."""
+        return max(self._horizontal_radius, self._base.horizontal_radius if self._base else 0.0)
+
+    def set_base_xpos(self, pos: ArrayLike) -> None:
+        """
+        Place the robot.
+
+        :param pos: where the floor below the root shall be, in the world [m], shape (3,)
+        """
+        self._root().pos = np.asarray(pos, dtype=float) - self.bottom_offset
+
+    def set_base_ori(self, rpy: ArrayLike) -> None:
+        """
+        Turn the robot.
+
+        :param rpy: roll, pitch, yaw of the root in the world [rad], shape (3,)
+        """
+        self._root().quat = quat_wxyz_from_rpy(rpy)
+
+    def set_joint_attribute(self, attrib: str, values: ArrayLike, force: bool = True) -> None:
+        """
+        Set an attribute of all own joints.
+
+        :param attrib: ``damping``, ``frictionloss``, ``armature`` or ``stiffness``
+        :param values: one for each of :attr:`joints`, shape (dof,)
+        :param force: also where the file gives a value other than zero
+        :raises CommandError: if the number of values is wrong or one is not finite
+        :raises UnknownNameError: if there is no such attribute
+        """
+        settable = ('damping', 'frictionloss', 'armature', 'stiffness')
+        if attrib not in settable:
+            raise UnknownNameError('joint attribute', attrib, settable)
+        numbers = np.asarray(values, dtype=float)
+        if numbers.shape != (len(self._joints),) or not np.isfinite(numbers).all():
+            raise CommandError(f'{attrib} of {self.name} takes {len(self._joints)} finite values, '
+                               f'got {numbers.shape}: {numbers}')
+        for name, value in zip(self._joints, numbers):
+            joint = self._spec.joint(name)
+            if force or not np.any(getattr(joint, attrib)):
+                is_array = np.ndim(getattr(joint, attrib)) > 0
+                setattr(joint, attrib, [value, 0.0, 0.0] if is_array else value)
+
+    # ------------------------------------------------------------------ subsystems
+
+    @property
+    def all_joints(self) -> list[str]:
+        """Joints of the robot, then of its base."""
+        return self.joints + (self._base.joints if self._base else [])
+
+    @property
+    def all_actuators(self) -> list[str]:
+        """Actuators of the robot, then of its base."""
+        return self.actuators + (self._base.actuators if self._base else [])
+
+    def update_joints(self) -> None:
+        """Sort all joints into subsystems again; done by every ``add_*`` too."""
+        self._joints_of: dict[str, list[str]] = {part: [] for part in SUBSYSTEMS}
+        for part in self._own_parts():
+            for raw in part._joints:
+                self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
+
+    def update_actuators(self) -> None:
+        """Sort all actuators into subsystems again; done by every ``add_*`` too."""
+        self._actuators_of: dict[str, list[str]] = {part: [] for part in SUBSYSTEMS}
+        for part in self._own_parts():
+            for index, raw in enumerate(part._actuators):
+                driven = _driven_joint(part._own_model, index)
+                name = self._subsystem(part, driven or raw)
+                self._actuators_of[name].append(part.correct_naming(raw))
+
+    def _own_parts(self) -> list[MujocoXMLModel]:
+        return [self] if self._base is None else [self, self._base]
+
+    def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
+        if part is self and raw in self._subsystem_of_joint:
+            return self._subsystem_of_joint[raw]
+        return classify(raw)
+
+    @property
+    def arm_joints(self) -> list[str]:
+        """Joints of the arms, the right one first."""
+        return list(self._joints_of['arm'])
+
+    @property
+    def base_joints(self) -> list[str]:
+        """Joints that move the whole robot."""
+        return list(self._joints_of['base'])
+
+    @property
+    def torso_joints(self) -> list[str]:
+        """Joints of the torso."""
+        return list(self._joints_of['torso'])
+
+    @property
+    def head_joints(self) -> list[str]:
+        """Joints of the head."""
+        return list(self._joints_of['head'])
+
+    @property
+    def legs_joints(self) -> list[str]:
+        """Joints of the legs."""
+        return list(self._joints_of['legs'])
+
+    @property
+    def arm_actuators(self) -> list[str]:
+        """Actuators of the arms, the right one first."""
+        return list(self._actuators_of['arm'])
+
+    @property
+    def base_actuators(self) -> list[str]:
+        """Actuators that move the whole robot."""
+        return list(self._actuators_of['base'])
+
+    @property
+    def torso_actuators(self) -> list[str]:
+        """Actuators of the torso."""
+        return list(self._actuators_of['torso'])
+
+    @property
+    def head_actuators(self) -> list[str]:
+        """Actuators of the head."""
+        return list(self._actuators_of['head'])
+
+    @property
+    def legs_actuators(self) -> list[str]:
+        """Actuators of the legs."""
+        return list(self._actuators_of['legs'])
+
+    def joints_of(self, subsystem: str) -> list[str]:
+        """
+        Return the joints of a subsystem.
+
+        :raises UnknownNameError: if there is no such subsystem
+        """
+        return list(self._lookup(self._joints_of, subsystem))
+
+    def actuators_of(self, subsystem: str) -> list[str]:
+        """
+        Return the actuators of a subsystem.
+
+        :raises UnknownNameError: if there is no such subsystem
+        """
+        return list(self._lookup(self._actuators_of, subsystem))
+
+    def _lookup(self, table: dict[str, list[str]], subsystem: str) -> list[str]:
+        if subsystem not in table:
+            raise UnknownNameError('subsystem', subsystem, SUBSYSTEMS)
+        return table[subsystem]
+
+    def format_action(self, subsystem: str, action: ArrayLike,
+                      ctrlrange: ArrayLike | None = None) -> FloatArray:
+        """
+        Map an abstract action to commands of a subsystem's actuators, clamping it to [-1, 1].
+
+        :param subsystem: ``arm``, ``base``, ``torso``, ``head`` or ``legs``
+        :param action: where in the control ranges, in [-1, 1], shape (n,)
+        :param ctrlrange: other ranges than the files', shape (n, 2)
+        :returns: commands in the actuators' units, shape (n,)
+        :raises UnknownNameError: if there is no such subsystem
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        names = self.actuators_of(subsystem)
+        checked = np.asarray(action, dtype=float)
+        if checked.shape != (len(names),):
+            raise CommandError(f"{self.name}'s {subsystem} takes {len(names)} numbers, "
+                               f'got shape {checked.shape}')
+        if not np.isfinite(checked).all():
+            raise CommandError(f"{self.name}'s {subsystem} takes finite numbers, got {checked}")
+        low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
+                               dtype=float).reshape(-1, 2).T
+        return low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+
+    def _ctrlrange(self, names: list[str]) -> FloatArray:
+        ranges = {part.correct_naming(raw): part._own_model.actuator_ctrlrange[index]
+                  for part in self._own_parts() for index, raw in enumerate(part._actuators)}
+        return np.array([ranges[name] for name in names])
+
+    # ------------------------------------------------------------------ composing
+
+    def attach_to(self, spec: Any, frame: Any) -> None:
+        """
+        Add a copy of the robot and of all that is mounted on it to another spec.
+
+        On a mobile base the root body stays fixed and holds the base; what the root held hangs on
+        a body ``manipulator_mount`` of the base's support.
+
+        :param spec: the ``mujoco.MjSpec`` to add to
+        :param frame: the frame of that spec to hang the robot on
+        """
+        base = self._base
+        if isinstance(base, MobileBaseModel):
+            self._attach_on_mobile_base(spec, frame, base)
+            return
+        super().attach_to(spec, frame)
+        if isinstance(base, MountModel):
+            self._attach_base(spec, spec.body(self.root_body), base)
+
+    def _attach_base(self, spec: Any, root: Any, base: RobotBaseModel) -> None:
+        base.attach_to(spec, root.add_frame(
+            pos=self.foot_offset - base.top_offset - base.base_offset))
+
+    def _attach_on_mobile_base(self, spec: Any, frame: Any, base: MobileBaseModel) -> None:
+        own = self._spec.copy()
+        mount = own.body(self._root().name)
+        root = frame.parent.add_body(name=self.root_body, pos=mount.pos, quat=mount.quat)
+        root.set_frame(frame)
+        for exclude in own.excludes:
+            for side in ('bodyname1', 'bodyname2'):
+                if getattr(exclude, side) == mount.name:
+                    setattr(exclude, side, MANIPULATOR_MOUNT)
+        mount.name, mount.pos, mount.quat = MANIPULATOR_MOUNT, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
+        self._attach_base(spec, root, base)
+        support = spec.body(base.correct_naming(base.support_body))
+        self._attach_copy(spec, support.add_frame(), own)
+
+    def _resolve_root_orientation(self) -> None:
+        root, compiler = self._root(), self._spec.compiler
+        quaternion = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        if int(root.alt.type) != int(quaternion):
+            root.quat = self._spec.resolve_orientation(
+                degree=compiler.degree, sequence=compiler.eulerseq, orientation=root.alt)
+            root.alt.type = quaternion
+
+
+ROBOTS: Registry[RobotModel] = Registry('robot')
+
+
+def classify(name: str) -> str:
+    """
+    Return the subsystem that an unprefixed name tells of.
+
+    The reference's keywords torso, mobile, head and leg decide in this order, but only as whole
+    words, in any case: ``head_pan`` is of the head, ``overhead_joint`` of the arm.
+    """
+    words = {word.lower() for word in _WORD.findall(name)}
+    for keyword, subsystem in KEYWORDS.items():
+        if keyword in words or subsystem in words - {'base'}:
+            return subsystem
+    return 'arm'
+
+
+def _driven_joint(model: Any, actuator: int) -> str | None:
+    kind = int(model.actuator_trntype[actuator])
+    if kind not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
+        return None
+    name: str = model.joint(int(model.actuator_trnid[actuator, 0])).name
+    return name

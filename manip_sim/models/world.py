@@ -1,0 +1,104 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""An arena with robots in it: one ``mujoco.MjModel`` and where each joint starts in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError
+from manip_sim.models.arenas import Arena, EmptyArena
+from manip_sim.models.mjcf import compile_spec, MujocoXMLModel
+from manip_sim.models.robots import ManipulatorModel, RobotModel
+
+#: Friction cones and their stiffness: what lets a grasp hold without creeping
+#: (mujoco.readthedocs.io, modeling, "Preventing slip").
+_IMPRATIO = 10.0
+
+
+class World:
+    """
+    Robots in an arena.
+
+    :param robots: robots with all that is mounted on them; each is placed by its
+        ``base_xpos_offset`` for the arena
+    :param arena: the arena, :class:`EmptyArena` by default
+    :param timestep_s: of the physics [s]
+    :param gravity_compensation: let the joints' actuators carry the weight of all links and
+        grippers, as the controller of a real arm does; it counts as actuator force
+    """
+
+    def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
+                 timestep_s: float = 0.002, gravity_compensation: bool = True) -> None:
+        self.robots = list(robots)
+        self.arena = arena or EmptyArena()
+        self.timestep_s = timestep_s
+        self.gravity_compensation = gravity_compensation
+        prefixes = [robot.naming_prefix for robot in self.robots]
+        if len(set(prefixes)) != len(prefixes):
+            raise ModelError(f'robots in one world need different idn, got {", ".join(prefixes)}')
+
+    def compose(self) -> Any:
+        """Return a new ``mujoco.MjSpec`` of the whole world."""
+        spec = self.arena.compose()
+        spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
+        spec.option.timestep = self.timestep_s
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = _IMPRATIO
+        for robot in self.robots:
+            robot.set_base_xpos(self.arena.robot_position(robot))
+            robot.attach_to(spec, spec.worldbody.add_frame())
+        if self.gravity_compensation:
+            self._compensate_gravity(spec)
+        return spec
+
+    def _compensate_gravity(self, spec: Any) -> None:
+        free = int(mujoco.mjtJoint.mjJNT_FREE)
+        for robot in self.robots:
+            for part in [robot, *robot.models]:
+                for name in part.bodies:
+                    body = spec.body(name)
+                    if body is None:  # The root of a robot on a mobile base has a new name.
+                        continue
+                    body.gravcomp = 1.0
+                    for joint in body.joints:
+                        if int(joint.type) != free:
+                            joint.actgravcomp = True
+
+    def compile(self) -> Any:
+        """
+        Compile the world.
+
+        :returns: a new ``mujoco.MjModel``
+        :raises ModelError: with what MuJoCo says
+        """
+        return compile_spec(self.compose(), ' and '.join(r.name for r in self.robots))
+
+    def init_qpos(self) -> dict[str, float]:
+        """Return where each scalar joint of robots, bases and grippers starts [rad or m]."""
+        start: dict[str, float] = {}
+        for robot in self.robots:
+            starts: list[tuple[MujocoXMLModel, Any]] = [(robot, robot.init_qpos)]
+            if robot.base is not None:
+                starts.append((robot.base, robot.init_base_qpos))
+            if isinstance(robot, ManipulatorModel):
+                starts += [(gripper, gripper.init_qpos) for gripper in robot.grippers.values()]
+            for part, qpos in starts:
+                start.update(_by_joint(part, qpos))
+        return start
+
+
+def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:
+    if qpos is None:
+        return {}
+    values = np.asarray(qpos, dtype=float)
+    if values.shape != (len(part.joints),):
+        raise ModelError(f'init_qpos of {part.name} must have {len(part.joints)} values, one for '
+                         f'each joint, got shape {values.shape}')
+    return dict(zip(part.joints, values.tolist()))

@@ -1,0 +1,51 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The one place that knows where assets and configuration files lie."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from manip_sim.errors import ModelError
+
+PACKAGE = 'manip_sim'
+
+
+@lru_cache(maxsize=1)
+def share_directory() -> Path:
+    """
+    Return the folder that holds ``assets/`` and ``config/``.
+
+    That is the source tree when the package runs from one (also with an editable or symlinked
+    install), else ``share/manip_sim`` of the prefix that this package is installed under: a
+    virtual environment, a user or system prefix, or a colcon install space.
+
+    :raises ModelError: if neither holds the assets
+    """
+    package = Path(__file__).resolve().parent
+    source_tree = package.parent
+    if (source_tree / 'package.xml').is_file() and (source_tree / 'assets').is_dir():
+        return source_tree
+    for prefix in package.parents:
+        share = prefix / 'share' / PACKAGE
+        if (share / 'assets').is_dir():
+            return share
+    raise ModelError(f'the assets of {PACKAGE} are not installed: no share/{PACKAGE}/assets in '
+                     f'any folder above {package}')
+
+
+def asset_path(kind: str, name: str) -> Path:
+    """
+    Return the MJCF file of one part.
+
+    :param kind: ``robots``, ``grippers``, ``bases`` or ``arenas``
+    :param name: the part's folder, such as ``panda``
+    """
+    return share_directory() / 'assets' / kind / name / f'{name}.xml'
+
+
+def config_path(name: str) -> Path:
+    """Return a file of ``config/``, such as ``panda.yaml``."""
+    return share_directory() / 'config' / name

@@ -1,0 +1,50 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Package manip_sim: for colcon (ament_python) and for pip."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'manip_sim'
+
+
+def files_below(folder: str) -> list:
+    """Return the data_files entries that install a folder under share/manip_sim."""
+    folders = [path for path in [Path(folder), *Path(folder).rglob('*')] if path.is_dir()]
+    return [(f'share/{PACKAGE}/{path.as_posix()}',
+             sorted(file.as_posix() for file in path.iterdir() if file.is_file()))
+            for path in sorted(folders)]
+
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        *files_below('assets'),
+        *files_below('config'),
+    ],
+    python_requires='>=3.10',
+    install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'scipy'],
+    extras_require={
+        'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
+        'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pydocstyle',
+                 'pytest', 'pytest-timeout', 'ruff'],
+    },
+    zip_safe=False,
+    maintainer='manip_sim maintainers',
+    maintainer_email='maintainers@example.com',
+    description='Simulated manipulators in MuJoCo, served over ROS 2.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            f'sim_node = {PACKAGE}.__main__:main',
+            f'pick_cube = {PACKAGE}.examples.pick_cube:main',
+        ],
+    },
+)
