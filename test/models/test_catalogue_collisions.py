@@ -1,0 +1,124 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Collision shapes of the catalogue fit the links and do not touch each other falsely."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from catalogue import (
+    AtRest, colliding_geoms, figures, ROBOTS, robots_with_figures, support)
+
+from manip_sim.models.robots import create_robot
+
+N_POSES = 200
+#: A primitive may stand off a face of the link's bounding box by this [m].
+FIT_TOLERANCE_M = 0.06
+EXCEPTIONS = figures('collision_exceptions.json')
+
+
+def contacts(model, data):
+    """Return the contacts as sorted lines of geom names."""
+    return sorted(f'{model.geom(c.geom1).name} touches {model.geom(c.geom2).name} '
+                  f'({1000.0 * c.dist:.1f} mm)' for c in data.contact)
+
+
+@pytest.mark.parametrize('arena', ['empty', 'table'])
+@pytest.mark.parametrize('name', ROBOTS)
+def test_nothing_touches_where_a_robot_starts(name, arena):
+    rest = AtRest(name, arena)
+    assert contacts(rest.model, rest.data) == []
+
+
+def moving_link(model, body):
+    """Return the link that a body is welded to, as an id of :func:`link_parents`."""
+    return model.body_weldid[body]
+
+
+def links_between(model, link, other):
+    """Return how many joints apart two links are, or None if no chain goes through both."""
+    for lower, upper in ((link, other), (other, link)):
+        distance = 0
+        while lower != upper and lower != 0:
+            lower = model.body_weldid[model.body_parentid[lower]]
+            distance += 1
+        if lower == upper:
+            return distance
+    return None
+
+
+def is_of(part_names, model, geom):
+    """Tell whether a geom belongs to a part's bodies."""
+    return model.body(model.geom_bodyid[geom]).name in part_names
+
+
+@pytest.mark.parametrize('name', ROBOTS)
+def test_links_next_to_each_other_never_touch(name):
+    """Neither a link and the next one nor, as far as joints leave it apart, the one after it."""
+    rest = AtRest(name)
+    model, data, robot = rest.model, rest.data, rest.robot
+    bodies = set(robot.bodies + robot.base.bodies if robot.base else robot.bodies)
+    may_touch = {frozenset(pair) for pair in EXCEPTIONS['may_touch'].get(name, {})}
+    joints = rest.joint_ids(robot.joints)
+    low, high = np.where(model.jnt_limited[joints, None], model.jnt_range[joints],
+                         [-np.pi, np.pi]).T
+    random = np.random.default_rng(2)
+    false_contacts = set()
+    for _ in range(N_POSES):
+        data.qpos[model.jnt_qposadr[joints]] = random.uniform(low, high)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        for contact in data.contact:
+            pair = (contact.geom1, contact.geom2)
+            links = [moving_link(model, model.geom_bodyid[geom]) for geom in pair]
+            apart = links_between(model, *links)
+            ours = all(is_of(bodies, model, geom) for geom in pair)
+            names = [model.body(model.geom_bodyid[geom]).name.removeprefix(robot.naming_prefix)
+                     for geom in pair]
+            if ours and apart in (1, 2) and frozenset(names) not in may_touch:
+                false_contacts.add(' touches '.join(model.geom(geom).name for geom in pair))
+    assert sorted(false_contacts) == []
+
+
+def faces_apart(model, geoms, box):
+    """
+    Return how far each face of the hull of shapes is from that of a bounding box [m].
+
+    :param geoms: ids of shapes of one body
+    :param box: orientation (w, x, y, z) in the body's frame, lower and upper corner in its own
+    :returns: of the faces -x, -y, -z, +x, +y, +z; positive where the hull is larger
+    """
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.array(box[0], dtype=float))
+    axes = rotation.reshape(3, 3).T
+    upper = np.array([max(support(model, geom, axis) for geom in geoms) for axis in axes])
+    lower = np.array([max(support(model, geom, -axis) for geom in geoms) for axis in axes])
+    return np.concatenate([lower + np.array(box[1]), upper - np.array(box[2])])
+
+
+@pytest.mark.parametrize('name', robots_with_figures())
+def test_collision_shapes_fill_the_bounding_boxes_of_the_links(name):
+    robot = create_robot(name)
+    model = robot.compile()
+    solid = colliding_geoms(model)
+    exceptions = EXCEPTIONS['fit'].get(name, {})
+    misfits = {}
+    for raw, box in figures(f'robots/{name}.json')['boxes'].items():
+        body = model.body(robot.correct_naming(raw)).id
+        geoms = [geom for geom in solid if model.geom_bodyid[geom] == body]
+        if raw in exceptions:
+            continue
+        if not geoms:
+            misfits[raw] = 'no collision shape'
+            continue
+        apart = faces_apart(model, geoms, box)
+        if np.abs(apart).max() > FIT_TOLERANCE_M:
+            misfits[raw] = np.round(apart, 3).tolist()
+    assert misfits == {}
+
+
+@pytest.mark.parametrize('name', ROBOTS)
+def test_exceptions_name_links_that_exist(name):
+    bodies = {body.name for body in create_robot(name).spec.bodies}
+    assert set(EXCEPTIONS['fit'].get(name, {})) <= bodies
