@@ -1,0 +1,152 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Every gripper of the catalogue opens, closes, lifts a cube and pulls as its datasheet says."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from catalogue import figures, GRIPPERS
+from gripper_rig import GripperRig
+
+from manip_sim.models.grippers import create_gripper
+
+GRASPS = figures('grasps.json')
+DATASHEETS = figures('datasheets.json')['grippers']
+CLEARANCE_M = 0.005
+LIFT_M = 0.1
+
+
+def has_pads(name):
+    """Tell whether a gripper has two sides that close on something."""
+    roles = create_gripper(name).important_geoms
+    return bool(roles['left_fingerpad'] and roles['right_fingerpad'])
+
+
+PINCHING = [name for name in GRIPPERS if has_pads(name) and name not in GRASPS['cylinders']]
+
+
+def stated(figure):
+    """Return the grippers whose datasheets state a figure."""
+    return [name for name in PINCHING if figure in DATASHEETS.get(name, {})]
+
+
+def closing(name):
+    """Return the action that closes a gripper."""
+    return GRASPS['closing_action'].get(name, 1.0)
+
+
+class Stroke:
+    """
+    One closing in free air.
+
+    :ivar times: since the first closing action [s], shape (n,)
+    :ivar gaps: between the pads [m], shape (n,)
+    :ivar pads: middles of the pads seen from the carriage [m], shape (n, 2, 3)
+    :ivar lowest: of the collision shapes seen from the carriage [m], shape (n,)
+    """
+
+    def __init__(self, name):
+        rig = GripperRig(name)
+        rig.actuate(np.negative(closing(name)))
+        rows = []
+        last_change = 0.0
+        while not rows or rows[-1][0] - last_change < 0.3:
+            height = rig.data.joint('carriage').qpos[0]
+            pads = rig.pads() - [0.0, 0.0, height]
+            rows.append((0.01 * len(rows), rig.pad_gap(), pads, rig.lowest_point() - height))
+            before = rig.data.ctrl[rig.ids].copy()
+            rig.advance(closing(name), 0.01)
+            if not np.array_equal(before, rig.data.ctrl[rig.ids]):
+                last_change = rows[-1][0]
+            assert rows[-1][0] < 15.0, f'{name} has not closed after 15 s'
+        times, gaps, middles, lowest = zip(*rows)
+        self.times, self.gaps = np.array(times), np.array(gaps)
+        self.pads, self.lowest = np.array(middles), np.array(lowest)
+
+    def duration_s(self):
+        """Return how long the pads took for 95 % of their way."""
+        left = self.gaps - self.gaps[-1]
+        return self.times[np.argmax(left < 0.05 * left[0])]
+
+    def cube_edge_m(self):
+        """Return the edge of a cube that fits well between the pads."""
+        for edge in (0.05, 0.04, 0.06, 0.07):
+            if self.gaps[-1] + CLEARANCE_M < edge < self.gaps[0] - CLEARANCE_M:
+                return edge
+        raise AssertionError(f'no cube of 4 to 7 cm fits: the pads go from {self.gaps[0]:.3f} m '
+                             f'to {self.gaps[-1]:.3f} m')
+
+
+stroke_of = lru_cache(maxsize=None)(Stroke)
+
+
+class Lift:
+    """
+    A cube that is grasped and lifted.
+
+    :ivar rose: how far the cube rose [m]
+    :ivar slipped: how far it moved in the gripper's frame in 2 s [m]
+    :ivar force: with which either side presses, horizontally [N]
+    """
+
+    def __init__(self, name):
+        stroke, action = stroke_of(name), closing(name)
+        edge = stroke.cube_edge_m()
+        at_cube = np.argmax(stroke.gaps <= edge)
+        middle = stroke.pads[at_cube].mean(axis=0)
+        across = np.diff(stroke.pads[at_cube], axis=0)[0]
+        rig = GripperRig(name, edge, (middle[0], middle[1], np.arctan2(across[1], across[0])))
+        low = max(edge / 2.0 - middle[2], 0.002 - stroke.lowest[:at_cube + 1].min())
+        rig.actuate(np.negative(action))
+        rig.move(low, np.negative(action))
+        rig.actuate(action)
+        rig.move(low + LIFT_M, action)
+        part, carriage = rig.data.body('part'), rig.data.joint('carriage')
+        before = part.xpos - [0.0, 0.0, carriage.qpos[0]]
+        forces = []
+        for _ in range(20):
+            rig.advance(action, 0.1)
+            forces.append([np.linalg.norm(rig.force_on_part(f'{side}_finger')[:2])
+                           for side in ('left', 'right')])
+        self.rose = part.xpos[2] - edge / 2.0
+        self.slipped = np.linalg.norm(part.xpos - [0.0, 0.0, carriage.qpos[0]] - before)
+        self.force = np.mean(forces)
+
+
+lift_of = lru_cache(maxsize=None)(Lift)
+
+
+@pytest.mark.parametrize('name', PINCHING)
+def test_plus_one_closes_and_minus_one_opens(name):
+    stroke = stroke_of(name)
+    assert stroke.gaps[-1] < stroke.gaps[0] - 0.02
+    # Nothing pushes the pads apart again at the end.
+    assert stroke.gaps[-1] < stroke.gaps.min() + 0.002
+
+
+@pytest.mark.parametrize('name', PINCHING)
+def test_a_cube_is_lifted_and_held(name):
+    lift = lift_of(name)
+    assert lift.rose > LIFT_M - 0.01
+    assert lift.slipped < 0.005
+
+
+@pytest.mark.parametrize('name', stated('stroke_m'))
+def test_the_stroke_is_that_of_the_datasheet(name):
+    stroke = stroke_of(name)
+    assert stroke.gaps[0] - stroke.gaps[-1] == pytest.approx(DATASHEETS[name]['stroke_m'], rel=0.1)
+
+
+@pytest.mark.parametrize('name', stated('grip_force_n'))
+def test_the_grip_force_is_in_the_range_of_the_datasheet(name):
+    low, high = DATASHEETS[name]['grip_force_n']
+    assert low <= lift_of(name).force <= high
+
+
+@pytest.mark.parametrize('name', stated('closing_time_s'))
+def test_closing_takes_as_long_as_the_datasheet_says(name):
+    assert stroke_of(name).duration_s() == pytest.approx(
+        DATASHEETS[name]['closing_time_s'], rel=0.2)
