@@ -17,6 +17,30 @@ PERIOD_S = 0.01
 CARRIAGE_SPEED = 0.3
 PARK_HEIGHT_M = 0.5
 PART_MASS_KG = 0.1
+FRICTION = [1.0, 0.005, 0.0001]
+
+
+def cube(edge_m, x_m=0.0, y_m=0.0, yaw=0.0):
+    """Return a part that stands on the table, a cube."""
+    def add(spec):
+        body = spec.worldbody.add_body(name='part', pos=[x_m, y_m, edge_m / 2.0],
+                                       quat=[np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)])
+        body.add_freejoint()
+        body.add_geom(name='part', type=mujoco.mjtGeom.mjGEOM_BOX, size=[edge_m / 2.0] * 3,
+                      mass=PART_MASS_KG, friction=FRICTION)
+    return add
+
+
+def cylinder(diameter_m, length_m, position_m, axis):
+    """Return a part in the air, a cylinder."""
+    def add(spec):
+        quat_wxyz = np.empty(4)
+        mujoco.mju_quatZ2Vec(quat_wxyz, np.asarray(axis, dtype=float))
+        body = spec.worldbody.add_body(name='part', pos=position_m, quat=quat_wxyz)
+        body.add_freejoint()
+        body.add_geom(name='part', type=mujoco.mjtGeom.mjGEOM_CYLINDER, mass=PART_MASS_KG,
+                      size=[diameter_m / 2.0, length_m / 2.0, 0.0], friction=FRICTION)
+    return add
 
 
 class GripperRig:
@@ -27,13 +51,13 @@ class GripperRig:
     velocity limits, as in the simulation.
 
     :param name: name of a gripper
-    :param cube_edge_m: edge of a free cube on the table [m], None for an empty table
-    :param cube_pose: x, y [m] and yaw [rad] of the cube
+    :param part: adds a part to the ``mujoco.MjSpec``, such as :func:`cube` returns
+    :param mount_quat_wxyz: how the gripper hangs on the carriage, by default upside down
     """
 
-    def __init__(self, name, cube_edge_m=None, cube_pose=(0.0, 0.0, 0.0)):
+    def __init__(self, name, part=None, mount_quat_wxyz=(0.0, 1.0, 0.0, 0.0)):
         self.gripper = create_gripper(name)
-        self.model = self._compile(cube_edge_m, cube_pose)
+        self.model = self._compile(part, mount_quat_wxyz)
         self.data = mujoco.MjData(self.model)
         self.lift = self.model.actuator('carriage').id
         self.ids = np.array([self.model.actuator(a).id for a in self.gripper.actuators])
@@ -49,7 +73,7 @@ class GripperRig:
         self.data.ctrl[self.ids] = self.goal
         mujoco.mj_forward(self.model, self.data)
 
-    def _compile(self, cube_edge_m, cube_pose):
+    def _compile(self, part, mount_quat_wxyz):
         spec = mujoco.MjSpec()
         spec.option.timestep = 0.002
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -58,18 +82,12 @@ class GripperRig:
         spec.worldbody.add_geom(name='table', type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
         carriage = spec.worldbody.add_body(name='carriage', mass=1.0, inertia=[0.01] * 3)
         carriage.add_joint(name='carriage', type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
-        self.gripper.attach_to(spec, carriage.add_frame(quat=[0.0, 1.0, 0.0, 0.0]))
+        self.gripper.attach_to(spec, carriage.add_frame(quat=mount_quat_wxyz))
         servo = spec.add_actuator(name='carriage', target='carriage',
                                   trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=20000.0, kv=400.0)
-        if cube_edge_m is not None:
-            x, y, yaw = cube_pose
-            cube = spec.worldbody.add_body(
-                name='part', pos=[x, y, cube_edge_m / 2.0],
-                quat=[np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)])
-            cube.add_freejoint()
-            cube.add_geom(name='part', type=mujoco.mjtGeom.mjGEOM_BOX, mass=PART_MASS_KG,
-                          size=[cube_edge_m / 2.0] * 3, friction=[1.0, 0.005, 0.0001])
+        if part is not None:
+            part(spec)
         return spec.compile()
 
     def _velocity_limit(self):

@@ -1,15 +1,16 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every gripper of the catalogue opens, closes, lifts a cube and pulls as its datasheet says."""
+"""Every gripper of the catalogue opens, closes and holds a part; forces are the datasheet's."""
 
 from functools import lru_cache
 
+import mujoco
 import numpy as np
 import pytest
 
 from catalogue import figures, GRIPPERS
-from gripper_rig import GripperRig
+from gripper_rig import cube, cylinder, GripperRig, PARK_HEIGHT_M
 
 from manip_sim.models.grippers import create_gripper
 
@@ -68,16 +69,16 @@ class Stroke:
 
     def duration_s(self):
         """Return how long the pads took for 95 % of their way."""
-        left = self.gaps - self.gaps[-1]
+        left = self.gaps - self.gaps.min()
         return self.times[np.argmax(left < 0.05 * left[0])]
 
     def cube_edge_m(self):
         """Return the edge of a cube that fits well between the pads."""
         for edge in (0.05, 0.04, 0.06, 0.07):
-            if self.gaps[-1] + CLEARANCE_M < edge < self.gaps[0] - CLEARANCE_M:
+            if self.gaps.min() + CLEARANCE_M < edge < self.gaps[0] - CLEARANCE_M:
                 return edge
         raise AssertionError(f'no cube of 4 to 7 cm fits: the pads go from {self.gaps[0]:.3f} m '
-                             f'to {self.gaps[-1]:.3f} m')
+                             f'to {self.gaps.min():.3f} m')
 
 
 stroke_of = lru_cache(maxsize=None)(Stroke)
@@ -98,7 +99,7 @@ class Lift:
         at_cube = np.argmax(stroke.gaps <= edge)
         middle = stroke.pads[at_cube].mean(axis=0)
         across = np.diff(stroke.pads[at_cube], axis=0)[0]
-        rig = GripperRig(name, edge, (middle[0], middle[1], np.arctan2(across[1], across[0])))
+        rig = GripperRig(name, cube(edge, middle[0], middle[1], np.arctan2(across[1], across[0])))
         low = max(edge / 2.0 - middle[2], 0.002 - stroke.lowest[:at_cube + 1].min())
         rig.actuate(np.negative(action))
         rig.move(low, np.negative(action))
@@ -121,10 +122,10 @@ lift_of = lru_cache(maxsize=None)(Lift)
 
 @pytest.mark.parametrize('name', PINCHING)
 def test_plus_one_closes_and_minus_one_opens(name):
-    stroke = stroke_of(name)
-    assert stroke.gaps[-1] < stroke.gaps[0] - 0.02
-    # Nothing pushes the pads apart again at the end.
-    assert stroke.gaps[-1] < stroke.gaps.min() + 0.002
+    gaps = stroke_of(name).gaps
+    # Fingers that stand side by side pass each other at the end; the pads are apart again then.
+    assert gaps.min() < gaps[0] - 0.02
+    assert gaps[-1] < gaps[0]
 
 
 @pytest.mark.parametrize('name', PINCHING)
@@ -137,7 +138,7 @@ def test_a_cube_is_lifted_and_held(name):
 @pytest.mark.parametrize('name', stated('stroke_m'))
 def test_the_stroke_is_that_of_the_datasheet(name):
     stroke = stroke_of(name)
-    assert stroke.gaps[0] - stroke.gaps[-1] == pytest.approx(DATASHEETS[name]['stroke_m'], rel=0.1)
+    assert stroke.gaps[0] - stroke.gaps.min() == pytest.approx(DATASHEETS[name]['stroke_m'], rel=0.1)
 
 
 @pytest.mark.parametrize('name', stated('grip_force_n'))
@@ -150,3 +151,46 @@ def test_the_grip_force_is_in_the_range_of_the_datasheet(name):
 def test_closing_takes_as_long_as_the_datasheet_says(name):
     assert stroke_of(name).duration_s() == pytest.approx(
         DATASHEETS[name]['closing_time_s'], rel=0.2)
+
+
+class Hold:
+    """
+    A cylinder that a hand takes with its palm up and holds with its palm down.
+
+    :ivar moved: how far it moved from where it was taken until the end [m]
+    :ivar speed: at the end [m/s]
+    :ivar touching: whether the hand touches it at the end
+    """
+
+    def __init__(self, name):
+        how = GRASPS['cylinders'][name]
+        hand = create_gripper(name)
+        alone = mujoco.MjData(hand.compile())
+        mujoco.mj_kinematics(alone.model, alone)
+        palm = alone.body(hand.correct_naming(how['body']))
+        rotation = palm.xmat.reshape(3, 3)
+        position = palm.xpos + rotation @ how['position_m'] + [0.0, 0.0, PARK_HEIGHT_M]
+        axis, up = rotation @ how['axis'], rotation @ how['up']
+        rig = GripperRig(name, cylinder(0.05, 0.12, position, axis), (1.0, 0.0, 0.0, 0.0))
+        gravity = np.linalg.norm(rig.model.opt.gravity)
+        rig.model.opt.gravity[:] = -gravity * up
+        for duration_s, action in how['actions']:
+            rig.advance(action, duration_s)
+        start = rig.data.body('part').xpos.copy()
+        for angle in np.linspace(0.0, np.pi, 40):
+            rig.model.opt.gravity[:] = gravity * (
+                -np.cos(angle) * up + np.sin(angle) * np.cross(axis, up))
+            rig.advance(how['actions'][-1][1], 0.05)
+        rig.advance(how['actions'][-1][1], 2.0)
+        part = rig.data.body('part')
+        self.moved = np.linalg.norm(part.xpos - start)
+        self.speed = np.linalg.norm(part.cvel[3:])
+        self.touching = rig.model.geom('part').id in rig.data.contact.geom
+
+
+@pytest.mark.parametrize('name', [name for name in GRIPPERS if name in GRASPS['cylinders']])
+def test_a_hand_keeps_a_cylinder_when_turned_over(name):
+    hold = Hold(name)
+    assert hold.moved < 0.02
+    assert hold.speed < 0.01
+    assert hold.touching
