@@ -190,7 +190,7 @@ def assets():
                   if folder.is_dir())
 
 
-@pytest.mark.parametrize('folder', assets(), ids=lambda folder: f'{folder.parent.name}-{folder.name}')
+@pytest.mark.parametrize('folder', assets(), ids=lambda folder: folder.name)
 def test_asset_folders_hold_one_model_from_primitives_and_say_where_numbers_come_from(folder):
     file = asset_path(folder.parent.name, folder.name)
     assert file.is_file(), f'{folder} has no {file.name}'

@@ -1,0 +1,55 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The gallery as a user runs it, in a process of its own."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parent.parent
+
+
+def run_gallery(*arguments, **environment):
+    """Run ``python3 -m manip_sim.gallery`` and return the finished process."""
+    return subprocess.run(
+        [sys.executable, '-m', 'manip_sim.gallery', *map(str, arguments)], text=True,
+        env={**os.environ, 'PYTHONPATH': str(SOURCE), **environment}, capture_output=True,
+        timeout=120)
+
+
+def test_help_names_the_folder_and_the_extra():
+    done = run_gallery('--help')
+    assert done.returncode == 0
+    assert 'docs/gallery' in done.stdout and 'manip_sim[gallery]' in done.stdout
+
+
+def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
+    done = run_gallery('--output', tmp_path / 'gallery', 'Pnda')
+    assert done.returncode == 1
+    assert done.stdout == ''
+    assert done.stderr.count('\n') == 1
+    assert "unknown robot 'Pnda': did you mean 'Panda'" in done.stderr
+    assert not (tmp_path / 'gallery').exists()
+
+
+def test_a_robot_is_rendered_small_and_in_colour(tmp_path):
+    image = pytest.importorskip('PIL.Image')
+    done = run_gallery('--output', tmp_path, 'Panda')
+    if done.returncode and 'cannot render' in done.stderr:
+        pytest.skip(done.stderr.strip())
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ''
+    files = sorted(file.name for file in tmp_path.iterdir())
+    assert files == ['Panda.png', 'contact_sheet.png']
+    for file in tmp_path.iterdir():
+        assert file.stat().st_size < 150_000
+    picture = image.open(tmp_path / 'Panda.png').convert('RGB')
+    assert picture.size == (800, 540)
+    # The arm is white, the pedestal black; a picture of nothing has neither above the floor.
+    left = picture.crop((0, 0, 400, 540)).getcolors(1 << 20)
+    assert sum(count for count, colour in left if min(colour) > 225) > 2000
+    assert sum(count for count, colour in left if max(colour) < 45) > 2000
