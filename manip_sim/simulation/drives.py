@@ -20,10 +20,12 @@ from manip_sim.simulation.commands import (
 from manip_sim.simulation.control import MODES, Servos
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.trajectory import check_times, Trajectory
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
 
 #: Rate at which the reference calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0
+#: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
+_TWIST_JOINTS = ('forward', 'side', 'yaw')
 
 
 class SubsystemDrive:
@@ -104,6 +106,36 @@ class SubsystemDrive:
         bends = None if accelerations is None else _points(part, 'accelerations', accelerations,
                                                            shape)
         return TrajectoryPoints(part, indices, times, goal, rates, bends, clamped)
+
+    @property
+    def takes_twist(self) -> bool:
+        """Whether the part is a base that moves along x and y and turns about z."""
+        return self._twist_indices() is not None
+
+    def _twist_indices(self) -> IntArray | None:
+        """Return which actuators move along x and y and turn about z, or None."""
+        words = [set((joint or '').split('_')) for joint in self.part.driven_joints]
+        found = [[i for i, w in enumerate(words) if key in w] for key in _TWIST_JOINTS]
+        if any(len(indices) != 1 for indices in found):
+            return None
+        return np.array([indices[0] for indices in found])
+
+    def twist(self, forward: float, side: float, yaw: float) -> Goal:
+        """
+        Validate a velocity in the base's own frame.
+
+        :param forward: along x [m/s]
+        :param side: along y [m/s]
+        :param yaw: about z [rad/s]
+        :raises CommandError: if a number is not finite, or the base is not in velocity mode
+        """
+        indices = self._twist_indices()
+        if indices is None or self.mode != 'velocity':
+            raise CommandError(f'{self.part.name} takes a twist in velocity mode only, '
+                               f'it is in {self.mode} mode')
+        values = finite_numbers([forward, side, yaw], 3, f'{self.part.name}: a twist')
+        ranges = self._servos.ranges['velocity'][indices]
+        return Goal(self.part.name, self.mode, indices, *clamp(values, ranges))
 
     def _clamp_ranges(self, mode: str) -> FloatArray:
         ranges = self._servos.ranges[mode].copy()

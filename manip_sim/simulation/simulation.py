@@ -160,10 +160,22 @@ class Simulation:
         :param mode: ``position``, ``velocity`` or ``effort``
         :raises UnknownNameError: if there is no such part or mode
         """
+        self._subsystem(part).set_mode(mode, self.data)
+
+    def set_command_timeout(self, part: str, timeout_s: float) -> None:
+        """
+        Change after how long without a fresh command a subsystem rests.
+
+        :param timeout_s: simulation time [s]; 0 is never
+        :raises UnknownNameError: if there is no such subsystem
+        """
+        self._subsystem(part).command_timeout_s = timeout_s
+
+    def _subsystem(self, part: str) -> SubsystemDrive:
         drive = self.drive(part)
         if not isinstance(drive, SubsystemDrive):
             raise CommandError(f'{part} is a gripper, which is always in position mode')
-        drive.set_mode(mode, self.data)
+        return drive
 
     def advance(self, steps: int) -> None:
         """
