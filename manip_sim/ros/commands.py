@@ -105,9 +105,9 @@ class CommandSubscribers:
             statistics = self.statistics[part]
             try:
                 commands = parse(message, drive)
-                header = getattr(message, 'header', None)
                 # The stamp of a trajectory is when it starts, not what it answers.
-                answers = nanoseconds_of(header.stamp) if message_type is JointState else 0
+                answers = (nanoseconds_of(message.header.stamp)
+                           if isinstance(message, JointState) else 0)
                 self._runner.submit(commands, answers)
             except CommandError as error:
                 statistics.refused += 1

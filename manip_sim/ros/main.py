@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 import signal
 import sys
 import threading
@@ -70,10 +71,8 @@ def _serve(asked_to_end: threading.Event) -> int:
 
 
 def _spin(executor: SingleThreadedExecutor) -> None:
-    try:
+    with contextlib.suppress(ExternalShutdownException):
         executor.spin()
-    except ExternalShutdownException:
-        pass
 
 
 def _fail(message: str) -> int:

@@ -71,10 +71,10 @@ class ParameterSpec:
                 if item not in self.choices:
                     return (f"parameter '{self.name}': unknown value '{item}': "
                             f'{describe_choices(item, self.choices)}')
-        if self.minimum is not None and self.maximum is not None:
-            if not self.minimum <= value <= self.maximum:
-                return (f"parameter '{self.name}' must be from {self.minimum:g} to "
-                        f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
+        if (self.minimum is not None and self.maximum is not None
+                and not self.minimum <= value <= self.maximum):
+            return (f"parameter '{self.name}' must be from {self.minimum:g} to "
+                    f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
         return None
 
 

@@ -59,7 +59,7 @@ class Servos:
         self.mode = 'position'
 
     def _position_range(self, joint_ids: Any) -> FloatArray:
-        limits = self._model.jnt_range[joint_ids].copy()
+        limits: FloatArray = self._model.jnt_range[joint_ids].copy()
         limits[~self.limited] = _UNLIMITED
         return limits
 
@@ -86,7 +86,8 @@ class Servos:
 
     def to_ctrl(self, goal: FloatArray, mode: str) -> FloatArray:
         """Convert a goal at the joints [rad, rad/s, N m or the same of a slide] to ``ctrl``."""
-        return goal / self._gear if mode == 'effort' else goal * self._gear
+        ctrl: FloatArray = goal / self._gear if mode == 'effort' else goal * self._gear
+        return ctrl
 
     def rest_goal(self, data: Any) -> FloatArray:
         """Return the goal that leaves the part where it is, shape (n_actuators,)."""
@@ -148,9 +149,11 @@ def _effort_limit(model: Any, joint_ids: Any, ids: Any) -> FloatArray:
     gear = np.abs(model.actuator_gear[ids, 0])
     motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
     limits = np.stack([
-        np.where(model.actuator_forcelimited[ids], model.actuator_forcerange[ids, 1] * gear, np.inf),
+        np.where(model.actuator_forcelimited[ids],
+                 model.actuator_forcerange[ids, 1] * gear, np.inf),
         np.where(model.jnt_actfrclimited[joint_ids], model.jnt_actfrcrange[joint_ids, 1], np.inf),
         np.where(motor & (model.actuator_ctrllimited[ids] != 0),
-                 model.actuator_ctrlrange[ids, 1] * model.actuator_gainprm[ids, 0] * gear, np.inf)])
+                 model.actuator_ctrlrange[ids, 1] * model.actuator_gainprm[ids, 0] * gear,
+                 np.inf)])
     limit: FloatArray = limits.min(axis=0)
     return np.where(np.isfinite(limit), limit, 1e3)

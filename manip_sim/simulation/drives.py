@@ -279,7 +279,8 @@ class GripperDrive:
     def _lengths(self, command: Goal) -> FloatArray:
         lengths = np.zeros(len(self._ids))
         lengths[command.indices] = command.values
-        return lengths * self._model.actuator_gear[self._ids, 0]
+        lengths *= self._model.actuator_gear[self._ids, 0]
+        return lengths
 
     def steps_to_call(self, step: int) -> int | None:
         """Return after how many physics steps :meth:`call_if_due` has to be called, or None."""
@@ -302,7 +303,7 @@ class GripperDrive:
         gain = self._model.actuator_gainprm[self._ids, 0]
         bias = self._model.actuator_biasprm[self._ids]
         ctrl = -(bias[:, 0] + bias[:, 1] * length) / np.where(gain == 0.0, 1.0, gain)
-        return np.clip(ctrl, *self._ranges.T)
+        return np.asarray(np.clip(ctrl, *self._ranges.T))
 
     def _go_on_from(self, data: Any) -> None:
         low, high = self._ranges.T

@@ -21,6 +21,8 @@ from manip_sim.simulation.wrench import EndEffectorReader
 
 #: A generalised velocity that no robot has: the physics has diverged [rad/s or m/s].
 _ABSURD_VELOCITY = 1e4
+#: How long the coupled joints of grippers may take to find their start [s].
+_SETTLE_S = 0.5
 
 
 class Simulation:
@@ -48,7 +50,7 @@ class Simulation:
         self.step_count = 0
         self.diverged: str | None = None
         self._start = world.init_qpos()
-        self._timestep_ns = round(self.model.opt.timestep * 1e9)
+        self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
         self.parts: dict[str, Part] = {p.name: p for p in find_parts(self.model, self.robot)}
         self.drives: dict[str, Drive] = {
             name: self._drive(part) for name, part in self.parts.items()}
@@ -58,8 +60,25 @@ class Simulation:
             name.split('/')[0]: EndEffectorReader(self.model, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
         self._index_joints()
+        self._settle_linkages()
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
         self.reset()
+
+    def _settle_linkages(self) -> None:
+        """
+        Let the start of grippers with coupled joints obey the couplings.
+
+        A declared start need not, and would be torn right with great force in the first steps.
+        """
+        self.reset()
+        coupled = [part for part in self.parts.values()
+                   if part.gripper is not None and self.model.neq + self.model.ntendon]
+        gravity = self.model.opt.gravity.copy()
+        self.model.opt.gravity[:] = 0.0
+        mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
+        self.model.opt.gravity[:] = gravity
+        for part in coupled:
+            self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
 
     def _drive(self, part: Part) -> Drive:
         if part.gripper is not None:
@@ -143,7 +162,7 @@ class Simulation:
     def _goal(self, part: str, names: list[str], indices: list[int], fields: dict[str, Any]
               ) -> Goal:
         drive = self.drives[part]
-        own = {field: np.asarray(values, dtype=float)[indices]
+        own: dict[str, Any] = {field: np.asarray(values, dtype=float)[indices]
                if field == drive.mode and np.size(values) else []
                for field, values in fields.items()}
         return drive.joint_command([names[i] for i in indices], **own)

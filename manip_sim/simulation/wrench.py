@@ -70,9 +70,9 @@ class EndEffectorReader:
         self._tare = np.zeros(6)
 
     def _external(self, data: Any) -> FloatArray:
-        # The sensor's reading with turned sign, less weight and inertia of the tool, is by Newton's
-        # second law the sum of the outer forces on the bodies beyond the sensor. MuJoCo keeps it in
-        # cfrc_ext: torque and force in world axes, about the tree's centre of mass.
+        # By Newton's second law the sensor's reading with turned sign, less weight and inertia of
+        # the tool, is the sum of the outer forces on the bodies beyond the sensor. MuJoCo keeps
+        # it in cfrc_ext: torque and force in world axes, about the tree's centre of mass.
         torque, force = data.cfrc_ext[self._bodies].sum(axis=0).reshape(2, 3)
         lever = data.subtree_com[self._root] - data.site_xpos[self._ft_frame]
         world_to_site = data.site_xmat[self._ft_frame].reshape(3, 3).T
