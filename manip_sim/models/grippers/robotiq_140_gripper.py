@@ -17,8 +17,8 @@ class Robotiq140GripperBase(GripperModel, registered=False):
     """
     Robotiq 2F-140 whose two actuators are commanded one by one.
 
-    One motor moves both fingers of the real gripper, so the fingers go to the mean of the two
-    commands.
+    One motor moves both fingers of the real gripper, so with two different commands both fingers
+    go to the same place between them.
     """
 
     _important_geoms = {
