@@ -92,6 +92,11 @@ class GripperModel(MujocoXMLModel, ABC):
         return f'gripper{self.idn}_'
 
     @property
+    def bottom_offset(self) -> FloatArray:
+        """Zeros, shape (3,), a copy: a gripper does not stand on anything."""
+        return np.zeros(3)
+
+    @property
     def dof(self) -> int:
         """Length of the actions that :meth:`format_action` takes."""
         return len(self._actuators)
