@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray
 
 CYCLES = 2000
 PERIOD_NS = 2_000_000
+BUSY = 'import time; end = time.time() + 120\nwhile time.time() < end: pass'
 
 
 def nanoseconds(message):
@@ -61,8 +62,7 @@ def run(sim_process, client_factory):
 def test_the_same_controller_gives_the_same_states_to_the_last_bit(sim_process):
     from conftest import Client
     quiet = run(sim_process, Client)
-    busy = subprocess.Popen([sys.executable, '-c',
-                             'import time\nend = time.time() + 120\nwhile time.time() < end: pass'])
+    busy = subprocess.Popen([sys.executable, '-c', BUSY])
     try:
         loaded = run(sim_process, Client)
     finally:
