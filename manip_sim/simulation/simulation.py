@@ -162,9 +162,10 @@ class Simulation:
     def _goal(self, part: str, names: list[str], indices: list[int], fields: dict[str, Any]
               ) -> Goal:
         drive = self.drives[part]
-        own: dict[str, Any] = {field: np.asarray(values, dtype=float)[indices]
-               if field == drive.mode and np.size(values) else []
-               for field, values in fields.items()}
+        own: dict[str, Any] = {
+            field: (np.asarray(values, dtype=float)[indices]
+                    if field == drive.mode and np.size(values) else [])
+            for field, values in fields.items()}
         return drive.joint_command([names[i] for i in indices], **own)
 
     def apply(self, command: Command) -> None:
