@@ -14,7 +14,7 @@ from manip_sim.typing import FloatArray
 
 
 class Jaco(ManipulatorModel):
-    """Seven-joint carbon fibre arm, 2.4 kg payload, 0.985 m reach."""
+    """Seven-joint arm of carbon fibre with a spherical wrist."""
 
     _horizontal_radius = 0.5
     _top_offset = (0.0, 0.0, 1.0)
