@@ -139,7 +139,7 @@ class MujocoXMLModel:
 
         :raises ModelError: if the file has none or several
         """
-        return self.correct_naming(self._root().name)
+        return f'{self.naming_prefix}{self._root().name}'
 
     def _root(self) -> Any:
         roots = self._spec.worldbody.bodies

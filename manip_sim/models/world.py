@@ -80,6 +80,13 @@ class World:
         """
         return compile_spec(self.compose(), ' and '.join(r.name for r in self.robots))
 
+    def to_xml(self) -> str:
+        """Return the MJCF of the world."""
+        spec = self.compose()
+        compile_spec(spec, 'world')
+        xml: str = spec.to_xml()
+        return xml
+
     def init_qpos(self) -> dict[str, float]:
         """Return where each scalar joint of robots, bases and grippers starts [rad or m]."""
         start: dict[str, float] = {}

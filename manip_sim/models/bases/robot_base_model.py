@@ -39,7 +39,11 @@ BASES: Registry[RobotBaseModel] = Registry('base')
 
 
 class MountModel(RobotBaseModel, registered=False):
-    """A mount without joints; it hangs below the robot's root body. Prefix ``fixed_mount{idn}_``."""
+    """
+    A mount without joints; it hangs below the robot's root body.
+
+    Prefix ``fixed_mount{idn}_``.
+    """
 
     @property
     def naming_prefix(self) -> str:

@@ -92,6 +92,11 @@ class GripperModel(MujocoXMLModel, ABC):
         return f'gripper{self.idn}_'
 
     @property
+    def bottom_offset(self) -> FloatArray:
+        """Zeros, shape (3,), a copy: a gripper does not stand on anything."""
+        return np.zeros(3)
+
+    @property
     def dof(self) -> int:
         """Length of the actions that :meth:`format_action` takes."""
         return len(self._actuators)
@@ -163,9 +168,11 @@ class GripperModel(MujocoXMLModel, ABC):
         for state in (wanted, wanted[:self.dof], np.zeros(self.dof)):
             self.current_action = state.copy()
             idle = self.format_action(np.zeros(self.dof))
-            error = np.abs(idle - wanted).max(initial=0.0) if idle.shape == wanted.shape else np.inf
+            if idle.shape != wanted.shape:
+                continue
+            error = float(np.abs(idle - wanted).max(initial=0.0))
             if error < best_error:
-                best, best_error = state, float(error)
+                best, best_error = state, error
         self.current_action = best.copy()
 
     def _checked(self, action: ArrayLike) -> FloatArray:
@@ -178,7 +185,7 @@ class GripperModel(MujocoXMLModel, ABC):
             raise CommandError(f'{type(self).__name__} takes finite numbers, got {checked}')
         return checked
 
-    def _integrate(self, step: ArrayLike) -> FloatArray:
+    def _integrate(self, step: FloatArray) -> FloatArray:
         """Move :attr:`current_action` by a step, within [-1, 1], and return a copy."""
         self.current_action = np.clip(self.current_action + step, -1.0, 1.0)
         return self.current_action.copy()

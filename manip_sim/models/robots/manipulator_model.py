@@ -45,7 +45,7 @@ class ArmDict(OrderedDict[str, T]):
 
     def get(self, key: str, default: Any = None) -> Any:
         """Return the entry of an arm or end effector body, or the default."""
-        return self[key] if key in self else default
+        return self[key] if key in self else default  # noqa: SIM401
 
 
 class ManipulatorModel(RobotModel):

@@ -311,7 +311,8 @@ class RobotModel(MujocoXMLModel, ABC):
             raise CommandError(f"{self.name}'s {subsystem} takes finite numbers, got {checked}")
         low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
                                dtype=float).reshape(-1, 2).T
-        return low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        commands: FloatArray = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        return commands
 
     def _ctrlrange(self, names: list[str]) -> FloatArray:
         ranges = {part.correct_naming(raw): part._own_model.actuator_ctrlrange[index]

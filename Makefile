@@ -1,0 +1,49 @@
+# make run    set up and run a Panda at a table with a cube
+# make pick   in a second shell: pick the cube up
+# make test   set up and run all tests
+# make lint   style and types
+#
+# With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
+# site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix.
+
+PYTHON ?= python3
+VENV ?= .venv
+RUN_ARGS ?= --ros-args -p arena:=table
+PYTEST_ARGS ?=
+
+ifeq ($(ROS_DISTRO),jazzy)
+VENV_ARGS = --system-site-packages
+EXTRAS = test
+else
+VENV_ARGS =
+EXTRAS = jazzy,test
+endif
+
+BIN = $(VENV)/bin
+READY = $(VENV)/.ready-$(EXTRAS)
+
+.PHONY: run pick test lint clean
+
+run: $(READY)
+	exec $(BIN)/sim_node $(RUN_ARGS)
+
+pick: $(READY)
+	$(BIN)/pick_cube
+
+test: $(READY)
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(READY)
+	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
+	$(BIN)/python -m mypy
+
+$(READY): setup.py
+	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
+		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV_ARGS) $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
+	$(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) build install log *.egg-info

@@ -1,0 +1,82 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What a control period costs, as a ratio to the bare physics in the same run.
+
+usage: python3 benchmark/period_cost.py [robot]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import sys
+import time
+
+import mujoco
+
+from manip_sim.models.bases import create_base
+from manip_sim.models.grippers import create_gripper
+from manip_sim.models.robots import create_robot
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
+
+STEPS = 5
+ROUNDS = 7
+PERIODS = 300
+
+
+def best_s(function: Callable[[], object]) -> float:
+    """Return the shortest time of a call, over several rounds of many calls [s]."""
+    times = []
+    for _ in range(ROUNDS):
+        begin = time.perf_counter()
+        for _ in range(PERIODS):
+            function()
+        times.append((time.perf_counter() - begin) / PERIODS)
+    return min(times)
+
+
+def build(name: str) -> Simulation:
+    """Return the simulation of a robot with its default base and grippers."""
+    robot = create_robot(name)
+    if robot.default_base:
+        robot.add_base(create_base(robot.default_base))
+    for arm, gripper in robot.default_gripper.items():
+        robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
+    return Simulation(World([robot]))
+
+
+def publishing(simulation: Simulation) -> Callable[[], object] | None:
+    """Return a function that publishes a state on all topics, or None without ROS."""
+    try:
+        import rclpy
+    except ImportError:
+        return None
+    from manip_sim.ros.messages import Names
+    from manip_sim.ros.publishers import StatePublishers
+    rclpy.init()
+    publishers = StatePublishers(rclpy.create_node('benchmark'), simulation, Names('', ''), True)
+    return lambda: publishers.publish(simulation.state())
+
+
+def main() -> None:
+    """Print a table."""
+    name = sys.argv[1] if len(sys.argv) > 1 else 'Panda'
+    simulation = build(name)
+    model, data = simulation.model, mujoco.MjData(simulation.model)
+    mujoco.mj_copyData(data, model, simulation.data)
+    bare = best_s(lambda: mujoco.mj_step(model, data, STEPS))
+    rows = [(f'mj_step, {STEPS} steps', bare),
+            ('Simulation.advance', best_s(lambda: simulation.advance(STEPS))),
+            ('Simulation.state', best_s(simulation.state))]
+    publish = publishing(simulation)
+    if publish is not None:
+        rows.append(('state and publish', best_s(publish)))
+    print(f'{name}, mujoco {mujoco.__version__}')
+    for what, seconds in rows:
+        print(f'{what:20s} {seconds * 1e6:8.1f} us  {seconds / bare:6.2f} x bare physics')
+
+
+if __name__ == '__main__':
+    main()

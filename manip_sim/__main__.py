@@ -1,0 +1,55 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Entry point of ``sim_node`` and ``python3 -m manip_sim``.
+
+It imports little, so that a signal during the slow imports ends the process as cleanly as later.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+_HELP = """\
+usage: sim_node [--help] [--ros-args -p NAME:=VALUE ...]
+
+Serve a simulated robot over ROS 2 until Ctrl-C or SIGTERM.
+
+  sim_node --ros-args -p robot:=Panda -p arena:=table
+
+Parameters, topics and services are listed in the README and by
+'ros2 param describe /manip_sim NAME' while the node runs."""
+
+
+def main() -> int:
+    """
+    Run the node.
+
+    :returns: the exit code: 0 after SIGINT or SIGTERM, 1 if the node cannot start
+    """
+    arguments = sys.argv[1:]
+    ours = arguments[:arguments.index('--ros-args')] if '--ros-args' in arguments else arguments
+    if ours and ours[0] in ('-h', '--help'):
+        print(_HELP)
+        return 0
+    if ours:
+        print(f"sim_node: unknown argument '{ours[0]}', see --help", file=sys.stderr)
+        return 2
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))
+    try:
+        from manip_sim.ros.main import run
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith('manip_sim'):
+            raise
+        print(f"sim_node: no module '{error.name}': source ROS 2 Jazzy, or install it from wheels "
+              "with pip install 'manip_sim[jazzy]'", file=sys.stderr)
+        return 1
+    return run(arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,78 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Joint positions for a pose of the grip site, by damped least squares on a MuJoCo model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.typing import FloatArray
+
+_DAMPING = 1e-3
+_ITERATIONS = 200
+_TOLERANCE = 1e-5
+
+
+class InverseKinematics:
+    """
+    Inverse kinematics of one arm.
+
+    :param model: a ``mujoco.MjModel``, such as the one that the node publishes on ``~/mjcf``
+    :param joints: names of the arm's joints
+    :param site: name of the site that shall reach the pose
+    """
+
+    def __init__(self, model: Any, joints: Sequence[str], site: str) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self._qpos = np.array([model.joint(name).qposadr[0] for name in joints])
+        self._dofs = np.array([model.joint(name).dofadr[0] for name in joints])
+        self._range = np.array([model.joint(name).range for name in joints])
+        self._site = model.site(site).id
+
+    def forward(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return where the site is.
+
+        :param positions: of the joints [rad], shape (n,)
+        :returns: position in the world [m], shape (3,), and rotation matrix, shape (3, 3)
+        """
+        self._data.qpos[self._qpos] = positions
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        return (self._data.site_xpos[self._site].copy(),
+                self._data.site_xmat[self._site].reshape(3, 3).copy())
+
+    def solve(self, start: FloatArray, position: FloatArray, rotation: FloatArray) -> FloatArray:
+        """
+        Return joint positions that bring the site to a pose.
+
+        :param start: joint positions to start from [rad], shape (n,)
+        :param position: of the site in the world [m], shape (3,)
+        :param rotation: rotation matrix of the site in the world, shape (3, 3)
+        :raises ValueError: if the pose is not reached
+        """
+        joints = np.array(start, dtype=float)
+        jacobian = np.zeros((6, self._model.nv))
+        for _ in range(_ITERATIONS):
+            here, turned = self.forward(joints)
+            error = np.concatenate([position - here, _rotation_vector(rotation @ turned.T)])
+            if np.abs(error).max() < _TOLERANCE:
+                return joints
+            mujoco.mj_jacSite(self._model, self._data, jacobian[:3], jacobian[3:], self._site)
+            arm = jacobian[:, self._dofs]
+            step = arm.T @ np.linalg.solve(arm @ arm.T + _DAMPING * np.eye(6), error)
+            joints = np.clip(joints + step, *self._range.T)
+        raise ValueError(f'no joint positions found that bring the hand to {position} m')
+
+
+def _rotation_vector(rotation: FloatArray) -> FloatArray:
+    quat_wxyz, vector = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(rotation).ravel())
+    mujoco.mju_quat2Vel(vector, quat_wxyz, 1.0)
+    return vector

@@ -1,0 +1,105 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Messages from states: the one place that makes stamps and names joints in public."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from sensor_msgs.msg import JointState
+
+from manip_sim.simulation.state import EndEffector, State, Wrench
+from manip_sim.typing import FloatArray
+
+WORLD = 'world'
+
+
+class Names:
+    """
+    Joint and frame names in messages.
+
+    :param prefix: the robot's prefix in the model, such as ``robot0_``
+    :param public_prefix: what stands in its place in messages
+    """
+
+    def __init__(self, prefix: str, public_prefix: str) -> None:
+        self._prefix = prefix
+        self._public_prefix = public_prefix
+
+    def public(self, name: str) -> str:
+        """Return the name that messages use for a name of the model."""
+        if not name.startswith(self._prefix):
+            return name
+        return self._public_prefix + name[len(self._prefix):]
+
+    def model(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
+        """
+        Return the model's names for names in a message.
+
+        :param known: names of the model; a name that stands for none of them is left as it is
+        """
+        of_public = {self.public(name): name for name in known}
+        return [of_public.get(name, name) for name in names]
+
+
+def stamp_of(time_ns: int) -> Time:
+    """Return a stamp for a simulation time in nanoseconds."""
+    return Time(sec=time_ns // 1_000_000_000, nanosec=time_ns % 1_000_000_000)
+
+
+def nanoseconds_of(stamp: Time) -> int:
+    """Return the nanoseconds of a stamp."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def joint_state(stamp: Time, names: list[str], state: State, part: slice) -> JointState:
+    """Return the joint states of a part."""
+    message = JointState()
+    message.header.stamp = stamp
+    message.name = names
+    message.position = _doubles(state.position[part])
+    message.velocity = _doubles(state.velocity[part])
+    message.effort = _doubles(state.effort[part])
+    return message
+
+
+def _doubles(numbers: FloatArray) -> array[float]:
+    # rclpy takes an array.array as it is; lists and numpy arrays are checked number by number.
+    return array('d', numbers.tobytes())
+
+
+def wrench_stamped(stamp: Time, frame_id: str, wrench: Wrench) -> WrenchStamped:
+    """Return a wrench in a frame."""
+    message = WrenchStamped()
+    message.header.stamp = stamp
+    message.header.frame_id = frame_id
+    force, torque = message.wrench.force, message.wrench.torque
+    force.x, force.y, force.z = wrench.force.tolist()
+    torque.x, torque.y, torque.z = wrench.torque.tolist()
+    return message
+
+
+def pose_stamped(stamp: Time, end_effector: EndEffector) -> PoseStamped:
+    """Return where the grip site is in the world."""
+    message = PoseStamped()
+    message.header.stamp = stamp
+    message.header.frame_id = WORLD
+    position, orientation = message.pose.position, message.pose.orientation
+    position.x, position.y, position.z = end_effector.position.tolist()
+    orientation.x, orientation.y, orientation.z, orientation.w = end_effector.quat_xyzw.tolist()
+    return message
+
+
+def twist_stamped(stamp: Time, end_effector: EndEffector) -> TwistStamped:
+    """Return how fast the grip site moves, in world axes."""
+    message = TwistStamped()
+    message.header.stamp = stamp
+    message.header.frame_id = WORLD
+    linear, angular = message.twist.linear, message.twist.angular
+    linear.x, linear.y, linear.z = end_effector.linear_velocity.tolist()
+    angular.x, angular.y, angular.z = end_effector.angular_velocity.tolist()
+    return message

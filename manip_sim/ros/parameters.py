@@ -1,0 +1,235 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node's parameters: one table with type, default, limits and description."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from manip_sim.errors import describe_choices, ParameterError
+from manip_sim.models.arenas import arena_names
+from manip_sim.models.bases import base_names
+from manip_sim.models.grippers import gripper_names
+from manip_sim.models.robots import robot_names
+from manip_sim.models.robots.robot_model import SUBSYSTEMS
+from manip_sim.simulation.control import MODES
+
+#: Parameters that every rclpy node knows.
+_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+STEPPING = ('realtime', 'free', 'lockstep')
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """
+    One parameter.
+
+    :ivar default: also tells the type
+    :ivar live: whether it may change while the node runs
+    :ivar minimum: and ``maximum``: inclusive limits of a number
+    :ivar choices: the values that a string may have
+    """
+
+    name: str
+    default: Any
+    description: str
+    unit: str = ''
+    live: bool = False
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what ``ros2 param describe`` prints."""
+        descriptor = ParameterDescriptor(
+            description=self.description + (f' [{self.unit}]' if self.unit else ''),
+            read_only=not self.live)
+        if self.choices:
+            descriptor.additional_constraints = f'One of: {", ".join(self.choices)}.'
+        if self.minimum is not None and self.maximum is not None:
+            if isinstance(self.default, float):
+                descriptor.floating_point_range = [FloatingPointRange(
+                    from_value=self.minimum, to_value=self.maximum, step=0.0)]
+            else:
+                descriptor.integer_range = [IntegerRange(
+                    from_value=int(self.minimum), to_value=int(self.maximum), step=1)]
+        return descriptor
+
+    def problem_with(self, value: Any) -> str | None:
+        """Return what is wrong with a value that has the right type, or None."""
+        if self.choices:
+            for item in value if isinstance(value, (list, tuple)) else [value]:
+                if item not in self.choices:
+                    return (f"parameter '{self.name}': unknown value '{item}': "
+                            f'{describe_choices(item, self.choices)}')
+        if (self.minimum is not None and self.maximum is not None
+                and not self.minimum <= value <= self.maximum):
+            return (f"parameter '{self.name}' must be from {self.minimum:g} to "
+                    f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
+        return None
+
+
+def node_parameters() -> list[ParameterSpec]:
+    """Return the parameters of every node, before the robot is known."""
+    return [
+        ParameterSpec('robot', 'Panda', 'Robot of the catalogue.',
+                      choices=tuple(robot_names())),
+        ParameterSpec('gripper', 'default',
+                      "Gripper on every arm; 'default' is the robot's own, 'none' leaves it off.",
+                      choices=('default', 'none', *gripper_names())),
+        ParameterSpec('base', 'default',
+                      "What the robot stands on; 'default' is the robot's own, 'none' is the "
+                      'floor.', choices=('default', 'none', *base_names())),
+        ParameterSpec('arena', 'empty', 'What is around the robot.',
+                      choices=tuple(arena_names())),
+        ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
+                      'the table.'),
+        ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1.',
+                      minimum=0, maximum=999),
+        ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
+        ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
+                      'per second of simulation time; a period is a whole number of timesteps.',
+                      'Hz', minimum=1.0, maximum=10000.0),
+        ParameterSpec('stepping', 'realtime', 'What drives the physics: the clock, nothing (as '
+                      'fast as possible), or the commands of lockstep_parts.', choices=STEPPING),
+        ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each have had a command before '
+                      'lockstep advances by a control period, such as arm or right/gripper.'),
+        ParameterSpec('start_paused', False, 'Wait for ~/pause or ~/step after the start.'),
+        ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, for the stepping '
+                      'realtime.', live=True, minimum=0.1, maximum=10.0),
+        ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
+                      'links and grippers; it counts as effort and against the torque limits.'),
+        ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
+                      'domain but one.'),
+    ]
+
+
+def robot_parameters(prefix: str, parts: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters that depend on the robot.
+
+    :param prefix: the robot's naming prefix
+    :param parts: the subsystems that it has
+    """
+    specs = [ParameterSpec('joint_prefix', prefix, "What stands in messages in place of the "
+                           "robot's prefix; may be empty.")]
+    for part in parts:
+        moves = part == 'base'
+        specs += [
+            ParameterSpec(f'{part}.control_mode', 'velocity' if moves else 'position',
+                          f'What commands of the {part} mean; a change holds it where it is.',
+                          live=True, choices=MODES),
+            ParameterSpec(f'{part}.command_timeout', 0.5 if moves else 0.0,
+                          f'Without a fresh command of the {part} for so long, position holds, '
+                          'velocity goes to zero, effort to gravity compensation alone; 0 never. '
+                          'Simulation time.', 's', live=True, minimum=0.0, maximum=3600.0)]
+    return specs
+
+
+class Parameters:
+    """
+    Declares parameters on a node and validates their changes.
+
+    :param node: the node; its overrides may give an integer where a double is meant
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._specs: dict[str, ParameterSpec] = {}
+        node.add_pre_set_parameters_callback(self._integers_to_doubles)
+        node.add_on_set_parameters_callback(self._validate)
+
+    def declare(self, specs: Sequence[ParameterSpec]) -> None:
+        """
+        Declare parameters and read what the user gave for them.
+
+        :raises ParameterError: if a value cannot be used
+        """
+        overrides = self._node._parameter_overrides
+        for spec in specs:
+            self._specs[spec.name] = spec
+            if spec.name in overrides:
+                given = overrides[spec.name] = self._as_declared(overrides[spec.name])
+                problem = self._type_problem(spec, given) or spec.problem_with(given.value)
+                if problem:
+                    raise ParameterError(problem)
+            try:
+                self._node.declare_parameter(spec.name, spec.default, spec.descriptor())
+            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+                raise ParameterError(f"parameter '{spec.name}': {error}") from error
+
+    def _type_problem(self, spec: ParameterSpec, given: Parameter) -> str | None:
+        expected = Parameter.Type.from_parameter_value(spec.default)
+        if given.type_ is expected:
+            return None
+        return (f"parameter '{spec.name}' must be of type {expected.name.lower()}, "
+                f'got {given.value!r}')
+
+    def check_names(self) -> None:
+        """
+        Refuse parameters that the user gave and nobody declared.
+
+        :raises ParameterError: naming the nearest ones
+        """
+        for name in self._node._parameter_overrides:
+            if not (name in self._specs or name in _OF_RCLPY or name.startswith('qos_overrides.')):
+                part = name.split('.')[0]
+                known = [n for n in self._specs if '.' not in n or n.startswith(f'{part}.')]
+                missing = (f'this robot has no {part}, '
+                           if part in SUBSYSTEMS and f'{part}.control_mode' not in self._specs
+                           else '')
+                raise ParameterError(f"unknown parameter '{name}': {missing}"
+                                     f'{describe_choices(name, known)}')
+
+    def value(self, name: str) -> Any:
+        """Return the present value of a declared parameter."""
+        return self._node.get_parameter(name).value
+
+    def _as_declared(self, parameter: Parameter) -> Parameter:
+        spec = self._specs.get(parameter.name)
+        if (spec is not None and isinstance(spec.default, float)
+                and parameter.type_ is Parameter.Type.INTEGER):
+            return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+        return parameter
+
+    def _integers_to_doubles(self, parameters: list[Parameter]) -> list[Parameter]:
+        return [self._as_declared(parameter) for parameter in parameters]
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None or parameter.value is None:
+                continue
+            problem = self._type_problem(spec, parameter) or spec.problem_with(parameter.value)
+            if problem:
+                return SetParametersResult(successful=False, reason=problem)
+        return SetParametersResult(successful=True)
+
+
+def steps_per_period(publish_rate: float, timestep: float) -> int:
+    """
+    Return how many physics steps a control period has.
+
+    :param publish_rate: [Hz]
+    :param timestep: [s]
+    :raises ParameterError: if it is not a whole number, naming the nearest rates for which it is
+    """
+    steps = 1.0 / (publish_rate * timestep)
+    whole = max(1, round(steps))
+    if abs(steps - whole) > 1e-6 * whole:
+        lower, higher = int(steps) + 1, int(steps)
+        rates = [1.0 / (n * timestep) for n in (lower, higher) if n > 0]
+        raise ParameterError(
+            f"parameter 'publish_rate': a period of {publish_rate:g} Hz is not a whole number of "
+            f'timesteps of {timestep:g} s; the nearest rates that are: '
+            + ', '.join(f'{rate:.10g}' for rate in rates))
+    return whole

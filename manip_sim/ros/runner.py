@@ -1,0 +1,234 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The thread that owns the simulation: it waits, advances and publishes; others ask it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass
+import threading
+import time
+from typing import TypeVar
+
+from manip_sim.errors import CommandError
+from manip_sim.simulation import Simulation, State
+from manip_sim.simulation.commands import Command
+from manip_sim.simulation.pacing import Pacer
+from manip_sim.simulation.staging import Staging
+
+T = TypeVar('T')
+#: How often lockstep repeats the present state while it waits, wall time [s].
+_REPEAT_S = 0.1
+
+
+@dataclass(frozen=True)
+class Progress:
+    """
+    How far the simulation has come.
+
+    :ivar wall_s: monotonic wall time of the last control period [s]
+    :ivar time_ns: simulation time then [ns]
+    :ivar missed: control periods that were dropped because the machine could not keep up
+    """
+
+    wall_s: float
+    time_ns: int
+    missed: int
+
+
+class Runner:
+    """
+    Runs a simulation in a thread of its own.
+
+    :param simulation: used by this thread alone while it runs
+    :param publish: is handed the state of each control period, in this thread
+    :param steps: physics steps of a control period
+    :param stepping: ``realtime``, ``free`` or ``lockstep``
+    :param real_time_factor: for ``realtime``
+    :param lockstep_parts: the parts that must have had a command in ``lockstep``
+    :param paused: wait for :meth:`pause` or :meth:`step`
+    """
+
+    def __init__(self, simulation: Simulation, publish: Callable[[State], None], steps: int,
+                 stepping: str = 'realtime', real_time_factor: float = 1.0,
+                 lockstep_parts: Iterable[str] = (), paused: bool = False) -> None:
+        self._simulation = simulation
+        self._publish = publish
+        self._steps = steps
+        self._stepping = stepping
+        self._staging = Staging(lockstep_parts)
+        self._paused = paused
+        self._stopping = False
+        self._calls: list[tuple[Callable[[], object], Future[object]]] = []
+        self._wake = threading.Condition()
+        self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
+        self._repeat_at = 0.0
+        self._present_ns = simulation.time_ns
+        self.progress = Progress(time.monotonic(), simulation.time_ns, 0)
+        self.error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name='physics')
+
+    def start(self) -> None:
+        """Publish the first state and begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; calls that wait are cancelled."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join()
+        for _, future in self._calls:
+            future.cancel()
+
+    @property
+    def stepping(self) -> str:
+        """``realtime``, ``free`` or ``lockstep``."""
+        return self._stepping
+
+    @property
+    def paused(self) -> bool:
+        """Whether the simulation waits for :meth:`pause` or :meth:`step`."""
+        return self._paused
+
+    def submit(self, commands: Iterable[Command], stamp_ns: int = 0) -> None:
+        """
+        Hand over validated commands; the next control period uses them.
+
+        :param stamp_ns: in lockstep, the state that they are the answer to; 0 if they do not say
+        :raises CommandError: in lockstep, if that is not the present state
+        """
+        with self._wake:
+            if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
+                raise CommandError('lockstep: the command answers the state of '
+                                   f'{stamp_ns / 1e9:.9f} s, the present state is that of '
+                                   f'{self._present_ns / 1e9:.9f} s')
+            for command in commands:
+                self._staging.add(command)
+            if self._stepping == 'lockstep':
+                self._wake.notify()
+
+    def call(self, function: Callable[[], T]) -> T:
+        """
+        Run a function in the simulation's thread, between two control periods.
+
+        :returns: what the function returns
+        :raises Exception: what the function raises
+        """
+        future: Future[T] = Future()
+        with self._wake:
+            if self._stopping:
+                raise RuntimeError('the simulation has ended')
+            self._calls.append((function, future))  # type: ignore[arg-type]
+            self._wake.notify()
+        return future.result()
+
+    def pause(self, paused: bool) -> None:
+        """Stop or go on; time that passed meanwhile is not made up for."""
+        def change() -> None:
+            if self._paused and not paused:
+                self._pacer.restart(time.monotonic())
+            self._paused = paused
+        self.call(change)
+
+    def step(self) -> None:
+        """
+        Advance by one control period and publish its state.
+
+        :raises CommandError: if the simulation is not paused, or has diverged
+        """
+        def advance() -> None:
+            if not self._paused:
+                raise CommandError('the simulation is running: pause it first')
+            if self._simulation.diverged is not None:
+                raise CommandError(f'{self._simulation.diverged}; reset it first')
+            self._period()
+        self.call(advance)
+
+    def reset(self) -> None:
+        """Put the simulation back to its start, drop commands that wait, publish the state."""
+        def change() -> None:
+            with self._wake:
+                self._staging.clear()
+            self._simulation.reset()
+            # A state of its own needs a stamp of its own.
+            self._simulation.step_count += self._steps
+            self._show()
+        self.call(change)
+
+    def set_real_time_factor(self, factor: float) -> None:
+        """Go on at another speed, from now."""
+        self.call(lambda: self._pacer.set_real_time_factor(factor, time.monotonic()))
+
+    def set_control_mode(self, part: str, mode: str) -> None:
+        """Change how a subsystem is controlled; it stays where it is."""
+        self.call(lambda: self._simulation.set_control_mode(part, mode))
+
+    def set_command_timeout(self, part: str, timeout_s: float) -> None:
+        """Change after how much simulation time without a command a subsystem rests [s]."""
+        self.call(lambda: self._simulation.set_command_timeout(part, timeout_s))
+
+    # ------------------------------------------------------------------ in the thread
+
+    def _run(self) -> None:
+        try:
+            self._show()
+            self._pacer.restart(time.monotonic())
+            while True:
+                with self._wake:
+                    due = self._wait()
+                    if self._stopping:
+                        return
+                    calls, self._calls = self._calls, []
+                for function, future in calls:
+                    _answer(function, future)
+                if due and not self._paused:
+                    self._period()
+                elif self._stepping == 'lockstep' and time.monotonic() >= self._repeat_at:
+                    self._show()
+        except BaseException as error:  # The main thread has to learn of it.
+            self.error = error
+
+    def _wait(self) -> bool:
+        """Wait until there is something to do; tell whether a control period is due."""
+        while not (self._stopping or self._calls):
+            now = time.monotonic()
+            if self._stepping == 'lockstep':
+                if not self._paused and self._staging.complete:
+                    return True
+                if now >= self._repeat_at:
+                    return False
+                self._wake.wait(self._repeat_at - now)
+            elif self._paused:
+                self._wake.wait()
+            elif self._stepping == 'free' or self._pacer.is_due(now):
+                return True
+            else:
+                self._wake.wait(self._pacer.deadline_s - now)
+        return False
+
+    def _period(self) -> None:
+        with self._wake:
+            commands = self._staging.take()
+        for command in commands:
+            self._simulation.apply(command)
+        self._simulation.advance(self._steps)
+        self._show()
+
+    def _show(self) -> None:
+        state = self._simulation.state()
+        self._present_ns = state.time_ns
+        now = time.monotonic()
+        self.progress = Progress(now, state.time_ns, self._pacer.missed)
+        self._repeat_at = now + _REPEAT_S
+        self._publish(state)
+
+
+def _answer(function: Callable[[], object], future: Future[object]) -> None:
+    try:
+        future.set_result(function())
+    except Exception as error:
+        future.set_exception(error)

@@ -1,0 +1,139 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node: builds a robot from parameters and serves its simulation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from manip_sim.errors import ManipSimError, ParameterError
+from manip_sim.models.arenas import create_arena
+from manip_sim.models.bases import create_base
+from manip_sim.models.grippers import create_gripper
+from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
+from manip_sim.models.world import World
+from manip_sim.ros.commands import CommandSubscribers
+from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.messages import Names
+from manip_sim.ros.parameters import (
+    node_parameters, Parameters, robot_parameters, steps_per_period)
+from manip_sim.ros.publishers import publish_mjcf, StatePublishers
+from manip_sim.ros.runner import Runner
+from manip_sim.ros.services import SimulationServices
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.drives import SubsystemDrive
+
+
+class SimNode(Node):
+    """
+    Serves one simulated robot; :meth:`start` lets it run, :meth:`stop` ends it.
+
+    :param arguments: further arguments of ``rclpy.node.Node``, such as ``context`` and
+        ``parameter_overrides``
+    :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
+    """
+
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__('manip_sim', **arguments)
+        try:
+            self._build()
+        except ManipSimError:
+            self.destroy_node()
+            raise
+
+    def _build(self) -> None:
+        self._declared = Parameters(self)
+        self._declared.declare(node_parameters())
+        value = self._declared.value
+        steps = steps_per_period(value('publish_rate'), value('timestep'))
+        robot = self._robot()
+        world = self._world(robot)
+        self.simulation = Simulation(world)
+        subsystems = {name: drive for name, drive in self.simulation.drives.items()
+                      if isinstance(drive, SubsystemDrive)}
+        self._declared.declare(robot_parameters(robot.naming_prefix, list(subsystems)))
+        self._declared.check_names()
+        names = Names(robot.naming_prefix, value('joint_prefix'))
+        publishers = StatePublishers(self, self.simulation, names, value('publish_clock'))
+        self.runner = Runner(
+            self.simulation, publishers.publish, steps, value('stepping'),
+            value('real_time_factor'), self._lockstep_parts(), value('start_paused'))
+        for name, drive in subsystems.items():
+            self.simulation.set_control_mode(name, value(f'{name}.control_mode'))
+            drive.command_timeout_s = value(f'{name}.command_timeout')
+        self.commands = CommandSubscribers(self, self.simulation, self.runner, names)
+        SimulationServices(self, self.simulation, self.runner)
+        Diagnostics(self, self.simulation, self.runner, self.commands)
+        publish_mjcf(self, world.to_xml())
+        self.add_post_set_parameters_callback(self._parameters_changed)
+        self._introduce(names)
+
+    def _robot(self) -> RobotModel:
+        value = self._declared.value
+        robot = create_robot(value('robot'), idn=value('idn'))
+        base = robot.default_base if value('base') == 'default' else value('base')
+        if base is not None and base != 'none':
+            robot.add_base(create_base(base, idn=value('idn')))
+        if isinstance(robot, ManipulatorModel) and value('gripper') != 'none':
+            for arm in robot.arms:
+                gripper = (robot.default_gripper[arm] if value('gripper') == 'default'
+                           else value('gripper'))
+                robot.add_gripper(create_gripper(gripper, idn=f'{value("idn")}_{arm}'), arm)
+        return robot
+
+    def _world(self, robot: RobotModel) -> World:
+        value = self._declared.value
+        options = {'cube': value('cube')} if value('arena') == 'table' else {}
+        return World([robot], create_arena(value('arena'), **options),
+                     timestep_s=value('timestep'),
+                     gravity_compensation=value('gravity_compensation'))
+
+    def _lockstep_parts(self) -> list[str]:
+        parts: list[str] = list(self._declared.value('lockstep_parts'))
+        for part in parts:
+            if part not in self.simulation.drives:
+                raise ParameterError(
+                    f"parameter 'lockstep_parts': this robot has no part '{part}'; it has "
+                    + ', '.join(self.simulation.drives))
+        if not parts and self._declared.value('stepping') == 'lockstep':
+            raise ParameterError("parameter 'lockstep_parts': lockstep needs at least one part")
+        return parts
+
+    def _parameters_changed(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            part, _, name = parameter.name.rpartition('.')
+            if parameter.name == 'real_time_factor':
+                self.runner.set_real_time_factor(parameter.value)
+            elif name == 'control_mode':
+                self.runner.set_control_mode(part, parameter.value)
+            elif name == 'command_timeout':
+                self.runner.set_command_timeout(part, parameter.value)
+
+    def _introduce(self, names: Names) -> None:
+        value = self._declared.value
+        lines = [f'{value("robot")} in arena {value("arena")}, {value("stepping")}, '
+                 f'{value("publish_rate"):g} Hz, timestep {self.simulation.timestep_s:g} s']
+        for name, drive in self.simulation.drives.items():
+            if not drive.part.joints:
+                continue
+            joints = [names.public(joint) for joint in drive.part.joints]
+            lines.append(f'  {name}: {drive.mode} mode, joints {", ".join(joints)}')
+            if isinstance(drive, SubsystemDrive):
+                unit = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
+                limits = ' '.join(f'[{low:g}, {high:g}]' for low, high in drive.limits())
+                lines.append(f'    limits {limits} {unit[drive.mode]}')
+        lines.append('  states on joint_states and <part>/joint_states, commands on '
+                     '<part>/command, <part>/joint_command and joint_command')
+        self.get_logger().info('\n'.join(lines))
+
+    def start(self) -> None:
+        """Let the simulation run."""
+        self.runner.start()
+
+    def stop(self) -> None:
+        """End the simulation; the node can be destroyed then."""
+        self.runner.stop()

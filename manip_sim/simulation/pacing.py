@@ -1,0 +1,58 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Decide when a control period is due; it is told the time and never waits itself."""
+
+from __future__ import annotations
+
+import math
+
+
+class Pacer:
+    """
+    Absolute deadlines for control periods that shall run at a factor of real time.
+
+    Nothing adds up: the n-th deadline is the anchor plus n periods. A change of the factor and a
+    backlog of more than ``backlog_s`` set a new anchor, so that time that is lost stays lost.
+
+    :param period_s: length of a control period in simulation time [s]
+    :param real_time_factor: simulation time per wall time
+    :param now_s: the present wall time [s]
+    :param backlog_s: how late a period may be before the backlog is dropped, wall time [s]
+    :ivar missed: number of control periods that were dropped
+    """
+
+    def __init__(self, period_s: float, real_time_factor: float, now_s: float,
+                 backlog_s: float = 0.1) -> None:
+        self._period_s = period_s
+        self._backlog_s = backlog_s
+        self._factor = real_time_factor
+        self.missed = 0
+        self.restart(now_s)
+
+    def restart(self, now_s: float) -> None:
+        """Let the first period be due one period from now."""
+        self._anchor_s = now_s
+        self._count = 1
+
+    def set_real_time_factor(self, factor: float, now_s: float) -> None:
+        """Go on at another factor from now."""
+        self._factor = factor
+        self.restart(now_s)
+
+    @property
+    def deadline_s(self) -> float:
+        """Wall time at which the next period is due [s]."""
+        return self._anchor_s + self._count * self._period_s / self._factor
+
+    def is_due(self, now_s: float) -> bool:
+        """Tell whether a period is due, and count it as begun if so."""
+        late_s = now_s - self.deadline_s
+        if late_s < 0.0:
+            return False
+        if late_s > self._backlog_s:
+            self.missed += math.floor(late_s * self._factor / self._period_s)
+            self.restart(now_s)
+        else:
+            self._count += 1
+        return True

@@ -1,0 +1,65 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a simulation looks like at one instant; plain copies, safe to keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from manip_sim.typing import FloatArray
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """
+    A force and a torque in one frame.
+
+    :ivar force: [N], shape (3,)
+    :ivar torque: about the frame's origin [N m], shape (3,)
+    """
+
+    force: FloatArray
+    torque: FloatArray
+
+
+@dataclass(frozen=True)
+class EndEffector:
+    """
+    A gripper as seen from the world and from its force/torque sensor.
+
+    :ivar position: of ``grip_site`` in ``world`` [m], shape (3,)
+    :ivar quat_xyzw: of ``grip_site`` in ``world``, shape (4,)
+    :ivar linear_velocity: of ``grip_site`` in ``world`` [m/s], shape (3,)
+    :ivar angular_velocity: of ``grip_site`` in ``world`` [rad/s], shape (3,)
+    :ivar wrench: what ``force_ee`` and ``torque_ee`` measure, in ``ft_frame``
+    :ivar external_wrench: what the world does to the tool, tared, in ``ft_frame``
+    """
+
+    position: FloatArray
+    quat_xyzw: FloatArray
+    linear_velocity: FloatArray
+    angular_velocity: FloatArray
+    wrench: Wrench
+    external_wrench: Wrench
+
+
+@dataclass(frozen=True)
+class State:
+    """
+    A snapshot of one instant.
+
+    :ivar time_ns: simulation time [ns], a whole number of steps
+    :ivar position: of all scalar joints, in the order of the simulation's ``joint_names``
+        [rad or m], shape (n,)
+    :ivar velocity: [rad/s or m/s], shape (n,)
+    :ivar effort: force of the actuators at the joint, gravity compensation included
+        [N m or N], shape (n,)
+    :ivar end_effectors: by arm, of the arms with a gripper
+    """
+
+    time_ns: int
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    end_effectors: dict[str, EndEffector] = field(default_factory=dict)

@@ -1,0 +1,88 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read a gripper's force/torque sensor, its pose and what the world does to it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.grippers import GripperModel
+from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation.state import EndEffector, Wrench
+from manip_sim.typing import FloatArray
+
+
+class EndEffectorReader:
+    """
+    Reads one gripper; all addresses are resolved once.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param gripper: a gripper that is mounted in it
+    """
+
+    def __init__(self, model: Any, gripper: GripperModel) -> None:
+        self._model = model
+        sensors = gripper.important_sensors
+        self._force = model.sensor(sensors['force_ee']).adr[0]
+        self._torque = model.sensor(sensors['torque_ee']).adr[0]
+        self._ft_frame = int(model.sensor(sensors['force_ee']).objid[0])
+        self._grip_site = model.site(gripper.important_sites['grip_site']).id
+        sensed = int(model.site_bodyid[self._ft_frame])
+        self._root = int(model.body_rootid[sensed])
+        self._bodies = _subtree(model, sensed)
+        self._tare = np.zeros(6)
+
+    @property
+    def ft_frame(self) -> str:
+        """Name of the frame of the wrenches."""
+        name: str = self._model.site(self._ft_frame).name
+        return name
+
+    def read(self, data: Any) -> EndEffector:
+        """
+        Return the gripper's state at the instant of the last ``mj_forward``.
+
+        :param data: the ``mujoco.MjData``
+        """
+        velocity, quat_wxyz = np.empty(6), np.empty(4)
+        mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_SITE, self._grip_site,
+                                 velocity, 0)
+        mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
+        external = self._external(data) - self._tare
+        return EndEffector(
+            position=data.site_xpos[self._grip_site].copy(),
+            quat_xyzw=wxyz_to_xyzw(quat_wxyz),
+            linear_velocity=velocity[3:], angular_velocity=velocity[:3],
+            wrench=Wrench(data.sensordata[self._force:self._force + 3].copy(),
+                          data.sensordata[self._torque:self._torque + 3].copy()),
+            external_wrench=Wrench(external[:3], external[3:]))
+
+    def tare(self, data: Any) -> None:
+        """Let the present external wrench read zero."""
+        self._tare = self._external(data)
+
+    def reset(self) -> None:
+        """Forget the tare."""
+        self._tare = np.zeros(6)
+
+    def _external(self, data: Any) -> FloatArray:
+        # By Newton's second law the sensor's reading with turned sign, less weight and inertia of
+        # the tool, is the sum of the outer forces on the bodies beyond the sensor. MuJoCo keeps
+        # it in cfrc_ext: torque and force in world axes, about the tree's centre of mass.
+        torque, force = data.cfrc_ext[self._bodies].sum(axis=0).reshape(2, 3)
+        lever = data.subtree_com[self._root] - data.site_xpos[self._ft_frame]
+        world_to_site = data.site_xmat[self._ft_frame].reshape(3, 3).T
+        return np.concatenate([world_to_site @ force,
+                               world_to_site @ (torque + np.cross(lever, force))])
+
+
+def _subtree(model: Any, root: int) -> list[int]:
+    bodies = {root}
+    for body in range(root + 1, model.nbody):
+        if int(model.body_parentid[body]) in bodies:
+            bodies.add(body)
+    return sorted(bodies)

@@ -1,0 +1,101 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Physics that advances with the commands of a controller in another process."""
+
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+CYCLES = 2000
+PERIOD_NS = 2_000_000
+BUSY = 'import time; end = time.time() + 120\nwhile time.time() < end: pass'
+
+
+def nanoseconds(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def drive_by_effort(client, cycles):
+    """Run a PD controller that answers each state once, and hash all states."""
+    publisher = client.publisher(JointState, 'arm/joint_command', 1)
+    digest = hashlib.sha256()
+    seen = []
+    goal = np.array([0.3, 0.5, -0.2, -2.0, 0.2, 2.4, 0.5])
+    stiffness = np.array([200.0, 200.0, 150.0, 150.0, 40.0, 40.0, 20.0])
+
+    def answer(state):
+        if seen and nanoseconds(state) <= seen[-1]:
+            return
+        seen.append(nanoseconds(state))
+        position, velocity = np.array(state.position), np.array(state.velocity)
+        for values in (position, velocity, np.array(state.effort)):
+            digest.update(values.tobytes())
+        effort = stiffness * (goal - position) - 0.2 * stiffness * velocity
+        command = JointState(name=state.name, effort=effort.tolist())
+        command.header.stamp = state.header.stamp
+        publisher.publish(command)
+
+    client.node.create_subscription(JointState, 'arm/joint_states', answer, 10)
+    client.spin_until(lambda: len(seen) >= cycles, timeout_s=100.0)
+    assert seen[:cycles] == [n * PERIOD_NS for n in range(cycles)]
+    return digest.hexdigest()
+
+
+def run(sim_process, client_factory):
+    node = sim_process('stepping:=lockstep', 'arm.control_mode:=effort', 'publish_rate:=500')
+    client = client_factory()
+    try:
+        return drive_by_effort(client, CYCLES)
+    finally:
+        client.close()
+        node.terminate()
+        node.wait(timeout=10.0)
+
+
+@pytest.mark.timeout(300)
+def test_the_same_controller_gives_the_same_states_to_the_last_bit(sim_process):
+    from conftest import Client
+    quiet = run(sim_process, Client)
+    busy = subprocess.Popen([sys.executable, '-c', BUSY])
+    try:
+        loaded = run(sim_process, Client)
+    finally:
+        busy.kill()
+        busy.wait()
+    assert quiet == loaded
+
+
+def test_a_state_is_repeated_until_the_command_comes(serve, client):
+    serve(stepping='lockstep')
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: len(states) >= 3)
+    assert {nanoseconds(state) for state in states} == {0}
+    client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
+    client.spin_until(lambda: nanoseconds(states[-1]) == 10_000_000)
+
+
+def test_a_command_for_another_instant_does_not_count(serve, client):
+    log = client.log()
+    node = serve(stepping='lockstep')
+    stale = JointState(name=['robot0_joint1'], position=[0.1])
+    stale.header.stamp.sec = 7
+    client.publish('arm/joint_command', stale)
+    client.spin_until(lambda: any('the present state is that of' in line for line in log))
+    assert node.simulation.step_count == 0
+    assert node.commands.statistics['arm'].refused == 1
+
+
+def test_every_lockstep_part_needs_a_command(serve, client):
+    node = serve(stepping='lockstep', lockstep_parts=['arm', 'right/gripper'])
+    client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
+    client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
+    client.state()
+    assert node.simulation.step_count == 0
+    client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
+    client.spin_until(lambda: node.simulation.step_count == 5)

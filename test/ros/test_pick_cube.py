@@ -1,0 +1,43 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The main job: a controller in another process picks a cube up and feels its weight."""
+
+import re
+
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+from sensor_msgs.msg import JointState
+
+
+def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process, client):
+    sim_process('arena:=table', 'stepping:=realtime', 'real_time_factor:=4.0')
+    client.state()
+    wrenches = client.listen(WrenchStamped, 'right/wrench')
+    fingers = client.listen(JointState, 'right/gripper/joint_states')
+    controller = process(module='manip_sim.examples.pick_cube')
+    client.spin_until(lambda: controller.poll() is not None, timeout_s=60.0)
+    output, errors = controller.communicate(timeout=10.0)
+    assert controller.returncode == 0, output + errors
+    force = np.array([[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for m in wrenches])
+    held = force[-100:].mean(axis=0)
+    # The hand points down, so the sensor's z does: what it carries pulls towards -z.
+    assert abs(held[2] + (0.76 + 0.1) * 9.81) < 0.05 * 0.981
+    assert abs(fingers[-1].position[0] - 0.0255) < 1e-3
+    added = float(re.search(r'frame: ([\d.]+) N', output).group(1))
+    assert abs(added - 0.981) < 0.05 * 0.981
+
+
+def test_without_a_node_the_example_says_how_to_start_one(process):
+    controller = process(module='manip_sim.examples.pick_cube')
+    _, errors = controller.communicate(timeout=30.0)
+    assert controller.returncode == 1
+    assert 'arena:=table' in errors
+
+
+def test_without_a_cube_the_example_says_so(sim_process, process):
+    sim_process('arena:=empty')
+    controller = process(module='manip_sim.examples.pick_cube')
+    _, errors = controller.communicate(timeout=30.0)
+    assert controller.returncode == 1
+    assert 'there is no cube' in errors

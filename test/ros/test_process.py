@@ -1,0 +1,112 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node as a process: its start, its end, and real time."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64MultiArray
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('delay_s', [0.15, 0.4, 0.8, None])
+def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_process, client):
+    node = sim_process()
+    if delay_s is None:
+        client.state()
+    else:
+        time.sleep(delay_s)  # Not to wait for something, but to hit another phase of the start.
+    node.send_signal(number)
+    begin = time.monotonic()
+    _, errors = node.communicate(timeout=10.0)
+    assert time.monotonic() - begin < 2.0
+    assert node.returncode == 0, errors
+    assert 'Traceback' not in errors
+
+
+def test_several_signals_are_as_good_as_one(sim_process, client):
+    node = sim_process()
+    client.state()
+    for _ in range(3):
+        node.send_signal(signal.SIGINT)
+        node.send_signal(signal.SIGTERM)
+    _, errors = node.communicate(timeout=10.0)
+    assert node.returncode == 0, errors
+    assert 'Traceback' not in errors
+
+
+def rate(clock, wall):
+    simulated_s = (clock[-1].clock.sec - clock[0].clock.sec
+                   + (clock[-1].clock.nanosec - clock[0].clock.nanosec) * 1e-9)
+    return simulated_s / (wall[-1] - wall[0])
+
+
+@pytest.mark.parametrize('factor', [1.0, 4.0])
+def test_simulation_time_follows_wall_time_at_the_factor_asked_for(factor, sim_process, client):
+    sim_process('publish_rate:=500', f'real_time_factor:={factor}')
+    wall = []
+    clock = []
+
+    def take(message):
+        clock.append(message)
+        wall.append(time.monotonic())
+    client.node.create_subscription(Clock, '/clock', take, 10)
+    client.spin_until(lambda: bool(clock) and clock[-1].clock.sec >= 5 * factor, timeout_s=30.0)
+    assert abs(rate(clock[10:], wall[10:]) / factor - 1.0) < 0.02
+
+
+def test_a_flood_of_commands_does_not_slow_the_simulation(sim_process, client):
+    sim_process()
+    wall, clock = [], []
+
+    def take(message):
+        clock.append(message)
+        wall.append(time.monotonic())
+    publisher = client.publisher(Float64MultiArray, 'arm/command', 1)
+    client.node.create_subscription(Clock, '/clock', take, 10)
+    client.spin_until(lambda: len(clock) > 10)
+    begin, sent = time.monotonic(), 0
+    message = Float64MultiArray(data=[0.0] * 7)
+    while time.monotonic() < begin + 4.0:
+        if sent < (time.monotonic() - begin) * 10_000:
+            publisher.publish(message)
+            sent += 1
+        else:
+            client.executor.spin_once(timeout_sec=0.0)
+    client.spin_until(lambda: clock[-1].clock.sec >= 5)
+    assert sent > 5_000
+    assert rate(clock[10:], wall[10:]) > 0.99
+
+
+def test_a_dead_publisher_leaves_the_arm_at_rest_and_a_new_one_takes_over(sim_process, client,
+                                                                          tmp_path):
+    sim_process('arm.control_mode:=velocity', 'arm.command_timeout:=0.3')
+    client.state()
+    script = tmp_path / 'publish_velocity.py'
+    script.write_text(PUBLISH_VELOCITY)
+    for _ in range(2):
+        publisher = subprocess.Popen([sys.executable, str(script)])
+        client.spin_until(lambda: client.state().velocity[0] > 0.15)
+        publisher.send_signal(signal.SIGKILL)
+        publisher.wait(timeout=10.0)
+        client.spin_until(lambda: abs(client.state().velocity[0]) < 1e-3)
+
+
+PUBLISH_VELOCITY = """
+import time
+import rclpy
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = rclpy.create_node('publisher')
+publisher = node.create_publisher(JointState, 'arm/joint_command', 1)
+end = time.monotonic() + 30.0
+while time.monotonic() < end:
+    publisher.publish(JointState(name=['robot0_joint1'], velocity=[0.2]))
+    time.sleep(0.02)
+"""

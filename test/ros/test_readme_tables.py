@@ -1,0 +1,81 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The README's tables of topics and services against the running node; its example, pasted."""
+
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from rclpy.qos import QoSDurabilityPolicy
+
+README = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
+PARTS = ('arm', 'base', 'torso', 'head', 'legs')
+
+
+def documented(kinds):
+    """Return (name, type) of the table rows whose type is of some packages."""
+    return {(name, kind) for name, kind in re.findall(
+        r'^\| `([^`]+)` \| (\w+/\w+) \|', README, re.MULTILINE)
+        if kind.split('/')[0] in kinds}
+
+
+def general(name):
+    """Turn the name of a topic into the form that the README has."""
+    name = re.sub(r'^/manip_sim/', '~/', name)
+    if name not in ('/clock', '/diagnostics'):
+        name = name.lstrip('/')
+    name = re.sub(r'^(right|left)/', '<arm>/', name)
+    if re.fullmatch(r'(arm|base|torso|head|legs)/(joint_states|command|joint_command)', name):
+        name = re.sub(r'^\w+/', '<part>/', name)
+    return name
+
+
+OF_ROS = {'/rosout', '/parameter_events'}
+
+
+def test_topics_are_documented_with_their_types(serve, client):
+    robots = [serve()]
+    client.state()
+    found = set()
+    for node in robots:
+        name, namespace = node.get_name(), node.get_namespace()
+        for topics in (client.node.get_publisher_names_and_types_by_node(name, namespace),
+                       client.node.get_subscriber_names_and_types_by_node(name, namespace)):
+            found |= {(general(topic), kinds[0].replace('/msg/', '/'))
+                      for topic, kinds in topics if topic not in OF_ROS}
+    table = documented({'sensor_msgs', 'geometry_msgs', 'std_msgs', 'rosgraph_msgs',
+                        'diagnostic_msgs', 'trajectory_msgs'})
+    assert found <= table
+    # A Panda has no mobile base.
+    assert table - found == {('base/cmd_vel', 'geometry_msgs/Twist')}
+
+
+def test_services_are_documented_with_their_types(serve, client):
+    serve()
+    client.state()
+    services = client.node.get_service_names_and_types_by_node('manip_sim', '/')
+    found = {(general(name), kinds[0].replace('/srv/', '/')) for name, kinds in services
+             if kinds[0].startswith('std_srvs')}
+    assert found == documented({'std_srvs'})
+
+
+def test_the_model_is_latched(serve, client):
+    serve()
+    client.state()
+    info = client.node.get_publishers_info_by_topic('/manip_sim/mjcf')[0]
+    assert info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+
+
+def test_the_pasted_controller_moves_the_robot(serve, client):
+    serve()
+    example = next(block for block in re.findall(r'```python\n(.*?)```', README, re.DOTALL)
+                   if 'rclpy.spin' in block)
+    assert len(example.strip().splitlines()) == 10
+    controller = subprocess.Popen([sys.executable, '-c', example])
+    try:
+        client.spin_until(lambda: abs(client.state().position[0]) > 0.1)
+    finally:
+        controller.terminate()
+        controller.wait(timeout=10.0)

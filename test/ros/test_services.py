@@ -1,0 +1,144 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Services that control the simulation."""
+
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+ARM = [f'robot0_joint{n}' for n in range(1, 8)]
+
+
+def nanoseconds(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def pause(client, paused):
+    return client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=paused))
+
+
+def trigger(client, name):
+    return client.call(Trigger, f'manip_sim/{name}')
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
+def test_pause_is_idempotent_and_step_advances_by_one_period(stepping, serve, client):
+    serve(stepping=stepping)
+    states = client.listen(JointState, 'joint_states', 1)
+    client.spin_until(lambda: len(states) > 0)
+    refused = trigger(client, 'step')
+    assert not refused.success
+    assert 'pause it first' in refused.message
+    assert pause(client, True).success
+    again = pause(client, True)
+    assert again.success and again.message == 'already paused'
+    before = trigger(client, 'step')
+    assert before.success
+    client.spin_until(lambda: len(states) > 0)
+    client.executor.spin_once(timeout_sec=0.2)
+    last = nanoseconds(states[-1])
+    for n in (1, 2, 3):
+        assert trigger(client, 'step').success
+        client.spin_until(lambda n=n: nanoseconds(states[-1]) == last + n * 10_000_000)
+    assert pause(client, False).success
+
+
+def test_start_paused_waits_at_zero(serve, client):
+    serve(start_paused=True)
+    states = client.listen(JointState, 'joint_states')
+    trigger(client, 'step')
+    client.spin_until(lambda: len(states) > 0)
+    assert nanoseconds(states[-1]) == 10_000_000
+
+
+def test_a_command_that_came_while_paused_is_used_by_the_next_step(serve, client):
+    node = serve(start_paused=True)
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+    client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
+    for _ in range(5):
+        trigger(client, 'step')
+    assert node.simulation.state().position[0] > 0.01
+
+
+def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
+    node = serve(arena='table')
+    start = client.state()
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+    client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
+    client.spin_until(lambda: client.state().position[0] > 0.45)
+    assert trigger(client, 'reset').success
+    after = client.state()
+    assert nanoseconds(after) > nanoseconds(start)
+    np.testing.assert_allclose(after.position, start.position, atol=1e-3)
+    assert node.simulation.drives['right/gripper'].steps_to_call(0) is None
+
+
+def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
+    node = serve(start_paused=True)
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+    client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
+    trigger(client, 'reset')
+    for _ in range(5):
+        trigger(client, 'step')
+    assert abs(node.simulation.state().position[0]) < 1e-4
+
+
+def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):
+    log = client.log()
+    node = serve()
+    client.state()
+
+    def explode():
+        node.simulation.data.qvel[0] = 1e9
+    node.runner.call(explode)
+    client.spin_until(lambda: any('the physics diverged' in line for line in log))
+    state = client.state()
+    assert np.isfinite([state.position, state.velocity, state.effort]).all()
+    assert nanoseconds(client.state()) == nanoseconds(client.state())
+    pause(client, True)
+    assert 'reset it first' in trigger(client, 'step').message
+    assert trigger(client, 'reset').success
+    pause(client, False)
+    first = client.state()
+    client.spin_until(lambda: nanoseconds(client.state()) > nanoseconds(first))
+
+
+def test_tare_lets_the_external_wrench_read_zero(serve, client):
+    node = serve()
+    wrenches = client.listen(WrenchStamped, 'right/external_wrench')
+
+    def push():
+        body = node.simulation.model.body('gripper0_right_right_gripper').id
+        node.simulation.data.xfrc_applied[body, 2] = 5.0
+
+    def norm(message):
+        force = message.wrench.force
+        return np.linalg.norm([force.x, force.y, force.z])
+    node.runner.call(push)
+    client.spin_until(lambda: bool(wrenches) and abs(norm(wrenches[-1]) - 5.0) < 0.1)
+    assert trigger(client, 'tare_wrench').success
+    client.spin_until(lambda: norm(wrenches[-1]) < 0.05)
+
+
+def test_parameters_change_while_the_node_runs(serve, client):
+    node = serve()
+    state = client.state()
+
+    def set_parameter(name, value):
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
+    assert set_parameter('arm.control_mode', 'effort').successful
+    client.spin_until(lambda: node.simulation.drives['arm'].mode == 'effort')
+    np.testing.assert_allclose(client.state().position, state.position, atol=1e-3)
+    assert set_parameter('real_time_factor', 2).successful
+    wrong = set_parameter('arm.control_mode', 'torque')
+    assert not wrong.successful and 'effort' in wrong.reason
+    fixed = set_parameter('robot', 'Panda')
+    assert not fixed.successful

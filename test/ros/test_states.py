@@ -1,0 +1,138 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the node publishes."""
+
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+import mujoco
+import numpy as np
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+ARM = [f'robot0_joint{n}' for n in range(1, 8)]
+FINGERS = ['gripper0_right_finger_joint1', 'gripper0_right_finger_joint2']
+START = [0.0, np.pi / 16, 0.0, -5 * np.pi / 6, 0.0, np.pi - 0.2, np.pi / 4]
+
+
+def nanoseconds(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def test_joint_states_are_complete_finite_and_of_equal_length(serve, client):
+    serve()
+    state = client.state()
+    assert list(state.name) == ARM + FINGERS
+    for values in (state.position, state.velocity, state.effort):
+        assert len(values) == 9
+        assert np.isfinite(values).all()
+    np.testing.assert_allclose(state.position[:7], START, atol=1e-3)
+
+
+def test_each_part_has_its_own_topic(serve, client):
+    serve()
+    assert list(client.state('arm/joint_states').name) == ARM
+    assert list(client.state('right/gripper/joint_states').name) == FINGERS
+    topics = dict(client.node.get_topic_names_and_types())
+    assert '/head/joint_states' not in topics
+
+
+def test_all_messages_of_a_period_carry_the_stamp_of_the_clock(serve, client):
+    serve(publish_rate=50.0)
+    received = {topic: client.listen(kind, topic) for topic, kind in (
+        ('joint_states', JointState), ('arm/joint_states', JointState),
+        ('right/gripper/joint_states', JointState), ('right/wrench', WrenchStamped),
+        ('right/external_wrench', WrenchStamped), ('right/eef_pose', PoseStamped),
+        ('right/eef_twist', TwistStamped))}
+    clock = client.listen(Clock, '/clock')
+    client.spin_until(lambda: len(clock) > 20)
+    stamps = {topic: [nanoseconds(m.header.stamp) for m in messages]
+              for topic, messages in received.items()}
+    ticks = [nanoseconds(m.clock) for m in clock]
+    assert (np.diff(ticks) == 20_000_000).all()
+    for topic, own in stamps.items():
+        assert len(own) > 15, topic
+        assert set(own) & set(ticks), topic
+        assert (np.diff(own) == 20_000_000).all(), topic
+        assert all(stamp % 20_000_000 == 0 for stamp in own), topic
+
+
+def test_the_wrench_at_rest_is_the_weight_of_the_hand_in_the_sensor_frame(serve, client):
+    serve()
+    wrenches = client.listen(WrenchStamped, 'right/wrench')
+    client.spin_until(lambda: len(wrenches) > 5)
+    message = wrenches[-1]
+    assert message.header.frame_id == 'gripper0_right_ft_frame'
+    force = np.array([message.wrench.force.x, message.wrench.force.y, message.wrench.force.z])
+    # 0.73 kg of hand and two fingers of 0.015 kg; the sensor's z points down.
+    assert abs(np.linalg.norm(force) - 0.76 * 9.81) < 0.01
+    assert force[2] < -7.0
+
+
+def test_the_pose_of_the_end_effector_is_that_of_the_published_model(serve, client):
+    serve()
+    poses = client.listen(PoseStamped, 'right/eef_pose')
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    xml = client.listen(String, '/manip_sim/mjcf', latched)
+    client.spin_until(lambda: bool(xml) and len(poses) > 2)
+    model = mujoco.MjModel.from_xml_string(xml[0].data)
+    data = mujoco.MjData(model)
+    state = client.state()
+    for name, position in zip(state.name, state.position):
+        data.joint(name).qpos[0] = position
+    mujoco.mj_forward(model, data)
+    pose = poses[-1].pose
+    assert poses[-1].header.frame_id == 'world'
+    np.testing.assert_allclose([pose.position.x, pose.position.y, pose.position.z],
+                               data.site('gripper0_right_grip_site').xpos, atol=1e-4)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.array([pose.orientation.w, pose.orientation.x,
+                                            pose.orientation.y, pose.orientation.z]))
+    np.testing.assert_allclose(rotation, data.site('gripper0_right_grip_site').xmat, atol=1e-3)
+
+
+def test_states_are_reliable_and_keep_ten(serve, client):
+    serve()
+    client.spin_until(lambda: client.node.count_publishers('joint_states') > 0)
+    qos = client.node.get_publishers_info_by_topic('/joint_states')[0].qos_profile
+    assert qos.reliability == QoSReliabilityPolicy.RELIABLE
+    assert qos.durability == QoSDurabilityPolicy.VOLATILE
+
+
+def test_qos_can_be_overridden_by_parameters(serve, client):
+    serve(**{'qos_overrides./joint_states.publisher.reliability': 'best_effort'})
+    client.spin_until(lambda: client.node.count_publishers('joint_states') > 0)
+    qos = client.node.get_publishers_info_by_topic('/joint_states')[0].qos_profile
+    assert qos.reliability == QoSReliabilityPolicy.BEST_EFFORT
+
+
+def test_the_joint_prefix_is_replaced_in_states_and_commands(serve, client):
+    serve(joint_prefix='left_panda_')
+    assert client.state().name[0] == 'left_panda_joint1'
+    client.publish('joint_command', JointState(name=['left_panda_joint1'], position=[0.2]))
+    client.spin_until(lambda: abs(client.state().position[0] - 0.2) < 1e-3)
+
+
+def test_an_empty_joint_prefix_leaves_bare_names(serve, client):
+    serve(joint_prefix='')
+    assert list(client.state('arm/joint_states').name) == [f'joint{n}' for n in range(1, 8)]
+
+
+def test_idn_numbers_the_names(serve, client):
+    serve(idn=3)
+    names = list(client.state().name)
+    assert names[0] == 'robot3_joint1'
+    assert names[-1] == 'gripper3_right_finger_joint2'
+
+
+def test_without_a_gripper_there_is_no_wrench(serve, client):
+    serve(gripper='none', base='none')
+    assert list(client.state().name) == ARM
+    assert '/right/wrench' not in dict(client.node.get_topic_names_and_types())
+
+
+def test_the_clock_can_be_left_to_others(serve, client):
+    serve(publish_clock=False)
+    client.state()
+    assert client.node.count_publishers('/clock') == 0

@@ -1,0 +1,51 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The layers: ros on simulation on models, and nothing upward."""
+
+import ast
+from pathlib import Path
+import sys
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
+MODULES = sorted(PACKAGE.rglob('*.py'))
+PURE = {'mujoco', 'numpy', 'scipy'}
+MAY_IMPORT = {
+    'models': ({'models'}, PURE),
+    'simulation': ({'models', 'simulation'}, PURE),
+}
+TOP_LEVEL = {'errors', 'resources', 'typing'}
+FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path}: relative import'
+            yield node.module
+
+
+@pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_module_imports_from_its_own_layer_or_below(path):
+    layer = path.relative_to(PACKAGE).parts[0]
+    layers, libraries = MAY_IMPORT.get(layer, (None, None))
+    for name in imports(path):
+        first, _, rest = name.partition('.')
+        if first == 'manip_sim' and layers is not None:
+            assert rest.split('.')[0] in layers | TOP_LEVEL, f'{path} imports {name}'
+        elif layers is not None and not _is_standard(first):
+            assert first in libraries, f'{path} imports {name}'
+        elif first == 'rclpy':
+            assert layer in ('ros', 'examples'), f'{path} imports {name}'
+
+
+def _is_standard(name):
+    return name in sys.stdlib_module_names
+
+
+def test_no_module_is_a_drawer_for_odds_and_ends():
+    assert not [path for path in MODULES if path.name in FORBIDDEN_NAMES]

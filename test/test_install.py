@@ -1,0 +1,91 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Build with colcon, find the executables as ``ros2 run`` does, and talk to the node."""
+
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ['package.xml', 'setup.py', 'setup.cfg', 'resource', 'manip_sim', 'assets', 'config']
+FIND = ('from ament_index_python import get_package_prefix; '
+        "print(get_package_prefix('manip_sim'))")
+TALK = """
+import rclpy
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = rclpy.create_node('client')
+states = []
+node.create_subscription(JointState, 'joint_states', states.append, 1)
+for _ in range(200):
+    rclpy.spin_once(node, timeout_sec=0.1)
+    if states:
+        break
+print(states[0].name[0])
+"""
+
+
+@pytest.fixture(scope='module')
+def install(tmp_path_factory):
+    """Build a copy of the package and return the environment that sourcing it would give."""
+    pytest.importorskip('rclpy', reason='the installed node needs ROS 2')
+    pytest.importorskip('colcon_core', reason='colcon is a tool of the extra test')
+    workspace = tmp_path_factory.mktemp('workspace')
+    package = workspace / 'src' / 'manip_sim'
+    package.mkdir(parents=True)
+    for part in PARTS:
+        copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy
+        copy(ROOT / part, package / part)
+    colcon = [str(Path(sys.executable).parent / 'colcon')]
+    if not Path(colcon[0]).exists():
+        colcon = [shutil.which('colcon')]
+    built = subprocess.run([*colcon, 'build', '--event-handlers', 'console_direct+'],
+                           cwd=workspace, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stdout + built.stderr
+    prefix = workspace / 'install' / 'manip_sim'
+    site = next(prefix.glob('lib/python3*/site-packages'))
+    index = os.environ.get('AMENT_PREFIX_PATH', '')
+    return dict(os.environ, AMENT_PREFIX_PATH=f'{prefix}:{index}',
+                PYTHONPATH=f'{site}:{os.environ.get("PYTHONPATH", "")}')
+
+
+def executable(name, environment):
+    prefix = subprocess.run([sys.executable, '-c', FIND], env=environment, capture_output=True,
+                            text=True, check=True, cwd='/').stdout.strip()
+    found = Path(prefix) / 'lib' / 'manip_sim' / name
+    assert os.access(found, os.X_OK), found
+    return str(found)
+
+
+def test_the_node_runs_from_the_place_that_ros2_run_looks_at(install):
+    environment = dict(install, ROS_DOMAIN_ID=str(1 + os.getpid() % 100),
+                       ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+    node = subprocess.Popen([executable('sim_node', environment)], env=environment, cwd='/',
+                            stderr=subprocess.PIPE, text=True)
+    try:
+        client = subprocess.run([sys.executable, '-c', TALK], env=environment, cwd='/',
+                                capture_output=True, text=True, timeout=60, check=False)
+        assert client.stdout.strip() == 'robot0_joint1', client.stderr
+    finally:
+        node.send_signal(signal.SIGINT)
+        errors = node.communicate(timeout=10.0)[1]
+    assert node.returncode == 0, errors
+
+
+def test_the_example_is_installed_beside_it(install):
+    executable('pick_cube', install)
+
+
+def test_assets_and_configuration_are_installed(install):
+    share = Path(install['AMENT_PREFIX_PATH'].split(':')[0]) / 'share' / 'manip_sim'
+    for folder in ('assets', 'config'):
+        wanted = {p.relative_to(ROOT) for p in (ROOT / folder).rglob('*') if p.is_file()}
+        installed = {p.relative_to(share) for p in (share / folder).rglob('*') if p.is_file()}
+        assert wanted == installed

@@ -1,0 +1,39 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The XML files of the package are well formed, and package.xml tells what setup.py tells."""
+
+from pathlib import Path
+import re
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = [ROOT / 'package.xml', *sorted((ROOT / 'assets').rglob('*.xml'))]
+
+
+@pytest.mark.parametrize('file', FILES, ids=lambda file: str(file.relative_to(ROOT)))
+def test_an_xml_file_is_well_formed(file):
+    ElementTree.parse(file)
+
+
+def test_package_xml_and_setup_py_agree():
+    package = ElementTree.parse(ROOT / 'package.xml').getroot()
+    setup = (ROOT / 'setup.py').read_text()
+    assert package.get('format') == '3'
+    assert f"version='{package.findtext('version')}'" in setup
+    assert package.findtext('license') in setup
+    assert f"'{package.findtext('maintainer')}'" in setup
+    assert re.fullmatch(r'[^@\s]+@[^@\s]+\.[^@\s]+', package.find('maintainer').get('email'))
+
+
+def test_every_ros_package_that_is_imported_is_declared():
+    declared = {element.text for element in
+                ElementTree.parse(ROOT / 'package.xml').getroot().iter('exec_depend')}
+    imported = set()
+    for file in (ROOT / 'manip_sim').rglob('*.py'):
+        imported |= set(re.findall(r'^(?:from|import) (rclpy|\w+_msgs|\w+_srvs|\w+_interfaces)\b',
+                                   file.read_text(), re.MULTILINE))
+    assert imported - {'simulation_interfaces'} <= declared
+    assert 'rclpy' in imported
