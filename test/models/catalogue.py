@@ -9,7 +9,7 @@ The figures of ``test/data`` are those of robosuite 1.5.2 and of datasheets, nev
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 import json
 from pathlib import Path
 
@@ -33,7 +33,7 @@ GRIPPERS = shipped(grippers, grippers.gripper_names())
 BASES = shipped(bases, bases.base_names())
 
 
-@lru_cache(maxsize=None)
+@cache
 def figures(file):
     """Return a file of ``test/data``, such as ``robots/Panda.json``."""
     return json.loads((DATA / file).read_text())

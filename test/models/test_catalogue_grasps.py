@@ -3,7 +3,7 @@
 
 """Every gripper of the catalogue opens, closes and holds a part; forces are the datasheet's."""
 
-from functools import lru_cache
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -81,7 +81,7 @@ class Stroke:
                              f'to {self.gaps.min():.3f} m')
 
 
-stroke_of = lru_cache(maxsize=None)(Stroke)
+stroke_of = cache(Stroke)
 
 
 class Lift:
@@ -117,7 +117,7 @@ class Lift:
         self.force = np.mean(forces)
 
 
-lift_of = lru_cache(maxsize=None)(Lift)
+lift_of = cache(Lift)
 
 
 @pytest.mark.parametrize('name', PINCHING)
