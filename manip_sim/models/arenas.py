@@ -114,6 +114,12 @@ class TableArena(Arena):
         return self._length_m
 
 
+class BinsArena(Arena):
+    """An open bin, ``bin1``, and one with four compartments, ``bin2``, side by side."""
+
+    arena_name = 'bins'
+
+
 def arena_names() -> list[str]:
     """Return the names that :func:`create_arena` takes."""
     return sorted(ARENAS.get(name).arena_name for name in ARENAS.names())

@@ -20,6 +20,7 @@ from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
+from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.typing import FloatArray
 
 #: The subsystems of a robot, in the order in which names are looked at; what fits none is arm.
@@ -344,18 +345,21 @@ class RobotModel(MujocoXMLModel, ABC):
             pos=self.foot_offset - base.top_offset - base.base_offset))
 
     def _attach_on_mobile_base(self, spec: Any, frame: Any, base: MobileBaseModel) -> None:
+        self._check_prefix_is_free(spec)
         own = self._spec.copy()
         mount = own.body(self._root().name)
         root = frame.parent.add_body(name=self.root_body, pos=mount.pos, quat=mount.quat)
         root.set_frame(frame)
-        for exclude in own.excludes:
-            for side in ('bodyname1', 'bodyname2'):
-                if getattr(exclude, side) == mount.name:
-                    setattr(exclude, side, MANIPULATOR_MOUNT)
-        mount.name, mount.pos, mount.quat = MANIPULATOR_MOUNT, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
+        rename_body(own, mount, MANIPULATOR_MOUNT)
+        mount.pos, mount.quat = -self.foot_offset, [1.0, 0.0, 0.0, 0.0]
+        for joint in mount.joints:
+            if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE):  # The base moves the robot.
+                own.delete(joint)
+        present = len(spec.actuators)
         self._attach_base(spec, root, base)
         support = spec.body(base.correct_naming(base.support_body))
         self._attach_copy(spec, support.add_frame(), own)
+        rotate_actuators(spec.actuators[present:], len(base.actuators))
 
     def _resolve_root_orientation(self) -> None:
         root, compiler = self._root(), self._spec.compiler
