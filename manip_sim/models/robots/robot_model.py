@@ -109,8 +109,9 @@ class RobotModel(MujocoXMLModel, ABC):
         :raises TypeError: if it is not a base
         :raises ModelError: if the robot has a base already
         """
-        if not isinstance(base, RobotBaseModel):
-            raise TypeError(f'a base must be a RobotBaseModel, not {type(base).__name__}')
+        if not isinstance(base, (MountModel, MobileBaseModel)):
+            raise TypeError('a base must be a MountModel or a MobileBaseModel, '
+                            f'not {type(base).__name__}')
         if self._base is not None:
             raise ModelError(f'{self.name} stands on {self._base.name} already, '
                              f'cannot add {base.name}')
