@@ -18,7 +18,7 @@ def table_rows(heading):
     """Return the cells of all table rows below a heading, without the header rows."""
     section = re.split(r'^## ', README.split(f'\n## {heading}\n')[1], flags=re.MULTILINE)[0]
     rows = re.findall(r'^\| (`.*) \|$', section, re.MULTILINE)
-    return [[cell.strip() for cell in row.split(' | ')] for row in rows]
+    return [re.split(r' *\| *', row) for row in rows]
 
 
 def code_blocks(language):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
@@ -105,13 +106,19 @@ class TableArena(Arena):
         half = CUBE_EDGE_M / 2.0
         cube = self.spec.worldbody.add_body(name='cube', pos=[0.0, 0.0, table_height_m + half])
         cube.add_freejoint(name='cube_joint')
-        cube.add_geom(name='cube', type=6, size=[half] * 3, mass=CUBE_MASS_KG,
-                      rgba=[0.8, 0.2, 0.15, 1.0], friction=[1.0, 0.005, 0.0001])
+        cube.add_geom(name='cube', type=mujoco.mjtGeom.mjGEOM_BOX, size=[half] * 3,
+                      mass=CUBE_MASS_KG, rgba=[0.8, 0.2, 0.15, 1.0], friction=[1.0, 0.005, 0.0001])
 
     @property
     def table_length_m(self) -> float:
         """Edge of the table along x [m]."""
         return self._length_m
+
+
+class BinsArena(Arena):
+    """An open bin, ``bin1``, and one with four compartments, ``bin2``, side by side."""
+
+    arena_name = 'bins'
 
 
 def arena_names() -> list[str]:

@@ -239,10 +239,13 @@ class MujocoXMLModel:
         :param frame: the frame of that spec to hang the part on
         :raises ModelError: if the spec has a body of the same name already
         """
-        if spec.body(self.correct_naming(self._bodies[0])) if self._bodies else False:
+        self._check_prefix_is_free(spec)
+        self._attach_copy(spec, frame, self._spec.copy())
+
+    def _check_prefix_is_free(self, spec: Any) -> None:
+        if self._bodies and spec.body(self.correct_naming(self._bodies[0])):
             raise ModelError(f"a part with the prefix '{self.naming_prefix}' is there already: "
                              f'give {self.name} another idn')
-        self._attach_copy(spec, frame, self._spec.copy())
 
     def _attach_copy(self, spec: Any, frame: Any, own: Any) -> None:
         for key in list(own.keys):

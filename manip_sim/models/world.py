@@ -59,17 +59,15 @@ class World:
         return spec
 
     def _compensate_gravity(self, spec: Any) -> None:
+        # All that is mounted on a robot hangs below its root, also the bodies of no part's file.
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         for robot in self.robots:
-            for part in [robot, *robot.models]:
-                for name in part.bodies:
-                    body = spec.body(name)
-                    if body is None:  # The root of a robot on a mobile base has a new name.
-                        continue
-                    body.gravcomp = 1.0
-                    for joint in body.joints:
-                        if int(joint.type) != free:
-                            joint.actgravcomp = True
+            root = spec.body(robot.root_body)
+            for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
+                body.gravcomp = 1.0
+                for joint in body.joints:
+                    if int(joint.type) != free:
+                        joint.actgravcomp = True
 
     def compile(self) -> Any:
         """

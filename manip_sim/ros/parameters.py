@@ -20,7 +20,7 @@ from manip_sim.models.arenas import arena_names
 from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.robots import robot_names
-from manip_sim.models.robots.robot_model import SUBSYSTEMS
+from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.simulation.control import MODES
 
 #: Parameters that every rclpy node knows.

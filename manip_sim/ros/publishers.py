@@ -57,18 +57,22 @@ class StatePublishers:
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def publish(self, state: State) -> None:
-        """Publish a state on all topics."""
+        """Publish a state on all topics that somebody listens to."""
         stamp = messages.stamp_of(state.time_ns)
         for publisher, joints, part in self._joint_states:
-            publisher.publish(messages.joint_state(stamp, joints, state, part))
+            if publisher.get_subscription_count():
+                publisher.publish(messages.joint_state(stamp, joints, state, part))
         for arm, frame, wrench, external_wrench, pose, twist in self._arms:
             end_effector = state.end_effectors[arm]
-            wrench.publish(messages.wrench_stamped(stamp, frame, end_effector.wrench))
-            external_wrench.publish(
-                messages.wrench_stamped(stamp, frame, end_effector.external_wrench))
-            pose.publish(messages.pose_stamped(stamp, end_effector))
-            twist.publish(messages.twist_stamped(stamp, end_effector))
-        if self._clock is not None:
+            for publisher, measured in ((wrench, end_effector.wrench),
+                                        (external_wrench, end_effector.external_wrench)):
+                if publisher.get_subscription_count():
+                    publisher.publish(messages.wrench_stamped(stamp, frame, measured))
+            for publisher, message in ((pose, messages.pose_stamped),
+                                       (twist, messages.twist_stamped)):
+                if publisher.get_subscription_count():
+                    publisher.publish(message(stamp, end_effector))
+        if self._clock is not None and self._clock.get_subscription_count():
             self._clock.publish(Clock(clock=stamp))
 
 

@@ -76,7 +76,21 @@ class TrajectoryPoints:
                           self.positions, self.velocities, self.accelerations)
 
 
-Command = Goal | GripperAction | TrajectoryPoints
+@dataclass(frozen=True)
+class BaseTwist:
+    """
+    A velocity of a mobile base in its own frame.
+
+    :ivar twist: along x [m/s], along y [m/s], about z [rad/s], shape (3,)
+    :ivar clamped: how many numbers had to be brought into their range
+    """
+
+    part: str
+    twist: FloatArray
+    clamped: int = 0
+
+
+Command = Goal | GripperAction | TrajectoryPoints | BaseTwist
 
 
 def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.robots.robot_model import SUBSYSTEMS
+from manip_sim.models.robots.subsystems import driven_joint, SUBSYSTEMS
 from manip_sim.typing import IntArray
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -70,12 +70,5 @@ def _part(model: Any, name: str, joints: list[str], actuators: list[str],
         qpos_addresses=model.jnt_qposadr[ids].astype(np.int64),
         dof_addresses=model.jnt_dofadr[ids].astype(np.int64),
         actuator_ids=actuator_ids,
-        driven_joints=tuple(_driven_joint(model, int(a)) for a in actuator_ids),
+        driven_joints=tuple(driven_joint(model, int(a)) for a in actuator_ids),
         gripper=gripper)
-
-
-def _driven_joint(model: Any, actuator: int) -> str | None:
-    if int(model.actuator_trntype[actuator]) != int(mujoco.mjtTrn.mjTRN_JOINT):
-        return None
-    name: str = model.joint(int(model.actuator_trnid[actuator, 0])).name
-    return name

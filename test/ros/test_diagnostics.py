@@ -16,17 +16,20 @@ def values(status):
 
 
 def test_commands_are_counted_by_part(serve, client):
-    serve()
+    node = serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
-    for n in range(3):
-        client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
-        client.publish('arm/command', Float64MultiArray(data=[2.0] * 7))
-        client.publish('arm/command', Float64MultiArray(data=[0.0] * n))
+    statistics = node.commands.statistics['arm']
+    # One at a time, because the node keeps the last one only.
+    for message, arrived in (([0.0] * 7, lambda: statistics.accepted == 1),
+                             ([2.0] * 7, lambda: statistics.accepted == 2),
+                             ([0.0], lambda: statistics.refused == 1)):
+        client.publish('arm/command', Float64MultiArray(data=message))
+        client.spin_until(arrived)
 
     def arm():
         return values(next(s for s in arrays[-1].status if s.name == 'manip_sim: arm'))
-    client.spin_until(lambda: bool(arrays) and int(arm()['dropped']) > 0
-                      and int(arm()['clamped']) >= 7)
+    client.spin_until(lambda: bool(arrays) and int(arm()['dropped']) == 1
+                      and int(arm()['clamped']) == 7)
     assert arm()['control_mode'] == 'position'
     assert float(arm()['age']) < 30.0
     gripper = values(next(s for s in arrays[-1].status if s.name == 'manip_sim: right/gripper'))

@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from os import PathLike
-import re
 from typing import Any, Union
 
 import mujoco
@@ -20,16 +19,14 @@ from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
+from manip_sim.models.robots.subsystems import classify, driven_joint, SUBSYSTEMS
+from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.typing import FloatArray
 
-#: The subsystems of a robot, in the order in which names are looked at; what fits none is arm.
-KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
 MANIPULATOR_MOUNT = 'manipulator_mount'
-SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs')
 #: A position [m], or a function that takes the length of the table [m] and returns one.
 Position = tuple[float, float, float]
 Placement = Union[Position, Callable[[float], Position]]
-_WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 
 
 class RobotModel(MujocoXMLModel, ABC):
@@ -108,8 +105,9 @@ class RobotModel(MujocoXMLModel, ABC):
         :raises TypeError: if it is not a base
         :raises ModelError: if the robot has a base already
         """
-        if not isinstance(base, RobotBaseModel):
-            raise TypeError(f'a base must be a RobotBaseModel, not {type(base).__name__}')
+        if not isinstance(base, (MountModel, MobileBaseModel)):
+            raise TypeError('a base must be a MountModel or a MobileBaseModel, '
+                            f'not {type(base).__name__}')
         if self._base is not None:
             raise ModelError(f'{self.name} stands on {self._base.name} already, '
                              f'cannot add {base.name}')
@@ -207,7 +205,7 @@ class RobotModel(MujocoXMLModel, ABC):
         self._actuators_of: dict[str, list[str]] = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for index, raw in enumerate(part._actuators):
-                driven = _driven_joint(part._own_model, index)
+                driven = driven_joint(part._own_model, index)
                 name = self._subsystem(part, driven or raw)
                 self._actuators_of[name].append(part.correct_naming(raw))
 
@@ -344,18 +342,21 @@ class RobotModel(MujocoXMLModel, ABC):
             pos=self.foot_offset - base.top_offset - base.base_offset))
 
     def _attach_on_mobile_base(self, spec: Any, frame: Any, base: MobileBaseModel) -> None:
+        self._check_prefix_is_free(spec)
         own = self._spec.copy()
         mount = own.body(self._root().name)
         root = frame.parent.add_body(name=self.root_body, pos=mount.pos, quat=mount.quat)
         root.set_frame(frame)
-        for exclude in own.excludes:
-            for side in ('bodyname1', 'bodyname2'):
-                if getattr(exclude, side) == mount.name:
-                    setattr(exclude, side, MANIPULATOR_MOUNT)
-        mount.name, mount.pos, mount.quat = MANIPULATOR_MOUNT, np.zeros(3), [1.0, 0.0, 0.0, 0.0]
+        rename_body(own, mount, MANIPULATOR_MOUNT)
+        mount.pos, mount.quat = -self.foot_offset, [1.0, 0.0, 0.0, 0.0]
+        for joint in mount.joints:
+            if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE):  # The base moves the robot.
+                own.delete(joint)
+        present = len(spec.actuators)
         self._attach_base(spec, root, base)
         support = spec.body(base.correct_naming(base.support_body))
         self._attach_copy(spec, support.add_frame(), own)
+        rotate_actuators(spec.actuators[present:], len(base.actuators))
 
     def _resolve_root_orientation(self) -> None:
         root, compiler = self._root(), self._spec.compiler
@@ -367,25 +368,3 @@ class RobotModel(MujocoXMLModel, ABC):
 
 
 ROBOTS: Registry[RobotModel] = Registry('robot')
-
-
-def classify(name: str) -> str:
-    """
-    Return the subsystem that an unprefixed name tells of.
-
-    The reference's keywords torso, mobile, head and leg decide in this order, but only as whole
-    words, in any case: ``head_pan`` is of the head, ``overhead_joint`` of the arm.
-    """
-    words = {word.lower() for word in _WORD.findall(name)}
-    for keyword, subsystem in KEYWORDS.items():
-        if keyword in words or subsystem in words - {'base'}:
-            return subsystem
-    return 'arm'
-
-
-def _driven_joint(model: Any, actuator: int) -> str | None:
-    kind = int(model.actuator_trntype[actuator])
-    if kind not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
-        return None
-    name: str = model.joint(int(model.actuator_trnid[actuator, 0])).name
-    return name

@@ -1,0 +1,56 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The electric parallel gripper of Rethink Robotics, for Baxter and Sawyer."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.resources import asset_path
+from manip_sim.typing import FloatArray
+
+
+class RethinkGripperBase(GripperModel, registered=False):
+    """Rethink gripper whose fingers are commanded one by one, the right one first."""
+
+    _important_geoms = {
+        'left_finger': ['l_finger_g0', 'l_finger_g1', 'l_fingertip_g0', 'l_fingerpad_g0'],
+        'right_finger': ['r_finger_g0', 'r_finger_g1', 'r_fingertip_g0', 'r_fingerpad_g0'],
+        'left_fingerpad': ['l_fingerpad_g0'],
+        'right_fingerpad': ['r_fingerpad_g0']}
+
+    def __init__(self, idn: int | str = 0) -> None:
+        super().__init__(asset_path('grippers', 'rethink_gripper'), idn=idn)
+
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """Return the action itself: a finger command each, the right one first, shape (2,)."""
+        return self._checked(action).copy()
+
+    @property
+    def init_qpos(self) -> FloatArray:
+        """Fingers fully open [m], the left one first, shape (2,)."""
+        return np.array([0.020833, -0.020833])
+
+
+class RethinkGripper(RethinkGripperBase):
+    """Rethink gripper that opens and closes."""
+
+    speed = 0.2
+
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """
+        Close or open by one step.
+
+        :param action: the sign counts: + closes, - opens, 0 holds; shape (1,)
+        :returns: commands of the right and the left finger, -1 and +1 open, shape (2,), a copy
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        return self._integrate(np.array([1.0, -1.0]) * self.speed * np.sign(self._checked(action)))
+
+    @property
+    def dof(self) -> int:
+        """One number for both fingers."""
+        return 1

@@ -1,0 +1,131 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What moves a gripper: it calls ``format_action`` in simulation time and writes controls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.simulation.commands import (
+    clamp, Command, field_of_mode, finite_numbers, Goal, GripperAction, joint_indices)
+from manip_sim.simulation.parts import Part
+from manip_sim.typing import FloatArray
+
+#: Rate at which the reference calls a gripper's ``format_action`` [Hz].
+GRIPPER_RATE_HZ = 20.0
+
+
+class GripperDrive:
+    """
+    Drives a gripper: calls its ``format_action`` at the reference's 20 Hz of simulation time.
+
+    An action lasts until the next one, so one message closes fully, and how often it is repeated
+    does not matter.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param part: the gripper
+    :param timestep_s: of the physics [s]
+    """
+
+    mode = 'position'
+
+    def __init__(self, model: Any, part: Part, timestep_s: float) -> None:
+        if part.gripper is None:
+            raise ValueError(f'{part.name} is not a gripper')
+        self.part = part
+        self._gripper = part.gripper
+        self._model = model
+        self._ids = part.actuator_ids
+        self._ranges = model.actuator_ctrlrange[self._ids].copy()
+        self._steps_per_call = max(1, round(1.0 / (GRIPPER_RATE_HZ * timestep_s)))
+        self._next_call = 0
+        self._action: FloatArray | None = None
+
+    def limits(self) -> FloatArray:
+        """Return the range of an action, shape (dof, 2)."""
+        return np.tile([-1.0, 1.0], (self._gripper.dof, 1))
+
+    def action(self, action: ArrayLike) -> GripperAction:
+        """
+        Validate an action for the gripper's ``format_action``.
+
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        part, count = self.part.name, self._gripper.dof
+        numbers = finite_numbers(action, count, f'{part}: an action')
+        return GripperAction(part, *clamp(numbers, self.limits()))
+
+    def joint_command(self, names: Sequence[str], position: ArrayLike, velocity: ArrayLike,
+                      effort: ArrayLike) -> Goal:
+        """
+        Validate positions for joints that an actuator drives.
+
+        :raises CommandError: if a joint is not there, or the numbers do not fit
+        """
+        part = self.part.name
+        indices = joint_indices(names, self.part.driven_joints, part)
+        values = field_of_mode(part, self.mode, len(names), position, velocity, effort)
+        ranges = np.array([self._model.joint(name).range for name in names])
+        return Goal(part, self.mode, indices, *clamp(values, ranges))
+
+    def reset(self, data: Any) -> None:
+        """Drop all commands and hold the fingers where they are."""
+        self._action = None
+        self._next_call = 0
+        mujoco.mj_fwdPosition(self._model, data)
+        data.ctrl[self._ids] = self._ctrl_for(data.actuator_length[self._ids])
+        self._go_on_from(data)
+
+    def apply(self, command: Command, data: Any, step: int, time_s: float) -> None:
+        """Take a command over."""
+        if isinstance(command, GripperAction):
+            if self._action is None:
+                self._go_on_from(data)
+            self._action = command.action
+            self.call_if_due(data, step)
+        elif isinstance(command, Goal):
+            self._action = None
+            goal = data.ctrl[self._ids].copy()
+            wanted = self._ctrl_for(self._lengths(command))
+            goal[command.indices] = wanted[command.indices]
+            data.ctrl[self._ids] = np.clip(goal, *self._ranges.T)
+
+    def _lengths(self, command: Goal) -> FloatArray:
+        lengths = np.zeros(len(self._ids))
+        lengths[command.indices] = command.values
+        lengths *= self._model.actuator_gear[self._ids, 0]
+        return lengths
+
+    def steps_to_call(self, step: int) -> int | None:
+        """Return after how many physics steps :meth:`call_if_due` has to be called, or None."""
+        return None if self._action is None else max(1, self._next_call - step)
+
+    def call_if_due(self, data: Any, step: int) -> None:
+        """Call the gripper's ``format_action`` if its time has come."""
+        if self._action is None or step < self._next_call:
+            return
+        command = np.clip(self._gripper.format_action(self._action), -1.0, 1.0)
+        low, high = self._ranges.T
+        ctrl = low + (command + 1.0) / 2.0 * (high - low)
+        if np.array_equal(ctrl, data.ctrl[self._ids]):
+            self._action = None
+        data.ctrl[self._ids] = ctrl
+        self._next_call = step + self._steps_per_call
+
+    def _ctrl_for(self, length: FloatArray) -> FloatArray:
+        """Return the control at which a position servo comes to rest at an actuator length."""
+        gain = self._model.actuator_gainprm[self._ids, 0]
+        bias = self._model.actuator_biasprm[self._ids]
+        ctrl = -(bias[:, 0] + bias[:, 1] * length) / np.where(gain == 0.0, 1.0, gain)
+        return np.asarray(np.clip(ctrl, *self._ranges.T))
+
+    def _go_on_from(self, data: Any) -> None:
+        low, high = self._ranges.T
+        span = np.where(high > low, high - low, 1.0)
+        self._gripper.start_at((data.ctrl[self._ids] - low) / span * 2.0 - 1.0)

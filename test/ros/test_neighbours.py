@@ -1,0 +1,82 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Other nodes in the same domain: many clients, idle ones, and a second robot."""
+
+import subprocess
+import sys
+import threading
+import time
+
+from conftest import Client
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+NEVER_READS = """
+import time
+import rclpy
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = rclpy.create_node('never_reads')
+node.create_subscription(JointState, 'joint_states', print, 1000)
+time.sleep(30.0)
+"""
+
+
+def test_two_clients_may_control_the_simulation_at_once(serve, client):
+    node = serve()
+    client.state()
+    failures = []
+
+    def control():
+        own = Client()
+        try:
+            for name in ('step', 'reset', 'tare_wrench', 'step') * 5:
+                own.call(SetBool, 'manip_sim/pause', SetBool.Request(data=True))
+                response = own.call(Trigger, f'manip_sim/{name}')
+                if not (response.success or 'pause it first' in response.message):
+                    failures.append(response.message)
+                own.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
+        except AssertionError as error:
+            failures.append(error)
+        finally:
+            own.close()
+    threads = [threading.Thread(target=control) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=100.0)
+    assert not failures
+    assert not node.runner.paused
+    first = client.state()
+    client.spin_until(lambda: client.state().header.stamp != first.header.stamp)
+
+
+def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process, client):
+    sim_process()
+    client.state()
+    idle = subprocess.Popen([sys.executable, '-c', NEVER_READS])
+    try:
+        client.spin_until(lambda: client.node.count_subscribers('joint_states') > 0)
+        wall, clock = [], []
+        client.node.create_subscription(Clock, '/clock', lambda m: (
+            clock.append(m.clock.sec + m.clock.nanosec * 1e-9), wall.append(time.monotonic())), 10)
+        client.spin_until(lambda: bool(clock) and clock[-1] - clock[0] > 5.0)
+        assert abs((clock[-1] - clock[0]) / (wall[-1] - wall[0]) - 1.0) < 0.01
+    finally:
+        idle.kill()
+        idle.wait()
+
+
+def test_two_robots_live_in_two_namespaces_of_one_domain(process, client):
+    for side, clock in (('left', 'true'), ('right', 'false')):
+        process('--ros-args', '-r', f'__ns:=/{side}', '-p', f'publish_clock:={clock}',
+                '-p', f'joint_prefix:={side}_', '-p', 'gripper:=none')
+    for side in ('left', 'right'):
+        client.publish(f'/{side}/joint_command', JointState(
+            name=[f'{side}_joint1'], position=[0.3 if side == 'left' else -0.3]))
+    client.spin_until(lambda: client.state('/left/joint_states').position[0] > 0.29)
+    client.spin_until(lambda: client.state('/right/joint_states').position[0] < -0.29)
+    assert client.node.count_publishers('/clock') == 1
