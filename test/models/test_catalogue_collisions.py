@@ -10,6 +10,7 @@ import pytest
 from catalogue import (
     AtRest, colliding_geoms, figures, ROBOTS, robots_with_figures, support)
 
+from manip_sim.models.arenas import arena_names
 from manip_sim.models.robots import create_robot
 
 N_POSES = 200
@@ -24,7 +25,7 @@ def contacts(model, data):
                   f'({1000.0 * c.dist:.1f} mm)' for c in data.contact)
 
 
-@pytest.mark.parametrize('arena', ['empty', 'table'])
+@pytest.mark.parametrize('arena', arena_names())
 @pytest.mark.parametrize('name', ROBOTS)
 def test_nothing_touches_where_a_robot_starts(name, arena):
     rest = AtRest(name, arena)
