@@ -39,6 +39,12 @@ def closing(name):
     return GRASPS['closing_action'].get(name, 1.0)
 
 
+def running_median(values):
+    """Return the median of each value and its four neighbours on either side, shape (n,)."""
+    padded = np.pad(values, 4, mode='edge')
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
+
+
 class Stroke:
     """
     One closing in free air.
@@ -64,7 +70,8 @@ class Stroke:
                 last_change = rows[-1][0]
             assert rows[-1][0] < 15.0, f'{name} has not closed after 15 s'
         times, gaps, middles, lowest = zip(*rows)
-        self.times, self.gaps = np.array(times), np.array(gaps)
+        # Old versions of MuJoCo give a distance of zero now and then.
+        self.times, self.gaps = np.array(times), running_median(np.array(gaps))
         self.pads, self.lowest = np.array(middles), np.array(lowest)
 
     def duration_s(self):
