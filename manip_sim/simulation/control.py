@@ -47,7 +47,8 @@ class Servos:
         self._qpos = model.jnt_qposadr[joint_ids].astype(np.int64)
         dofs = model.jnt_dofadr[joint_ids].astype(np.int64)
         self._gear = model.actuator_gear[self._ids, 0].copy()
-        self._damping = np.asarray(model.dof_damping).reshape(model.nv, -1)[dofs, 0].copy()
+        damping = np.asarray(model.dof_damping).reshape(model.nv, -1)[dofs, 0]
+        self._damping = damping / self._gear**2
         self._kp, self._kv = _stiffness_and_damping(model, self._ids, dofs)
         self.limited = model.jnt_limited[joint_ids].astype(bool)
         self.ranges = {
@@ -119,7 +120,8 @@ def _stiffness_and_damping(model: Any, ids: Any, dofs: Any) -> tuple[FloatArray,
     affine = model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
     position_servo = affine & (kp > 0.0)
     velocity_servo = affine & (kp == 0.0) & (kv > 0.0)
-    inertia = model.dof_M0[dofs]
+    # What the actuator sees of the joint through its gear.
+    inertia = model.dof_M0[dofs] / model.actuator_gear[ids, 0]**2
     # Critical damping with the lag wanted: kv = 2 sqrt(kp M) and kv / kp = lag.
     derived_kp = 4.0 * inertia / _LAG_S**2
     kp = np.where(position_servo, kp, np.where(velocity_servo, kv / _LAG_S / 4.0, derived_kp))
@@ -139,7 +141,8 @@ def _velocity_limit(model: Any, joint_ids: Any, ids: Any) -> FloatArray:
         declared = model.jnt_user[joint_ids, 0]
         limit = np.where(declared > 0.0, declared, limit)
     velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
-    of_servo = np.where(velocity_servo, model.actuator_ctrlrange[ids, 1], np.inf)
+    of_servo = np.where(velocity_servo, model.actuator_ctrlrange[ids, 1]
+                        / np.abs(model.actuator_gear[ids, 0]), np.inf)
     limit = np.minimum(limit, of_servo)
     return np.where(np.isfinite(limit), limit, np.pi)
 
