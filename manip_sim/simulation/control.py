@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.errors import ModelError
 from manip_sim.simulation.parts import Part
 from manip_sim.typing import FloatArray
 
@@ -37,12 +38,14 @@ class Servos:
     motors.
 
     :param model: the compiled ``mujoco.MjModel``, whose actuators are set
-    :param part: the part; every actuator of it drives a joint
+    :param part: the part
+    :raises ModelError: if an actuator of the part does not drive a joint
     """
 
     def __init__(self, model: Any, part: Part) -> None:
         self._model = model
         self._ids = part.actuator_ids
+        _check_driven(part)
         joint_ids = np.array([model.joint(j).id for j in part.driven_joints], dtype=np.int64)
         self._qpos = model.jnt_qposadr[joint_ids].astype(np.int64)
         dofs = model.jnt_dofadr[joint_ids].astype(np.int64)
@@ -121,6 +124,13 @@ class Servos:
     def write(self, data: Any, goal: FloatArray) -> None:
         """Write a goal into ``data.ctrl``."""
         data.ctrl[self._ids] = self.to_ctrl(goal, self.mode)
+
+
+def _check_driven(part: Part) -> None:
+    for actuator, joint in zip(part.actuators, part.driven_joints):
+        if joint is None:
+            raise ModelError(f"actuator '{actuator}' of {part.name} must drive a joint, not a "
+                             'tendon, a site or a body')
 
 
 def _stiffness_and_damping(model: Any, ids: Any, dofs: Any) -> tuple[FloatArray, FloatArray]:

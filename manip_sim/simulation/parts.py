@@ -17,6 +17,7 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
 from manip_sim.typing import IntArray
 
+_JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -75,7 +76,7 @@ def _part(model: Any, name: str, joints: list[str], actuators: list[str],
 
 
 def _driven_joint(model: Any, actuator: int) -> str | None:
-    if int(model.actuator_trntype[actuator]) != int(mujoco.mjtTrn.mjTRN_JOINT):
+    if int(model.actuator_trntype[actuator]) not in _JOINT_TRANSMISSIONS:
         return None
     name: str = model.joint(int(model.actuator_trnid[actuator, 0])).name
     return name
