@@ -162,7 +162,7 @@ class GripperModel(MujocoXMLModel, ABC):
         best, best_error = np.zeros(self.dof), np.inf
         for state in (wanted, wanted[:self.dof], np.zeros(self.dof)):
             self.current_action = state.copy()
-            idle = self.format_action(np.zeros(self.dof))
+            idle = np.asarray(self.format_action(np.zeros(self.dof)), dtype=float)
             error = np.abs(idle - wanted).max(initial=0.0) if idle.shape == wanted.shape else np.inf
             if error < best_error:
                 best, best_error = state, float(error)
