@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, describe_choices, UnknownNameError
+from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.simulation.commands import Command, Goal
 from manip_sim.simulation.drives import Drive, GripperDrive, SubsystemDrive
@@ -31,7 +32,8 @@ class Simulation:
     it. Commands are validated by the parts' drives, which only read, and take effect with
     :meth:`apply`.
 
-    :param world: an arena with robots; the first robot is commanded and observed
+    :param world: an arena with robots; the first robot is commanded and observed, the others hold
+        where they start
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
     :ivar drives: what moves each part, by the part's name
@@ -51,7 +53,10 @@ class Simulation:
         self._timestep_ns = round(self.model.opt.timestep * 1e9)
         self.parts: dict[str, Part] = {p.name: p for p in find_parts(self.model, self.robot)}
         self.drives: dict[str, Drive] = {
-            name: self._drive(part) for name, part in self.parts.items()}
+            name: self._drive(part, self.robot) for name, part in self.parts.items()}
+        # The other robots are not commanded: they hold where they start.
+        self._bystanders = [self._drive(part, robot) for robot in world.robots[1:]
+                            for part in find_parts(self.model, robot)]
         self._subsystems = [d for d in self.drives.values() if isinstance(d, SubsystemDrive)]
         self._grippers = [d for d in self.drives.values() if isinstance(d, GripperDrive)]
         self.end_effectors = {
@@ -61,10 +66,10 @@ class Simulation:
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
         self.reset()
 
-    def _drive(self, part: Part) -> Drive:
+    def _drive(self, part: Part, robot: RobotModel) -> Drive:
         if part.gripper is not None:
             return GripperDrive(self.model, part, self.timestep_s)
-        return SubsystemDrive(self.model, part, self.robot)
+        return SubsystemDrive(self.model, part, robot)
 
     def _index_joints(self) -> None:
         parts = self.parts.values()
@@ -238,7 +243,7 @@ class Simulation:
         mujoco.mj_resetData(self.model, self.data)
         for joint, position in self._start.items():
             self.data.joint(joint).qpos[0] = position
-        for drive in self.drives.values():
+        for drive in [*self.drives.values(), *self._bystanders]:
             drive.reset(self.data)
         for reader in self.end_effectors.values():
             reader.reset()
