@@ -15,6 +15,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.mjcf import compile_spec, MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.robots.robot_model import MANIPULATOR_MOUNT
 
 #: Friction cones and their stiffness: what lets a grasp hold without creeping
 #: (mujoco.readthedocs.io, modeling, "Preventing slip").
@@ -62,10 +63,9 @@ class World:
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         for robot in self.robots:
             for part in [robot, *robot.models]:
-                for name in part.bodies:
-                    body = spec.body(name)
-                    if body is None:  # The root of a robot on a mobile base has a new name.
-                        continue
+                # The root of a robot on a mobile base hangs on under another name.
+                names = [*part.bodies, part.correct_naming(MANIPULATOR_MOUNT)]
+                for body in filter(None, map(spec.body, names)):
                     body.gravcomp = 1.0
                     for joint in body.joints:
                         if int(joint.type) != free:
