@@ -27,6 +27,8 @@ _LAG_S = 0.013
 _VELOCITY_GAIN = 5.0
 #: Span of an unlimited hinge that an abstract action of -1 to 1 stands for [rad].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
+#: Span of the effort goals of a joint without a torque limit [N m or N].
+_UNLIMITED_EFFORT = 1e3
 
 
 class Servos:
@@ -56,20 +58,21 @@ class Servos:
         self.limited = model.jnt_limited[joint_ids].astype(bool)
         self.ranges = {
             'position': self._position_range(joint_ids),
-            'velocity': _symmetric(_velocity_limit(model, joint_ids, self._ids)),
-            'effort': _symmetric(_effort_limit(model, joint_ids, self._ids))}
-        self._limit_force_of_motors()
+            'velocity': _symmetric(_velocity_limit(model, joint_ids, self._ids))}
+        self._limit_torque(joint_ids)
         model.actuator_biastype[self._ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         self.velocity_limit = self.ranges['velocity'][:, 1]
         self.mode = 'position'
 
-    def _limit_force_of_motors(self) -> None:
-        # The control range of a motor limits its torque; the modes use it for their goals.
-        model, ids = self._model, self._ids
-        motor = _is_motor(model, ids) & (model.actuator_ctrllimited[ids] != 0)
-        limit = self.ranges['effort'][motor, 1] / np.abs(self._gear[motor])
-        model.actuator_forcerange[ids[motor]] = _symmetric(limit)
-        model.actuator_forcelimited[ids[motor]] = 1
+    def _limit_torque(self, joint_ids: Any) -> None:
+        # At the joint: there the gravity compensation counts too, and the modes need the control
+        # range, which is the torque limit of a motor, for their goals.
+        limit = _effort_limit(self._model, joint_ids, self._ids)
+        limited = np.isfinite(limit)
+        self._model.jnt_actfrcrange[joint_ids[limited]] = _symmetric(limit[limited])
+        self._model.jnt_actfrclimited[joint_ids[limited]] = 1
+        limit[~limited] = _UNLIMITED_EFFORT
+        self.ranges['effort'] = _symmetric(limit)
 
     def _position_range(self, joint_ids: Any) -> FloatArray:
         limits = self._model.jnt_range[joint_ids].copy()
@@ -166,16 +169,13 @@ def _velocity_limit(model: Any, joint_ids: Any, ids: Any) -> FloatArray:
     return np.where(np.isfinite(limit), limit, np.pi)
 
 
-def _is_motor(model: Any, ids: Any) -> Any:
-    return (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
-
-
 def _effort_limit(model: Any, joint_ids: Any, ids: Any) -> FloatArray:
     gear = np.abs(model.actuator_gear[ids, 0])
+    motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
     limits = np.stack([
         np.where(model.actuator_forcelimited[ids], model.actuator_forcerange[ids, 1] * gear, np.inf),
         np.where(model.jnt_actfrclimited[joint_ids], model.jnt_actfrcrange[joint_ids, 1], np.inf),
-        np.where(_is_motor(model, ids) & (model.actuator_ctrllimited[ids] != 0),
+        np.where(motor & (model.actuator_ctrllimited[ids] != 0),
                  model.actuator_ctrlrange[ids, 1] * model.actuator_gainprm[ids, 0] * gear, np.inf)])
     limit: FloatArray = limits.min(axis=0)
-    return np.where(np.isfinite(limit), limit, 1e3)
+    return limit
