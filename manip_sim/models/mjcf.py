@@ -212,7 +212,7 @@ class MujocoXMLModel:
     @property
     def base_offset(self) -> FloatArray:
         """Position that the file gives the root body [m], shape (3,), a copy."""
-        return np.array(self._root().pos)
+        return np.array(self._own_model.body(self._root().name).pos)
 
     @property
     def bottom_offset(self) -> FloatArray:
