@@ -62,6 +62,8 @@ class Servos:
         self._limit_torque(joint_ids)
         model.actuator_biastype[self._ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         self.velocity_limit = self.ranges['velocity'][:, 1]
+        self._lead = (self.ranges['effort'][:, 1] / self._gear**2
+                      + self._kv * self.velocity_limit) / self._kp
         self.mode = 'position'
 
     def _limit_torque(self, joint_ids: Any) -> None:
@@ -111,9 +113,13 @@ class Servos:
             return here
         return np.zeros(len(self._ids))
 
-    def approach(self, last: FloatArray, goal: FloatArray, period_s: float) -> FloatArray:
+    def approach(self, data: Any, last: FloatArray, goal: FloatArray, period_s: float
+                 ) -> FloatArray:
         """
         Return the next goal on the way from the last one, no faster than the joints may move.
+
+        It does not run ahead of a joint by more than gives the full torque at the velocity limit;
+        else a joint that cannot keep up would exceed the limit when it catches up.
 
         :param last: what the actuators followed up to now, shape (n_actuators,)
         :param goal: where they shall come to, shape (n_actuators,)
@@ -122,7 +128,9 @@ class Servos:
         if self.mode != 'position':
             return goal
         reach = self.velocity_limit * period_s
-        return last + np.clip(goal - last, -reach, reach)
+        following: FloatArray = last + np.clip(goal - last, -reach, reach)
+        here, lead = data.qpos[self._qpos], self._lead + reach / 2.0
+        return np.clip(following, here - lead, here + lead)
 
     def write(self, data: Any, goal: FloatArray) -> None:
         """Write a goal into ``data.ctrl``."""
