@@ -48,10 +48,11 @@ def test_end_effector_is_named_by_arm_with_prefix(one_joint_arm, two_arms):
 
 
 @pytest.mark.parametrize(('attribute', 'quat_xyzw'), [
-    ('', [0, 0, 0, 1]), ('quat="0 0 0 2"', [0, 0, 1, 0]), ('quat=" 1   1 0 0 "', [.5**.5, 0, 0, .5**.5]),
+    ('', [0, 0, 0, 1]), ('quat="0 0 0 2"', [0, 0, 1, 0]),
+    ('quat=" 1   1 0 0 "', [0.5**0.5, 0, 0, 0.5**0.5]),
     ('euler="0 0 1"', [0, 0, np.sin(0.5), np.cos(0.5)]),
     ('axisangle="0 3 0 1"', [0, np.sin(0.5), 0, np.cos(0.5)]),
-    ('zaxis="1 0 0"', [0, .5**.5, 0, .5**.5])])
+    ('zaxis="1 0 0"', [0, 0.5**0.5, 0, 0.5**0.5])])
 def test_hand_rotation_is_that_of_the_model_with_unit_norm(hand_with, attribute, quat_xyzw):
     offset = hand_with(attribute).hand_rotation_offset['right']
     assert np.linalg.norm(offset) == pytest.approx(1.0, abs=1e-12)
@@ -125,7 +126,7 @@ def test_second_gripper_on_an_arm_is_refused(one_joint_arm, gripper_class, gripp
 def test_mounting_on_all_arms_changes_nothing_if_one_is_taken(two_arms, gripper_class,
                                                               gripper_file):
     two_arms.add_gripper(gripper_class(gripper_file), 'left')
-    with pytest.raises(ModelError, match="left arm holds MyGripper0 already"):
+    with pytest.raises(ModelError, match='left arm holds MyGripper0 already'):
         two_arms.add_gripper(gripper_class(gripper_file, idn=1))
     assert list(two_arms.grippers) == ['left']
 
@@ -207,3 +208,16 @@ def test_model_in_degrees_mounts_on_one_in_radians(one_joint_arm, gripper_class,
     model = robot.compile()
     np.testing.assert_allclose(model.joint('gripper0_j').range, [-np.pi / 2, np.pi / 2])
     np.testing.assert_allclose(model.joint('robot0_joint1').range, [-2, 2])
+
+
+def test_options_and_keyframes_of_a_mounted_part_are_left_behind(one_joint_arm, gripper_class,
+                                                                 mjcf):
+    robot = one_joint_arm(sections='<option timestep="0.003"/>')
+    robot.add_gripper(gripper_class(mjcf(
+        '<body name="palm"><geom name="finger" size="0.1"/><joint name="j"/><body name="eef"/>'
+        '</body>', '<option timestep="0.001" gravity="0 0 -1"/><keyframe><key qpos="1"/>'
+        '</keyframe>', name='gripper')))
+    model = robot.compile()
+    assert model.opt.timestep == 0.003
+    np.testing.assert_allclose(model.opt.gravity, [0, 0, -9.81])
+    assert model.nkey == 0

@@ -203,8 +203,8 @@ def test_correct_naming_copies_strings_sequences_and_mappings(mjcf):
 
 def test_correct_naming_refuses_other_types(mjcf):
     model = MujocoXMLModel(mjcf(PENDULUM))
-    with pytest.raises(TypeError, match=r'^names must be a str, a list, a tuple or a dict of them, '
-                                        r'not int$'):
+    with pytest.raises(TypeError, match=r'^names must be a str, a list, a tuple or a dict of '
+                                        r'them, not int$'):
         model.correct_naming(3)
 
 
@@ -214,7 +214,7 @@ def test_correct_naming_refuses_other_types(mjcf):
 def test_declared_names_must_exist(mjcf, attribute, value, kind):
     declaring = type('Declaring', (MujocoXMLModel,), {attribute: value})
     with pytest.raises(UnknownNameError,
-                       match=rf"^unknown {kind} of Declaring0 in .*model\.xml 'tp': .*available: "):
+                       match=rf"^unknown {kind} of Declaring0 in .*model\.xml 'tp': .*available"):
         declaring(mjcf(PENDULUM, ELEMENTS))
 
 

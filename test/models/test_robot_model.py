@@ -174,7 +174,8 @@ def test_joint_attribute_reaches_the_compiled_model(robot_with, mobile_base, wit
         robot.add_base(mobile_base)
     model = robot.compile()
     dofs = [model.joint(name).dofadr[0] for name in robot.joints]
-    np.testing.assert_allclose(np.asarray(model.dof_damping).reshape(model.nv, -1)[dofs, 0], [3, 4])
+    damping = np.asarray(model.dof_damping).reshape(model.nv, -1)[dofs, 0]
+    np.testing.assert_allclose(damping, [3, 4])
     np.testing.assert_allclose(model.dof_armature[dofs], [0.1, 0.2])
 
 
