@@ -86,12 +86,16 @@ def test_joints_are_listed_by_part_with_positions_in_the_same_order(panda_sim, r
 
 def test_reset_restores_everything_but_the_time(cube_sim):
     before, cube = numbers_of(cube_sim.state()), cube_sim.data.body('cube').xpos.copy()
+    gripper = cube_sim.robot.grippers['right']
+    action_state = gripper.current_action.copy()
     move(cube_sim)
+    assert np.abs(gripper.current_action - action_state).max() > 0.1
     cube_sim.tare_wrench()
     assert np.abs(cube_sim.data.body('cube').xpos - cube).max() > 0.01
     cube_sim.reset()
     np.testing.assert_array_equal(numbers_of(cube_sim.state()), before)
     np.testing.assert_array_equal(cube_sim.data.body('cube').xpos, cube)
+    np.testing.assert_array_equal(gripper.current_action, action_state)
     assert cube_sim.state().time_ns == 30 * 5 * 2_000_000
 
 
