@@ -173,6 +173,13 @@ def test_divergence_is_noticed_and_held_with_a_finite_state(panda_sim, run, dist
     np.testing.assert_array_equal(numbers_of(panda_sim.state()), held)
 
 
+def test_absurd_velocity_of_a_free_object_is_told_as_such(cube_sim):
+    cube_sim.data.joint('cube_joint').qvel[2] = 5e4
+    cube_sim.advance(5)
+    assert cube_sim.diverged == 'the physics diverged at 0.010 s: a velocity is above 10000'
+    assert np.isfinite(numbers_of(cube_sim.state())).all()
+
+
 def test_divergence_is_mended_by_reset(panda_sim, run):
     start = panda_sim.state().position
     make_velocity_absurd(panda_sim)
