@@ -175,8 +175,8 @@ def test_start_at_finds_the_state_of_a_gripper_that_keeps_one_number_for_two_act
 
         def format_action(self, action):
             step = self.speed * np.sign(action)
-            self.current_action = np.clip(self.current_action[:1] + step, -1.0, 1.0)
-            return [self.current_action[0], -self.current_action[0]]
+            self.current_action = np.clip(self.current_action + step, -1.0, 1.0)
+            return np.concatenate([self.current_action, -self.current_action])
 
     hand = Mirrored(gripper_file)
     hand.start_at([0.5, -0.5])

@@ -143,6 +143,17 @@ def test_every_kind_of_actuator_meets_a_velocity(sim_of, run, actuator):
 
 
 @pytest.mark.parametrize('actuator', ACTUATORS)
+def test_damping_of_the_joint_does_not_slow_a_velocity(one_joint_arm, run, actuator):
+    robot = one_joint_arm(ACTUATORS[actuator])
+    robot.set_joint_attribute('damping', [20.0])
+    simulation = Simulation(World([robot]))
+    simulation.set_control_mode('arm', 'velocity')
+    command(simulation, 'velocity', 'robot0_joint1', 0.4)
+    run(simulation, 0.5)
+    assert simulation.state().velocity[0] == pytest.approx(0.4, rel=0.02)
+
+
+@pytest.mark.parametrize('actuator', ACTUATORS)
 def test_every_kind_of_actuator_gives_an_effort(sim_of, actuator):
     simulation = sim_of(ACTUATORS[actuator])
     simulation.set_control_mode('arm', 'effort')

@@ -101,10 +101,13 @@ def test_refused_command_changes_nothing(panda_sim, arm, run):
     np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
 
 
-def test_command_that_was_meant_for_another_mode_is_dropped(panda_sim, arm, run):
+@pytest.mark.parametrize('mode', ['velocity', 'effort'])
+def test_command_that_was_meant_for_another_mode_is_dropped(panda_sim, arm, run, mode):
     goal = arm.joint_command([J1], [0.5], [], [])
-    panda_sim.set_control_mode('arm', 'effort')
+    points = arm.trajectory([J1], [0.2], [[0.5]], None, None)
+    panda_sim.set_control_mode('arm', mode)
     panda_sim.apply(goal)
+    panda_sim.apply(points)
     run(panda_sim, 0.3)
     assert abs(panda_sim.state().position[0]) < 1e-6
 

@@ -148,7 +148,9 @@ def user_sim(one_joint_arm, gripper_class, gripper_file):
     """Return a function that makes a simulation of a user's gripper on a small arm."""
     def make(unlimited=False):
         robot, gripper = one_joint_arm(), gripper_class(gripper_file)
-        gripper.spec.joint('slide').limited = 0 if unlimited else 1
+        if unlimited:
+            gripper.spec.joint('slide').limited = 0
+            gripper.spec.joint('slide').range = [0.0, 0.0]
         robot.add_gripper(gripper)
         return Simulation(World([robot]))
     return make

@@ -86,12 +86,16 @@ def test_joints_are_listed_by_part_with_positions_in_the_same_order(panda_sim, r
 
 def test_reset_restores_everything_but_the_time(cube_sim):
     before, cube = numbers_of(cube_sim.state()), cube_sim.data.body('cube').xpos.copy()
+    gripper = cube_sim.robot.grippers['right']
+    action_state = gripper.current_action.copy()
     move(cube_sim)
+    assert np.abs(gripper.current_action - action_state).max() > 0.1
     cube_sim.tare_wrench()
     assert np.abs(cube_sim.data.body('cube').xpos - cube).max() > 0.01
     cube_sim.reset()
     np.testing.assert_array_equal(numbers_of(cube_sim.state()), before)
     np.testing.assert_array_equal(cube_sim.data.body('cube').xpos, cube)
+    np.testing.assert_array_equal(gripper.current_action, action_state)
     assert cube_sim.state().time_ns == 30 * 5 * 2_000_000
 
 
@@ -167,6 +171,13 @@ def test_divergence_is_noticed_and_held_with_a_finite_state(panda_sim, run, dist
     assert not panda_sim.state().velocity.any()
     run(panda_sim, 0.1)
     np.testing.assert_array_equal(numbers_of(panda_sim.state()), held)
+
+
+def test_absurd_velocity_of_a_free_object_is_told_as_such(cube_sim):
+    cube_sim.data.joint('cube_joint').qvel[2] = 5e4
+    cube_sim.advance(5)
+    assert cube_sim.diverged == 'the physics diverged at 0.010 s: a velocity is above 10000'
+    assert np.isfinite(numbers_of(cube_sim.state())).all()
 
 
 def test_divergence_is_mended_by_reset(panda_sim, run):

@@ -55,7 +55,9 @@ def test_repeated_commands_keep_a_part_fresh(panda_sim, arm, run):
 
 def test_trajectory_is_finished_however_long_it_is(panda_sim, arm, run):
     panda_sim.apply(arm.trajectory([J1], [1.0], [[0.5]], None, None))
-    run(panda_sim, 1.5)
+    run(panda_sim, 0.9)
+    assert arm.timeouts == 0
+    run(panda_sim, 0.6)
     assert panda_sim.state().position[0] == pytest.approx(0.5, abs=1e-3)
 
 
