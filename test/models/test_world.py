@@ -75,6 +75,16 @@ def test_two_robots_of_different_idn_share_a_world(panda):
     assert set(world.init_qpos()) == {model.joint(i).name for i in range(18)}
 
 
+def test_a_robot_that_was_placed_stays_there_and_another_goes_with_the_arena(panda):
+    other = Panda(idn=1)
+    other.add_base(RethinkMount(idn=1))
+    other.set_base_xpos((-0.6, 1.0, 0.0))
+    for arena, x in ((EmptyArena(), -0.6), (TableArena(), -0.56)):
+        model = World([panda, other], arena).compile()
+        np.testing.assert_allclose(model.body('robot0_base').pos, [x, 0.0, 0.912])
+        np.testing.assert_allclose(model.body('robot1_base').pos, [-0.6, 1.0, 0.912])
+
+
 def test_two_robots_of_one_idn_are_refused(panda):
     with pytest.raises(ModelError, match=r'^robots in one world need different idn, got robot0_, '
                                          r'robot0_$'):

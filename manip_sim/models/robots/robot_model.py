@@ -53,6 +53,8 @@ class RobotModel(MujocoXMLModel, ABC):
         self._resolve_root_pose()
         self._authored_offset = self.base_offset
         self._base: RobotBaseModel | None = None
+        #: Whether :meth:`set_base_xpos` was called; else an arena places the robot.
+        self.is_placed = False
         self.update_joints()
         self.update_actuators()
 
@@ -148,6 +150,7 @@ class RobotModel(MujocoXMLModel, ABC):
 
         :param pos: where the floor below the root shall be, in the world [m], shape (3,)
         """
+        self.is_placed = True
         self._root().pos = np.asarray(pos, dtype=float) - self.bottom_offset
 
     def set_base_ori(self, rpy: ArrayLike) -> None:
