@@ -82,10 +82,14 @@ class MujocoXMLModel:
 
     def _compile_alone(self) -> Any:
         # Parts without mass, such as a virtual base, are only usable below something that has it.
-        spec = self._spec.copy()
-        spec.compiler.boundmass = _MIN_MASS_KG
-        spec.compiler.boundinertia = _MIN_INERTIA
-        return compile_spec(spec, self.name)
+        # The spec itself is compiled: a copy has lost what refers to something that is not there.
+        compiler = self._spec.compiler
+        bounds = compiler.boundmass, compiler.boundinertia
+        compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA
+        try:
+            return compile_spec(self._spec, self.name)
+        finally:
+            compiler.boundmass, compiler.boundinertia = bounds
 
     @property
     def spec(self) -> Any:
@@ -212,7 +216,7 @@ class MujocoXMLModel:
     @property
     def base_offset(self) -> FloatArray:
         """Position that the file gives the root body [m], shape (3,), a copy."""
-        return np.array(self._root().pos)
+        return np.array(self._own_model.body(self._root().name).pos)
 
     @property
     def bottom_offset(self) -> FloatArray:

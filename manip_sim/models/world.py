@@ -25,8 +25,8 @@ class World:
     """
     Robots in an arena.
 
-    :param robots: robots with all that is mounted on them; each is placed by its
-        ``base_xpos_offset`` for the arena
+    :param robots: robots with all that is mounted on them; one that was not
+        placed by ``set_base_xpos`` is placed by its ``base_xpos_offset`` for the arena
     :param arena: the arena, :class:`EmptyArena` by default
     :param timestep_s: of the physics [s]
     :param gravity_compensation: let the joints' actuators carry the weight of all links and
@@ -52,7 +52,9 @@ class World:
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = _IMPRATIO
         for robot in self.robots:
-            robot.set_base_xpos(self.arena.robot_position(robot))
+            if not robot.is_placed:
+                robot.set_base_xpos(self.arena.robot_position(robot))
+                robot.is_placed = False
             robot.attach_to(spec, spec.worldbody.add_frame())
         if self.gravity_compensation:
             self._compensate_gravity(spec)

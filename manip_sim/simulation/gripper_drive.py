@@ -71,7 +71,8 @@ class GripperDrive:
         part = self.part.name
         indices = joint_indices(names, self.part.driven_joints, part)
         values = field_of_mode(part, self.mode, len(names), position, velocity, effort)
-        ranges = np.array([self._model.joint(name).range for name in names])
+        joints = [self._model.joint(name) for name in names]
+        ranges = np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in joints])
         return Goal(part, self.mode, indices, *clamp(values, ranges))
 
     def reset(self, data: Any) -> None:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, describe_choices, UnknownNameError
+from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.simulation.commands import Command, Goal
 from manip_sim.simulation.drives import Drive, GripperDrive, SubsystemDrive
@@ -33,7 +34,8 @@ class Simulation:
     it. Commands are validated by the parts' drives, which only read, and take effect with
     :meth:`apply`.
 
-    :param world: an arena with robots; the first robot is commanded and observed
+    :param world: an arena with robots; the first robot is commanded and observed, the others hold
+        where they start
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
     :ivar drives: what moves each part, by the part's name
@@ -53,7 +55,10 @@ class Simulation:
         self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
         self.parts: dict[str, Part] = {p.name: p for p in find_parts(self.model, self.robot)}
         self.drives: dict[str, Drive] = {
-            name: self._drive(part) for name, part in self.parts.items()}
+            name: self._drive(part, self.robot) for name, part in self.parts.items()}
+        # The other robots are not commanded: they hold where they start.
+        self._bystanders = [self._drive(part, robot) for robot in world.robots[1:]
+                            for part in find_parts(self.model, robot)]
         self._subsystems = [d for d in self.drives.values() if isinstance(d, SubsystemDrive)]
         self._grippers = [d for d in self.drives.values() if isinstance(d, GripperDrive)]
         self.end_effectors = {
@@ -71,19 +76,21 @@ class Simulation:
         A declared start need not, and would be torn right with great force in the first steps.
         """
         self.reset()
-        coupled = [part for part in self.parts.values()
-                   if part.gripper is not None and self.model.neq + self.model.ntendon]
+        if not self.model.neq + self.model.ntendon:
+            return
         gravity = self.model.opt.gravity.copy()
         self.model.opt.gravity[:] = 0.0
         mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
         self.model.opt.gravity[:] = gravity
-        for part in coupled:
-            self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
+        for drive in [*self._grippers, *self._bystanders]:
+            part = drive.part
+            if part.gripper is not None:
+                self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
 
-    def _drive(self, part: Part) -> Drive:
+    def _drive(self, part: Part, robot: RobotModel) -> Drive:
         if part.gripper is not None:
             return GripperDrive(self.model, part, self.timestep_s)
-        return SubsystemDrive(self.model, part, self.robot)
+        return SubsystemDrive(self.model, part, robot)
 
     def _index_joints(self) -> None:
         parts = self.parts.values()
@@ -258,7 +265,7 @@ class Simulation:
         mujoco.mj_resetData(self.model, self.data)
         for joint, position in self._start.items():
             self.data.joint(joint).qpos[0] = position
-        for drive in self.drives.values():
+        for drive in [*self.drives.values(), *self._bystanders]:
             drive.reset(self.data)
         for reader in self.end_effectors.values():
             reader.reset()

@@ -194,7 +194,8 @@ class SubsystemDrive:
             if time_s >= trajectory.end_s:
                 self._trajectory = None
         self._turn_twist(data)
-        self._followed = self._servos.approach(self._followed, self._goal, steps * timestep_s)
+        self._followed = self._servos.approach(data, self._followed, self._goal,
+                                               steps * timestep_s)
         self._servos.write(data, self._followed)
 
     def _check_timeout(self, time_s: float) -> None:

@@ -7,6 +7,7 @@ import hashlib
 import subprocess
 import sys
 
+from harness import Client
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -60,7 +61,6 @@ def run(sim_process, client_factory):
 
 @pytest.mark.timeout(300)
 def test_the_same_controller_gives_the_same_states_to_the_last_bit(sim_process):
-    from conftest import Client
     quiet = run(sim_process, Client)
     busy = subprocess.Popen([sys.executable, '-c', BUSY])
     try:

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 
-from conftest import Client
+from harness import Client
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger

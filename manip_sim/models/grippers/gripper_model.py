@@ -167,7 +167,7 @@ class GripperModel(MujocoXMLModel, ABC):
         best, best_error = np.zeros(self.dof), np.inf
         for state in (wanted, wanted[:self.dof], np.zeros(self.dof)):
             self.current_action = state.copy()
-            idle = self.format_action(np.zeros(self.dof))
+            idle = np.asarray(self.format_action(np.zeros(self.dof)), dtype=float)
             if idle.shape != wanted.shape:
                 continue
             error = float(np.abs(idle - wanted).max(initial=0.0))

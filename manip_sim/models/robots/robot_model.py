@@ -50,9 +50,11 @@ class RobotModel(MujocoXMLModel, ABC):
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         super().__init__(fname, idn=idn)
-        self._resolve_root_orientation()
+        self._resolve_root_pose()
         self._authored_offset = self.base_offset
         self._base: RobotBaseModel | None = None
+        #: Whether :meth:`set_base_xpos` was called; else an arena places the robot.
+        self.is_placed = False
         self.update_joints()
         self.update_actuators()
 
@@ -148,6 +150,7 @@ class RobotModel(MujocoXMLModel, ABC):
 
         :param pos: where the floor below the root shall be, in the world [m], shape (3,)
         """
+        self.is_placed = True
         self._root().pos = np.asarray(pos, dtype=float) - self.bottom_offset
 
     def set_base_ori(self, rpy: ArrayLike) -> None:
@@ -358,13 +361,13 @@ class RobotModel(MujocoXMLModel, ABC):
         self._attach_copy(spec, support.add_frame(), own)
         rotate_actuators(spec.actuators[present:], len(base.actuators))
 
-    def _resolve_root_orientation(self) -> None:
-        root, compiler = self._root(), self._spec.compiler
-        quaternion = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        if int(root.alt.type) != int(quaternion):
-            root.quat = self._spec.resolve_orientation(
-                degree=compiler.degree, sequence=compiler.eulerseq, orientation=root.alt)
-            root.alt.type = quaternion
+    def _resolve_root_pose(self) -> None:
+        # Placing the robot sets position and quaternion, so nothing else may turn or move it.
+        root = self._root()
+        compiled = self._own_model.body(root.name)
+        root.pos, root.quat = compiled.pos, compiled.quat
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        root.set_frame(self._spec.worldbody.add_frame())
 
 
 ROBOTS: Registry[RobotModel] = Registry('robot')

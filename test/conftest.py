@@ -1,0 +1,164 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What all tests share: MJCF files of a few lines, small robots and the Panda in an arena."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_sim.models.arenas import ARENAS
+from manip_sim.models.bases import RethinkMount
+from manip_sim.models.bases.robot_base_model import BASES
+from manip_sim.models.grippers import GripperModel, PandaGripper
+from manip_sim.models.grippers.gripper_model import GRIPPERS
+from manip_sim.models.robots import ManipulatorModel, Panda, RobotModel
+from manip_sim.models.robots.robot_model import ROBOTS
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
+
+ARM_WORLDBODY = """
+<body name="base">
+  <geom size="0.05" mass="1"/>
+  <body name="link1" pos="0 0 1">
+    <joint name="joint1" axis="0 1 0" range="-2 2" damping="0.5"/>
+    <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/>
+    <body name="right_hand" pos="0.5 0 0"/>
+  </body>
+</body>
+"""
+MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
+
+
+@pytest.fixture(autouse=True)
+def _own_registries_and_folder(monkeypatch, tmp_path):
+    """Forget the classes that a test defines, and keep MuJoCo's log out of the tree."""
+    for registry in (ARENAS, BASES, GRIPPERS, ROBOTS):
+        monkeypatch.setattr(registry, '_classes', dict(registry._classes))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def mjcf(tmp_path):
+    """Return a function that writes an MJCF file and returns its path."""
+    def write(worldbody='', sections='', angle='radian', name='model'):
+        path = Path(tmp_path, f'{name}.xml')
+        path.write_text(f'<mujoco><compiler angle="{angle}"/>'
+                        f'<worldbody>{worldbody}</worldbody>{sections}</mujoco>')
+        return path
+    return write
+
+
+@pytest.fixture
+def arm_class():
+    """Return a robot class with one arm that starts at zero; instances take a file."""
+    class Arm(ManipulatorModel):
+        arm_type = 'single'
+        default_gripper = {'right': 'PandaGripper'}
+        default_base = 'RethinkMount'
+        default_controller_config = {}
+        base_xpos_offset = {}
+
+        @property
+        def init_qpos(self):
+            return np.zeros(self.dof)
+
+    return Arm
+
+
+@pytest.fixture
+def robot_class():
+    """Return a robot class without arms; instances take a file."""
+    class Robot(RobotModel):
+        default_base = None
+        default_controller_config = {}
+        base_xpos_offset = {}
+
+        @property
+        def init_qpos(self):
+            return np.zeros(self.dof)
+
+    return Robot
+
+
+@pytest.fixture
+def one_joint_arm(arm_class, mjcf):
+    """Return a function that makes an arm with one joint and the actuators given."""
+    def make(actuators=MOTOR, worldbody=ARM_WORLDBODY, sections='', idn=0):
+        return arm_class(mjcf(worldbody, f'<actuator>{actuators}</actuator>{sections}'), idn)
+    return make
+
+
+@pytest.fixture
+def gripper_class():
+    """Return a gripper as a user of the reference writes it; instances take a file."""
+    class MyGripper(GripperModel):
+        speed = 0.1
+
+        def format_action(self, action):
+            assert len(action) == self.dof
+            self.current_action = np.clip(
+                self.current_action + self.speed * np.sign(action), -1.0, 1.0)
+            return self.current_action
+
+        @property
+        def init_qpos(self):
+            return np.array([0.01])
+
+        @property
+        def _important_geoms(self):
+            return {'left_finger': ['finger'], 'right_finger': [], 'left_fingerpad': ['finger'],
+                    'right_fingerpad': []}
+
+    return MyGripper
+
+
+@pytest.fixture
+def gripper_file(mjcf):
+    """Return the file of a gripper with one finger and no site or sensor."""
+    return mjcf("""
+        <body name="palm">
+          <geom size="0.02" mass="0.1"/>
+          <body name="slider" pos="0 0 0.05">
+            <joint name="slide" type="slide" axis="0 1 0" range="-0.02 0.03"/>
+            <geom name="finger" size="0.01" mass="0.05"/>
+          </body>
+          <body name="eef" pos="0 0 0.1"/>
+        </body>""", """
+        <actuator>
+          <position name="close" joint="slide" kp="200" kv="10" ctrlrange="-0.02 0.03"/>
+        </actuator>""", name='gripper')
+
+
+@pytest.fixture(scope='session')
+def reference():
+    """Return what the reference implementation gives for the Panda and its gripper."""
+    return json.loads((Path(__file__).parent / 'data' / 'panda_reference.json').read_text())
+
+
+@pytest.fixture
+def panda():
+    """Return a Panda on its pedestal with its gripper, named as the node names them."""
+    robot = Panda()
+    robot.add_base(RethinkMount())
+    robot.add_gripper(PandaGripper(idn='0_right'))
+    return robot
+
+
+@pytest.fixture
+def panda_sim(panda):
+    """Return a simulation of the Panda on an empty floor."""
+    return Simulation(World([panda]))
+
+
+@pytest.fixture
+def run():
+    """Return a function that advances a simulation by seconds, in periods of 10 ms."""
+    def advance(simulation, seconds, each_period=None):
+        for _ in range(round(seconds * 100)):
+            simulation.advance(5)
+            if each_period is not None:
+                each_period()
+    return advance

@@ -1,0 +1,99 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of finding robots, grippers, bases and arenas by name; parametrised over all there are."""
+
+import pytest
+
+from manip_sim.errors import UnknownNameError
+from manip_sim.models import arenas, bases, grippers, robots
+from manip_sim.models.registry import Registry
+
+CATALOGUES = {
+    'robot': (robots.robot_names, robots.create_robot, robots),
+    'gripper': (grippers.gripper_names, grippers.create_gripper, grippers),
+    'base': (bases.base_names, bases.create_base, bases)}
+ALL = [(kind, name) for kind, (names, _, _) in CATALOGUES.items() for name in names()]
+
+
+@pytest.mark.parametrize(('kind', 'name'), ALL)
+def test_every_name_creates_a_model_of_that_class(kind, name):
+    _, create, module = CATALOGUES[kind]
+    model = create(name, idn=4)
+    assert type(model) is getattr(module, name)
+    assert model.name == f'{name}4'
+    assert '4_' in model.naming_prefix
+
+
+@pytest.mark.parametrize(('kind', 'name', 'nearest'), [
+    ('robot', 'panda', "'Panda'"), ('robot', 'Ur5', "'UR5e'"),
+    ('gripper', 'PandaGriper', "'PandaGripper'"), ('base', 'RethinkMont', "'RethinkMount'")])
+def test_unknown_name_tells_the_nearest_and_all(kind, name, nearest):
+    names, create, _ = CATALOGUES[kind]
+    with pytest.raises(UnknownNameError) as error:
+        create(name)
+    message = str(error.value)
+    assert message.startswith(f"unknown {kind} '{name}': did you mean ")
+    assert nearest in message
+    assert message.endswith('available: ' + ', '.join(names()))
+    assert error.value.available == names()
+    assert isinstance(error.value, KeyError)
+    assert isinstance(error.value, ValueError)
+
+
+def test_name_far_from_all_gives_no_hint():
+    with pytest.raises(UnknownNameError, match=r"^unknown robot 'xyzzy': available: "):
+        robots.create_robot('xyzzy')
+
+
+def test_abstract_classes_and_variants_are_not_offered():
+    assert {'ManipulatorModel', 'RobotModel'}.isdisjoint(robots.robot_names())
+    assert {'GripperModel', 'PandaGripperBase'}.isdisjoint(grippers.gripper_names())
+    assert {'MountModel', 'MobileBaseModel', 'RobotBaseModel'}.isdisjoint(bases.base_names())
+
+
+@pytest.mark.parametrize('module', [robots, grippers, bases])
+def test_missing_attribute_of_a_catalogue_is_an_attribute_error(module):
+    with pytest.raises(AttributeError, match=rf"^module '{module.__name__}' has no attribute "
+                                             r"'Nothing'$"):
+        module.Nothing  # noqa: B018
+
+
+def test_class_that_a_user_defines_can_be_created_by_name(robot_class):
+    class MyRobot(robot_class):
+        def __init__(self, idn=0):
+            self.idn = idn
+
+    assert 'MyRobot' in robots.robot_names()
+    assert robots.create_robot('MyRobot', idn=2).idn == 2
+
+
+def test_later_class_of_a_name_replaces_the_earlier_one():
+    registry = Registry('thing')
+    first, second = type('Thing', (), {}), type('Thing', (), {})
+    registry.register(first)
+    registry.register(second)
+    assert registry.names() == ['Thing']
+    assert registry.get('Thing') is second
+
+
+def test_empty_registry_says_so():
+    with pytest.raises(UnknownNameError, match=r"^unknown thing 'a': available: none$"):
+        Registry('thing').get('a')
+
+
+@pytest.mark.parametrize('name', arenas.arena_names())
+def test_every_arena_is_created_by_its_name(name):
+    arena = arenas.create_arena(name)
+    assert arena.arena_name == name
+    assert arena.compile().ngeom > 0
+
+
+def test_unknown_arena_tells_the_nearest():
+    with pytest.raises(UnknownNameError, match=r"^unknown arena 'tabel': did you mean 'table'\? "
+                                               r'available: .*empty, .*table'):
+        arenas.create_arena('tabel')
+
+
+def test_parameters_of_an_arena_are_passed_on():
+    assert arenas.create_arena('table', table_length_m=1.1).table_length_m == 1.1

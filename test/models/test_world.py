@@ -1,0 +1,164 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of arenas and of robots placed in them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.errors import ModelError
+from manip_sim.models.arenas import EmptyArena, TableArena
+from manip_sim.models.bases import RethinkMount
+from manip_sim.models.grippers import PandaGripper
+from manip_sim.models.robots import Panda
+from manip_sim.models.world import World
+
+
+def height_above_floor(model, geom_name):
+    """Return the lowest and the highest corner of a box geom whose body is not turned [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    middle, half = data.geom(geom_name).xpos[2], model.geom(geom_name).size[2]
+    return middle - half, middle + half
+
+
+@pytest.mark.parametrize(('arena', 'place'), [
+    (EmptyArena(), (-0.6, 0.0, 0.912)),
+    (TableArena(), (-0.56, 0.0, 0.912)),
+    (TableArena(table_length_m=1.0), (-0.66, 0.0, 0.912))])
+def test_robot_is_placed_by_the_arena(panda, arena, place):
+    np.testing.assert_allclose(World([panda], arena).compile().body('robot0_base').pos, place)
+
+
+def test_robot_without_an_entry_for_the_arena_stands_at_the_origin(one_joint_arm):
+    robot = one_joint_arm()
+    np.testing.assert_array_equal(World([robot]).compile().body('robot0_base').pos, [0, 0, 0])
+
+
+@pytest.mark.parametrize(('length', 'height'), [(0.8, 0.8), (1.2, 0.5)])
+def test_table_has_the_size_asked_for(length, height):
+    model = TableArena(table_length_m=length, table_height_m=height).compile()
+    assert 2.0 * model.geom('table_collision').size[0] == pytest.approx(length)
+    assert height_above_floor(model, 'table_collision')[1] == pytest.approx(height)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    leg = model.geom('table_leg1_visual')
+    assert data.geom('table_leg1_visual').xpos[2] - leg.size[1] == pytest.approx(0.0, abs=1e-9)
+    assert abs(leg.pos[0]) + leg.size[0] < length / 2.0
+
+
+@pytest.mark.parametrize(('length', 'height'), [(0.0, 0.8), (0.8, 0.05), (-1.0, 0.8),
+                                                (float('nan'), 0.8)])
+def test_table_without_a_size_is_refused(length, height):
+    with pytest.raises(ModelError, match=r'^a table needs a length above 0 and a height above '
+                                         rf'0\.05 m, got {length:g} m and {height:g} m$'):
+        TableArena(table_length_m=length, table_height_m=height)
+
+
+def test_cube_lies_free_on_the_table():
+    model = TableArena(table_height_m=0.6, cube=True).compile()
+    assert height_above_floor(model, 'cube') == pytest.approx((0.6, 0.65))
+    assert model.body('cube').mass[0] == pytest.approx(0.1)
+    assert int(model.joint('cube_joint').type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)
+    with pytest.raises(KeyError):
+        TableArena().compile().body('cube')
+
+
+def test_two_robots_of_different_idn_share_a_world(panda):
+    other = Panda(idn=1)
+    other.add_base(RethinkMount(idn=1))
+    other.add_gripper(PandaGripper(idn='1_right'))
+    world = World([panda, other])
+    model = world.compile()
+    assert model.nq == 18
+    assert set(world.init_qpos()) == {model.joint(i).name for i in range(18)}
+
+
+def test_a_robot_that_was_placed_stays_there_and_another_goes_with_the_arena(panda):
+    other = Panda(idn=1)
+    other.add_base(RethinkMount(idn=1))
+    other.set_base_xpos((-0.6, 1.0, 0.0))
+    for arena, x in ((EmptyArena(), -0.6), (TableArena(), -0.56)):
+        model = World([panda, other], arena).compile()
+        np.testing.assert_allclose(model.body('robot0_base').pos, [x, 0.0, 0.912])
+        np.testing.assert_allclose(model.body('robot1_base').pos, [-0.6, 1.0, 0.912])
+
+
+def test_two_robots_of_one_idn_are_refused(panda):
+    with pytest.raises(ModelError, match=r'^robots in one world need different idn, got robot0_, '
+                                         r'robot0_$'):
+        World([panda, Panda()])
+
+
+def test_two_grippers_of_one_idn_in_a_world_are_refused(panda):
+    other = Panda(idn=1)
+    other.add_gripper(PandaGripper(idn='0_right'))
+    with pytest.raises(ModelError, match=r"^a part with the prefix 'gripper0_right_' is there "
+                                         r'already: give PandaGripper0_right another idn$'):
+        World([panda, other]).compile()
+
+
+def test_gravity_is_compensated_in_every_moving_body_of_robot_and_gripper(panda):
+    model = World([panda], TableArena(cube=True)).compile()
+    for body in range(1, model.nbody):
+        name = model.body(body).name
+        assert model.body_gravcomp[body] == float(name not in ('table', 'cube')), name
+    scalar = model.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)
+    np.testing.assert_array_equal(model.jnt_actgravcomp, scalar)
+
+
+def test_gravity_compensation_can_be_left_out(panda):
+    assert not World([panda], gravity_compensation=False).compile().body_gravcomp.any()
+
+
+@pytest.mark.parametrize('arm_at_rest_q', [0.0, 1.0])
+def test_gravity_compensation_carries_all_of_a_robot_on_a_mobile_base(one_joint_arm, mobile_base,
+                                                                      arm_at_rest_q):
+    robot = one_joint_arm()
+    robot.add_base(mobile_base)
+    model = World([robot]).compile()
+    data = mujoco.MjData(model)
+    data.joint('robot0_joint1').qpos[0] = arm_at_rest_q
+    mujoco.mj_forward(model, data)
+    lift = model.joint('mobilebase0_joint_torso_height').dofadr[0]
+    above_lift_kg = 1.0 + 1.0 + 1.0  # The support, the robot's root and its link.
+    assert data.qfrc_gravcomp[lift] == pytest.approx(above_lift_kg * 9.81)
+    np.testing.assert_allclose(data.qfrc_gravcomp, data.qfrc_bias, atol=1e-9)
+
+
+def test_physics_is_set_for_grasping(panda):
+    option = World([panda], timestep_s=0.001).compile().opt
+    assert option.timestep == 0.001
+    assert int(option.integrator) == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    assert int(option.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC)
+
+
+def test_world_in_xml_is_the_same_model(panda):
+    world = World([panda], TableArena(cube=True))
+    from_xml, ours = mujoco.MjModel.from_xml_string(world.to_xml()), world.compile()
+    assert from_xml.names.split(b'\0', 1)[1] == ours.names.split(b'\0', 1)[1]
+    # MuJoCo writes six digits.
+    for field in ('body_mass', 'body_pos', 'body_gravcomp', 'jnt_range', 'actuator_biasprm'):
+        np.testing.assert_allclose(getattr(from_xml, field), getattr(ours, field), rtol=1e-5,
+                                   atol=1e-9)
+
+
+def test_start_that_does_not_fit_the_joints_is_refused(one_joint_arm, arm_class):
+    arm_class.init_qpos = np.zeros(3)
+    with pytest.raises(ModelError, match=r'^init_qpos of Arm0 must have 1 values, one for each '
+                                         r'joint, got shape \(3,\)$'):
+        World([one_joint_arm()]).init_qpos()
+
+
+def test_start_of_a_gripper_without_one_is_left_out(one_joint_arm, gripper_class, gripper_file):
+    gripper_class.init_qpos = None
+    robot = one_joint_arm()
+    robot.add_gripper(gripper_class(gripper_file))
+    assert World([robot]).init_qpos() == {'robot0_joint1': 0.0}
+
+
+def test_names_of_an_arena_have_no_prefix():
+    arena = TableArena()
+    assert arena.naming_prefix == ''
+    assert 'table' in arena.bodies
