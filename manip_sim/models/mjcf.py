@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.typing import FloatArray
 
 _MIN_MASS_KG = 1e-6
@@ -42,9 +43,9 @@ class MujocoXMLModel:
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         self.file = Path(fname)
         self.idn = idn
-        self._spec = _load(self.file)
+        self._spec = load_spec(self.file)
         self._prepare_spec(self._spec)
-        _name_unnamed_elements(self._spec)
+        name_unnamed_elements(self._spec)
         self._record()
 
     def _prepare_spec(self, spec: Any) -> None:
@@ -280,56 +281,3 @@ class MujocoXMLModel:
         compile_spec(spec, self.name)
         xml: str = spec.to_xml()
         return xml
-
-
-def compile_spec(spec: Any, name: str) -> Any:
-    """
-    Compile a spec.
-
-    :param name: what it is, for the message
-    :returns: a new ``mujoco.MjModel``
-    :raises ModelError: with what MuJoCo says
-    """
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
-
-
-def _load(file: Path) -> Any:
-    if not file.is_file():
-        raise ModelError(f'no such MJCF file: {file}')
-    try:
-        return mujoco.MjSpec.from_file(str(file))
-    except ValueError as error:
-        raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
-
-
-def _one_line(error: Exception) -> str:
-    return ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
-
-
-def _name_unnamed_elements(spec: Any) -> None:
-    for kind, elements in (
-            ('body', spec.bodies), ('joint', spec.joints), ('site', spec.sites),
-            ('camera', spec.cameras), ('actuator', spec.actuators), ('sensor', spec.sensors)):
-        _name_unnamed(elements, lambda element, kind=kind: f'{kind}{{}}')  # type: ignore[misc]
-    _name_unnamed(spec.geoms, lambda geom: 'g{}_col' if _collides(geom) else 'g{}_vis')
-
-
-def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> None:
-    taken = {element.name for element in elements}
-    next_number: dict[str, int] = {}
-    for element in elements:
-        if element.name:
-            continue
-        form = pattern(element)
-        number = next_number.get(form, 0)
-        while form.format(number) in taken:
-            number += 1
-        element.name = form.format(number)
-        next_number[form] = number + 1
-
-
-def _collides(geom: Any) -> bool:
-    return bool(geom.contype or geom.conaffinity)

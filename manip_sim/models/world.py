@@ -13,7 +13,8 @@ import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, EmptyArena
-from manip_sim.models.mjcf import compile_spec, MujocoXMLModel
+from manip_sim.models.loading import compile_spec
+from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 
 #: Friction cones and their stiffness: what lets a grasp hold without creeping

@@ -11,11 +11,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.errors import CommandError, describe_choices, UnknownNameError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.simulation.commands import Command, Goal
-from manip_sim.simulation.drives import Drive, GripperDrive, SubsystemDrive
+from manip_sim.simulation.drives import (
+    Drive, GripperDrive, split_joint_command, SubsystemDrive)
 from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.state import State
 from manip_sim.simulation.wrench import EndEffectorReader
@@ -143,37 +144,7 @@ class Simulation:
             each name, or empty; so are ``velocity`` and ``effort``
         :raises CommandError: if a joint is not there, or the numbers do not fit
         """
-        part_of = {joint: drive.part.name for drive in self.drives.values()
-                   for joint in drive.part.driven_joints if joint is not None}
-        if not names:
-            raise CommandError('joint_command: no joint is named')
-        for name in names:
-            if name not in part_of:
-                raise CommandError(f"no joint '{name}' can be commanded: "
-                                   f'{describe_choices(name, part_of)}')
-        fields = {'position': position, 'velocity': velocity, 'effort': effort}
-        for field, values in fields.items():
-            if np.size(values) not in (0, len(names)):
-                raise CommandError(f'joint_command: {field} must have {len(names)} numbers or '
-                                   f'none, got {np.size(values)}')
-        wanted: dict[str, list[int]] = {}
-        for index, name in enumerate(names):
-            wanted.setdefault(part_of[name], []).append(index)
-        modes = {self.drives[part].mode for part in wanted}
-        for field, values in fields.items():
-            if np.size(values) and field not in modes:
-                raise CommandError(f'joint_command: no part of it is in {field} mode, leave the '
-                                   f'field {field} empty')
-        return [self._goal(part, names, indices, fields) for part, indices in wanted.items()]
-
-    def _goal(self, part: str, names: list[str], indices: list[int], fields: dict[str, Any]
-              ) -> Goal:
-        drive = self.drives[part]
-        own: dict[str, Any] = {
-            field: (np.asarray(values, dtype=float)[indices]
-                    if field == drive.mode and np.size(values) else [])
-            for field, values in fields.items()}
-        return drive.joint_command([names[i] for i in indices], **own)
+        return split_joint_command(self.drives, names, position, velocity, effort)
 
     def apply(self, command: Command) -> None:
         """Let a validated command take effect with the next control period."""

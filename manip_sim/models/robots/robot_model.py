@@ -19,7 +19,7 @@ from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
-from manip_sim.models.robots.subsystems import classify, driven_joint, SUBSYSTEMS
+from manip_sim.models.robots.subsystems import classify, driven_joint, SUBSYSTEMS, Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.typing import FloatArray
 
@@ -29,7 +29,7 @@ Position = tuple[float, float, float]
 Placement = Union[Position, Callable[[float], Position]]
 
 
-class RobotModel(MujocoXMLModel, ABC):
+class RobotModel(Subsystems, MujocoXMLModel, ABC):
     """
     A robot without hands, and the base it stands on. Prefix ``robot{idn}_``.
 
@@ -198,14 +198,14 @@ class RobotModel(MujocoXMLModel, ABC):
 
     def update_joints(self) -> None:
         """Sort all joints into subsystems again; done by every ``add_*`` too."""
-        self._joints_of: dict[str, list[str]] = {part: [] for part in SUBSYSTEMS}
+        self._joints_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for raw in part._joints:
                 self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
 
     def update_actuators(self) -> None:
         """Sort all actuators into subsystems again; done by every ``add_*`` too."""
-        self._actuators_of: dict[str, list[str]] = {part: [] for part in SUBSYSTEMS}
+        self._actuators_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for index, raw in enumerate(part._actuators):
                 driven = driven_joint(part._own_model, index)
@@ -219,77 +219,6 @@ class RobotModel(MujocoXMLModel, ABC):
         if part is self and raw in self._subsystem_of_joint:
             return self._subsystem_of_joint[raw]
         return classify(raw)
-
-    @property
-    def arm_joints(self) -> list[str]:
-        """Joints of the arms, the right one first."""
-        return list(self._joints_of['arm'])
-
-    @property
-    def base_joints(self) -> list[str]:
-        """Joints that move the whole robot."""
-        return list(self._joints_of['base'])
-
-    @property
-    def torso_joints(self) -> list[str]:
-        """Joints of the torso."""
-        return list(self._joints_of['torso'])
-
-    @property
-    def head_joints(self) -> list[str]:
-        """Joints of the head."""
-        return list(self._joints_of['head'])
-
-    @property
-    def legs_joints(self) -> list[str]:
-        """Joints of the legs."""
-        return list(self._joints_of['legs'])
-
-    @property
-    def arm_actuators(self) -> list[str]:
-        """Actuators of the arms, the right one first."""
-        return list(self._actuators_of['arm'])
-
-    @property
-    def base_actuators(self) -> list[str]:
-        """Actuators that move the whole robot."""
-        return list(self._actuators_of['base'])
-
-    @property
-    def torso_actuators(self) -> list[str]:
-        """Actuators of the torso."""
-        return list(self._actuators_of['torso'])
-
-    @property
-    def head_actuators(self) -> list[str]:
-        """Actuators of the head."""
-        return list(self._actuators_of['head'])
-
-    @property
-    def legs_actuators(self) -> list[str]:
-        """Actuators of the legs."""
-        return list(self._actuators_of['legs'])
-
-    def joints_of(self, subsystem: str) -> list[str]:
-        """
-        Return the joints of a subsystem.
-
-        :raises UnknownNameError: if there is no such subsystem
-        """
-        return list(self._lookup(self._joints_of, subsystem))
-
-    def actuators_of(self, subsystem: str) -> list[str]:
-        """
-        Return the actuators of a subsystem.
-
-        :raises UnknownNameError: if there is no such subsystem
-        """
-        return list(self._lookup(self._actuators_of, subsystem))
-
-    def _lookup(self, table: dict[str, list[str]], subsystem: str) -> list[str]:
-        if subsystem not in table:
-            raise UnknownNameError('subsystem', subsystem, SUBSYSTEMS)
-        return table[subsystem]
 
     def format_action(self, subsystem: str, action: ArrayLike,
                       ctrlrange: ArrayLike | None = None) -> FloatArray:

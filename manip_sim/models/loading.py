@@ -1,0 +1,74 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read, complete and compile specs, with errors that say which file and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from manip_sim.errors import ModelError
+
+
+def compile_spec(spec: Any, name: str) -> Any:
+    """
+    Compile a spec.
+
+    :param name: what it is, for the message
+    :returns: a new ``mujoco.MjModel``
+    :raises ModelError: with what MuJoCo says
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
+
+
+def load_spec(file: Path) -> Any:
+    """
+    Read a spec from an MJCF file.
+
+    :returns: a new ``mujoco.MjSpec``
+    :raises ModelError: if the file is missing or is not MJCF
+    """
+    if not file.is_file():
+        raise ModelError(f'no such MJCF file: {file}')
+    try:
+        return mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
+
+
+def _one_line(error: Exception) -> str:
+    return ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
+
+
+def name_unnamed_elements(spec: Any) -> None:
+    """Give a name to each element of a spec that has none, by kind and number."""
+    for kind, elements in (
+            ('body', spec.bodies), ('joint', spec.joints), ('site', spec.sites),
+            ('camera', spec.cameras), ('actuator', spec.actuators), ('sensor', spec.sensors)):
+        _name_unnamed(elements, lambda element, kind=kind: f'{kind}{{}}')  # type: ignore[misc]
+    _name_unnamed(spec.geoms, lambda geom: 'g{}_col' if _collides(geom) else 'g{}_vis')
+
+
+def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> None:
+    taken = {element.name for element in elements}
+    next_number: dict[str, int] = {}
+    for element in elements:
+        if element.name:
+            continue
+        form = pattern(element)
+        number = next_number.get(form, 0)
+        while form.format(number) in taken:
+            number += 1
+        element.name = form.format(number)
+        next_number[form] = number + 1
+
+
+def _collides(geom: Any) -> bool:
+    return bool(geom.contype or geom.conaffinity)
