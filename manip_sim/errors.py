@@ -29,6 +29,10 @@ class ParameterError(ManipSimError, ValueError):
     """A parameter of the node has an unknown name or a value that cannot be used."""
 
 
+class SimulationEnded(ManipSimError):
+    """The simulation is not running any more."""
+
+
 class UnknownNameError(ModelError, KeyError):
     """
     A name is not among those available.

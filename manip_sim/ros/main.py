@@ -63,10 +63,11 @@ def _serve(asked_to_end: threading.Event) -> int:
                 return _fail('the executor ended unexpectedly')
         return 0
     finally:
-        node.stop()
+        # Callbacks that wait for the simulation are answered before it ends.
         executor.shutdown()
         if spinner.is_alive():
             spinner.join()
+        node.stop()
         node.destroy_node()
 
 

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 import threading
 import time
 from typing import TypeVar
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.simulation import Simulation, State
 from manip_sim.simulation.commands import Command
 from manip_sim.simulation.pacing import Pacer
@@ -81,7 +81,13 @@ class Runner:
             self._wake.notify()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
-        for _, future in self._calls:
+        self._cancel_calls()
+
+    def _cancel_calls(self) -> None:
+        with self._wake:
+            self._stopping = True
+            calls, self._calls = self._calls, []
+        for _, future in calls:
             future.cancel()
 
     @property
@@ -117,14 +123,18 @@ class Runner:
 
         :returns: what the function returns
         :raises Exception: what the function raises
+        :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
         future: Future[T] = Future()
         with self._wake:
             if self._stopping:
-                raise RuntimeError('the simulation has ended')
+                raise SimulationEnded('the simulation has ended')
             self._calls.append((function, future))  # type: ignore[arg-type]
             self._wake.notify()
-        return future.result()
+        try:
+            return future.result()
+        except CancelledError as error:
+            raise SimulationEnded('the simulation has ended') from error
 
     def pause(self, paused: bool) -> None:
         """Stop or go on; time that passed meanwhile is not made up for."""
@@ -191,6 +201,7 @@ class Runner:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
             self.error = error
+            self._cancel_calls()
 
     def _wait(self) -> bool:
         """Wait until there is something to do; tell whether a control period is due."""

@@ -36,22 +36,22 @@ class SimulationServices:
             node.create_service(Trigger, name, self._trigger(function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        already = self._runner.paused == request.data
-        self._runner.pause(request.data)
-        response.success = True
-        response.message = ('already ' if already else '') + (
-            'paused' if request.data else 'running')
-        return response
+        already = 'already ' if self._runner.paused == request.data else ''
+        return _answer(response, lambda: self._runner.pause(request.data),
+                       already + ('paused' if request.data else 'running'))
 
     def _tare(self) -> None:
         self._runner.call(self._simulation.tare_wrench)
 
     def _trigger(self, function: Callable[[], None], done: str) -> Callable[[Any, Any], Any]:
-        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            try:
-                function()
-                response.success, response.message = True, done
-            except ManipSimError as error:
-                response.success, response.message = False, str(error)
-            return response
-        return answer
+        return lambda _, response: _answer(response, function, done)
+
+
+def _answer(response: Any, function: Callable[[], None], done: str) -> Any:
+    """Call a function and tell in the response whether it worked, or why not."""
+    try:
+        function()
+        response.success, response.message = True, done
+    except ManipSimError as error:
+        response.success, response.message = False, str(error)
+    return response

@@ -71,6 +71,8 @@ class SimNode(Node):
         publish_mjcf(self, world.to_xml())
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._introduce(names)
+        if self.get_parameter('use_sim_time').value:
+            self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 
     def _robot(self) -> RobotModel:
         value = self._declared.value

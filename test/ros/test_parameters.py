@@ -73,3 +73,10 @@ def test_every_parameter_is_described(serve, client):
     for descriptor in response.descriptors:
         assert len(descriptor.description) > 10, descriptor.name
         assert descriptor.read_only == (descriptor.name not in live), descriptor.name
+
+
+def test_use_sim_time_is_answered_with_a_warning(serve, client):
+    log = client.log()
+    serve(use_sim_time=True)
+    client.spin_until(lambda: any('this node makes the time' in line for line in log))
+    client.state()

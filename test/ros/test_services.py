@@ -142,3 +142,10 @@ def test_parameters_change_while_the_node_runs(serve, client):
     assert not wrong.successful and 'effort' in wrong.reason
     fixed = set_parameter('robot', 'Panda')
     assert not fixed.successful
+
+
+def test_a_call_to_a_simulation_that_has_ended_is_refused(serve, client):
+    node = serve()
+    client.state()
+    node.stop()
+    assert trigger(client, 'reset').message == 'the simulation has ended'
