@@ -14,12 +14,12 @@ from manip_sim.typing import FloatArray
 
 def wxyz_to_xyzw(quat_wxyz: ArrayLike) -> FloatArray:
     """Reorder a quaternion from MuJoCo's order to ROS's, shape (4,), a copy."""
-    return np.roll(np.asarray(quat_wxyz, dtype=float), -1)
+    return np.asarray(quat_wxyz, dtype=float)[[1, 2, 3, 0]]
 
 
 def xyzw_to_wxyz(quat_xyzw: ArrayLike) -> FloatArray:
     """Reorder a quaternion from ROS's order to MuJoCo's, shape (4,), a copy."""
-    return np.roll(np.asarray(quat_xyzw, dtype=float), 1)
+    return np.asarray(quat_xyzw, dtype=float)[[3, 0, 1, 2]]
 
 
 def quat_wxyz_from_rpy(rpy: ArrayLike) -> FloatArray:

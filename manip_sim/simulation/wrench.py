@@ -75,9 +75,10 @@ class EndEffectorReader:
         # it in cfrc_ext: torque and force in world axes, about the tree's centre of mass.
         torque, force = data.cfrc_ext[self._bodies].sum(axis=0).reshape(2, 3)
         lever = data.subtree_com[self._root] - data.site_xpos[self._ft_frame]
+        moment = np.empty(3)
+        mujoco.mju_cross(moment, lever, force)
         world_to_site = data.site_xmat[self._ft_frame].reshape(3, 3).T
-        return np.concatenate([world_to_site @ force,
-                               world_to_site @ (torque + np.cross(lever, force))])
+        return np.concatenate([world_to_site @ force, world_to_site @ (torque + moment)])
 
 
 def _subtree(model: Any, root: int) -> list[int]:
