@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -14,7 +14,9 @@ import numpy as np
 from manip_sim.typing import FloatArray
 
 _DAMPING = 1e-3
-_ITERATIONS = 200
+_ITERATIONS = 500
+#: Larger errors [m, rad] are approached bit by bit.
+_LARGEST_ERROR = 0.1
 _TOLERANCE = 1e-5
 
 
@@ -25,14 +27,20 @@ class InverseKinematics:
     :param model: a ``mujoco.MjModel``, such as the one that the node publishes on ``~/mjcf``
     :param joints: names of the arm's joints
     :param site: name of the site that shall reach the pose
+    :param others: where other joints of the model are, by name [rad or m]
     """
 
-    def __init__(self, model: Any, joints: Sequence[str], site: str) -> None:
+    def __init__(self, model: Any, joints: Sequence[str], site: str,
+                 others: Mapping[str, float]) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
+        for name, position in others.items():
+            self._data.joint(name).qpos[0] = position
         self._qpos = np.array([model.joint(name).qposadr[0] for name in joints])
         self._dofs = np.array([model.joint(name).dofadr[0] for name in joints])
-        self._range = np.array([model.joint(name).range for name in joints])
+        self._range = np.array([
+            joint.range if joint.limited[0] else (-np.inf, np.inf)
+            for joint in map(model.joint, joints)])
         self._site = model.site(site).id
 
     def forward(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -66,6 +74,7 @@ class InverseKinematics:
                 return joints
             mujoco.mj_jacSite(self._model, self._data, jacobian[:3], jacobian[3:], self._site)
             arm = jacobian[:, self._dofs]
+            error /= max(1.0, np.abs(error).max() / _LARGEST_ERROR)
             step = arm.T @ np.linalg.solve(arm @ arm.T + _DAMPING * np.eye(6), error)
             joints = np.clip(joints + step, *self._range.T)
         raise ValueError(f'no joint positions found that bring the hand to {position} m')

@@ -32,7 +32,9 @@ _LIFT_M = 0.10
 _HOLD_S = 2.0
 _MOVE_S = 2.0
 _SETTLE_S = 0.5
-_CLOSE_S = 1.5
+_STILL_S = 0.5
+#: Fingers that move less are still [rad or m].
+_STILL = 5e-4
 _PATIENCE_S = 10.0
 
 
@@ -47,10 +49,12 @@ class CubePicker(Node):
         super().__init__('pick_cube')
         self._mjcf: str | None = None
         self._arm: JointState | None = None
+        self._all: JointState | None = None
         self._fingers: JointState | None = None
         self._wrench: WrenchStamped | None = None
         latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(String, 'manip_sim/mjcf', self._take_mjcf, latched)
+        self.create_subscription(JointState, 'joint_states', self._take_all, 1)
         self.create_subscription(JointState, 'arm/joint_states', self._take_arm, 1)
         self.create_subscription(JointState, 'right/gripper/joint_states', self._take_fingers, 1)
         self.create_subscription(WrenchStamped, 'right/wrench', self._take_wrench, 1)
@@ -59,6 +63,9 @@ class CubePicker(Node):
 
     def _take_mjcf(self, message: String) -> None:
         self._mjcf = message.data
+
+    def _take_all(self, message: JointState) -> None:
+        self._all = message
 
     def _take_arm(self, message: JointState) -> None:
         self._arm = message
@@ -85,11 +92,16 @@ class CubePicker(Node):
         cube = model.body('cube').pos
         site = next(name for name in map(lambda i: model.site(i).name, range(model.nsite))
                     if name.endswith('_grip_site'))
-        kinematics = InverseKinematics(model, arm.name, site)
+        assert self._all is not None
+        kinematics = InverseKinematics(model, arm.name, site,
+                                       dict(zip(self._all.name, self._all.position)))
         start = np.array(arm.position)
         down = _pointing_down(kinematics.forward(start)[1])
-        above = kinematics.solve(start, cube + [0.0, 0.0, _LIFT_M], down)
-        at_cube = kinematics.solve(above, cube, down)
+        try:
+            above = kinematics.solve(start, cube + [0.0, 0.0, _LIFT_M], down)
+            at_cube = kinematics.solve(above, cube, down)
+        except ValueError as error:
+            raise PickFailed(str(error)) from error
 
         self._say('opening the gripper and moving over the cube')
         self._gripper.publish(Float64MultiArray(data=[-1.0]))
@@ -100,14 +112,15 @@ class CubePicker(Node):
         self._move(above, at_cube)
         self._say('closing the gripper')
         self._gripper.publish(Float64MultiArray(data=[1.0]))
-        self._wait(_CLOSE_S)
+        self._wait_for_fingers()
         self._say(f'lifting by {_LIFT_M:.2f} m')
         self._move(at_cube, above)
         self._wait(_SETTLE_S)
         self._report(empty, self._average_force(_HOLD_S), model)
 
     def _connect(self) -> tuple[JointState, str]:
-        self._wait_until(lambda: None not in (self._mjcf, self._arm, self._fingers, self._wrench),
+        self._wait_until(lambda: None not in (self._mjcf, self._all, self._arm, self._fingers,
+                                               self._wrench),
                          "no node answers: start one with 'sim_node --ros-args -p arena:=table'")
         self._wait_until(lambda: min(self._joint_command.get_subscription_count(),
                                      self._gripper.get_subscription_count()) > 0,
@@ -120,7 +133,7 @@ class CubePicker(Node):
         added = loaded - empty
         x, y, z = added
         self._say(f'held for {_HOLD_S:g} s; fingers at '
-                  + ', '.join(f'{1e3 * p:.1f} mm' for p in self._fingers.position))
+                  + ', '.join(f'{p:.4f}' for p in self._fingers.position))
         self._say(f'right/wrench changed by ({x:.3f}, {y:.3f}, {z:.3f}) N in '
                   f'{self._wrench.header.frame_id}: {np.linalg.norm(added):.3f} N, a mass of '
                   f'{np.linalg.norm(added) / GRAVITY:.4f} kg')
@@ -157,6 +170,16 @@ class CubePicker(Node):
         end = self._now_s() + duration_s
         while self._now_s() < end:
             self._next_state()
+
+    def _wait_for_fingers(self) -> None:
+        """Wait until the fingers have not moved for a while."""
+        last, since = np.zeros(0), self._now_s()
+        while self._now_s() < since + _STILL_S:
+            self._next_state()
+            assert self._fingers is not None
+            here = np.array(self._fingers.position)
+            if last.shape != here.shape or np.abs(here - last).max() > _STILL:
+                last, since = here, self._now_s()
 
     def _now_s(self) -> float:
         assert self._arm is not None

@@ -7,7 +7,14 @@ import re
 
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
+import pytest
 from sensor_msgs.msg import JointState
+
+from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
+
+ROBOTS = [create_robot(name) for name in robot_names()]
+SINGLE_ARMS = [type(robot).__name__ for robot in ROBOTS
+               if isinstance(robot, ManipulatorModel) and robot.arm_type == 'single']
 
 
 def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process, client):
@@ -26,6 +33,15 @@ def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process,
     assert abs(fingers[-1].position[0] - 0.0255) < 1e-3
     added = float(re.search(r'frame: ([\d.]+) N', output).group(1))
     assert abs(added - 0.981) < 0.05 * 0.981
+
+
+@pytest.mark.parametrize('name', [name for name in SINGLE_ARMS if name != 'Panda'])
+def test_every_other_single_arm_picks_it_up_too(name, sim_process, process, client):
+    sim_process(f'robot:={name}', 'arena:=table', 'real_time_factor:=4.0')
+    client.state()
+    controller = process(module='manip_sim.examples.pick_cube')
+    output, errors = controller.communicate(timeout=60.0)
+    assert controller.returncode == 0, output + errors
 
 
 def test_without_a_node_the_example_says_how_to_start_one(process):
