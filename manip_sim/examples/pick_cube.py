@@ -119,8 +119,8 @@ class CubePicker(Node):
         self._report(empty, self._average_force(_HOLD_S), model)
 
     def _connect(self) -> tuple[JointState, str]:
-        self._wait_until(lambda: None not in (self._mjcf, self._all, self._arm, self._fingers,
-                                               self._wrench),
+        self._wait_until(lambda: None not in (self._mjcf, self._all, self._arm,
+                                              self._fingers, self._wrench),
                          "no node answers: start one with 'sim_node --ros-args -p arena:=table'")
         self._wait_until(lambda: min(self._joint_command.get_subscription_count(),
                                      self._gripper.get_subscription_count()) > 0,

@@ -5,50 +5,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from manip_sim.models.robots.manipulator_model import ManipulatorModel
-from manip_sim.models.robots.robot_model import Placement
-from manip_sim.resources import asset_path
-from manip_sim.typing import FloatArray
+from manip_sim.models.robots.pedestal_arm import PedestalArm
 
 
-class Jaco(ManipulatorModel):
+class Jaco(PedestalArm):
     """Seven-joint arm of carbon fibre with a spherical wrist."""
 
-    _horizontal_radius = 0.5
-    _top_offset = (0.0, 0.0, 1.0)
-
-    def __init__(self, idn: int | str = 0) -> None:
-        super().__init__(asset_path('robots', 'jaco'), idn=idn)
-
-    @property
-    def arm_type(self) -> str:
-        """One arm."""
-        return 'single'
-
-    @property
-    def default_base(self) -> str:
-        """Stands on the Rethink pedestal."""
-        return 'RethinkMount'
-
-    @property
-    def default_gripper(self) -> dict[str, str]:
-        """Holds the hand with three fingers."""
-        return {'right': 'JacoThreeFingerGripper'}
-
-    @property
-    def default_controller_config(self) -> dict[str, str]:
-        """Names of the reference's controller settings, by arm."""
-        return {'right': 'default_jaco'}
-
-    @property
-    def init_qpos(self) -> FloatArray:
-        """Elbow up, hand pointing down [rad], shape (7,)."""
-        return np.array([3.192, 3.68, 0.0, 1.17, 0.05, 3.76, 3.142])
-
-    @property
-    def base_xpos_offset(self) -> dict[str, Placement]:
-        """Where to place the robot by arena [m]."""
-        return {'bins': (-0.5, -0.1, 0.0), 'empty': (-0.6, 0.0, 0.0),
-                'table': lambda table_length: (-0.16 - table_length / 2.0, 0.0, 0.0)}
+    _asset = 'jaco'
+    _gripper = 'JacoThreeFingerGripper'
+    _controller_config = 'default_jaco'
+    _init_qpos = (3.192, 3.68, 0.0, 1.17, 0.05, 3.76, 3.142)

@@ -15,16 +15,14 @@ from manip_sim.typing import FloatArray
 class PandaOmron(Panda):
     """The Panda, by default on the Omron base."""
 
+    #: Upper arm upright, hand pointing down [rad].
+    _init_qpos = (0.0, np.pi / 16.0 - 0.2, 0.0, -np.pi / 2.0 - np.pi / 3.0, 0.0, np.pi - 0.4,
+                  np.pi / 4.0)
+
     @property
     def default_base(self) -> str:
         """Stands on the Omron base."""
         return 'OmronMobileBase'
-
-    @property
-    def init_qpos(self) -> FloatArray:
-        """Upper arm upright, hand pointing down [rad], shape (7,)."""
-        return np.array([0.0, np.pi / 16.0 - 0.2, 0.0, -np.pi / 2.0 - np.pi / 3.0, 0.0,
-                         np.pi - 0.4, np.pi / 4.0])
 
     @property
     def init_torso_qpos(self) -> FloatArray:

@@ -44,9 +44,10 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
     _foot_offset: tuple[float, float, float] | None = None
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
+    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        ROBOTS.register(cls)
+        if registered:
+            ROBOTS.register(cls)
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         super().__init__(fname, idn=idn)
