@@ -59,7 +59,9 @@ class Diagnostics:
         progress, last = self._runner.progress, self._last
         self._last = progress
         wall_s = progress.wall_s - last.wall_s
-        factor = (progress.time_ns - last.time_ns) * 1e-9 / wall_s if wall_s > 0.0 else 0.0
+        # A reset may have let simulation time begin again.
+        simulated_s = max(0, progress.time_ns - last.time_ns) * 1e-9
+        factor = simulated_s / wall_s if wall_s > 0.0 else 0.0
         missed = progress.missed - last.missed
         warnings = {kind.name: int(self._simulation.data.warning[int(kind)].number)
                     for kind in _WARNINGS}

@@ -129,9 +129,9 @@ def robot_parameters(prefix: str, parts: Sequence[str]) -> list[ParameterSpec]:
                           f'What commands of the {part} mean; a change holds it where it is.',
                           live=True, choices=MODES),
             ParameterSpec(f'{part}.command_timeout', 0.5 if moves else 0.0,
-                          f'Without a fresh command of the {part} for so long, position holds, '
-                          'velocity goes to zero, effort to gravity compensation alone; 0 never. '
-                          'Simulation time.', 's', live=True, minimum=0.0, maximum=3600.0)]
+                          f'Without a fresh command of the {part} for so long (simulation time), '
+                          'position holds, velocity goes to zero, effort to gravity compensation; '
+                          '0 is never.', 's', live=True, minimum=0.0, maximum=3600.0)]
     return specs
 
 

@@ -49,6 +49,8 @@ class Runner:
     :param real_time_factor: for ``realtime``
     :param lockstep_parts: the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
+    :ivar at_start: whether nothing has moved since the start or the last reset
+    :ivar error: what ended the thread, or None
     """
 
     def __init__(self, simulation: Simulation, publish: Callable[[State], None], steps: int,
@@ -67,6 +69,7 @@ class Runner:
         self._repeat_at = 0.0
         self._present_ns = simulation.time_ns
         self.progress = Progress(time.monotonic(), simulation.time_ns, 0)
+        self.at_start = True
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
 
@@ -158,14 +161,21 @@ class Runner:
             self._period()
         self.call(advance)
 
-    def reset(self) -> None:
-        """Put the simulation back to its start, drop commands that wait, publish the state."""
+    def reset(self, restart_time: bool = False) -> None:
+        """
+        Put the simulation back to its start, drop commands that wait, publish the state.
+
+        :param restart_time: let simulation time begin at zero again, and not go on
+        """
         def change() -> None:
             with self._wake:
                 self._staging.clear()
             self._simulation.reset()
             # A state of its own needs a stamp of its own.
             self._simulation.step_count += self._steps
+            if restart_time:
+                self._simulation.step_count = 0
+            self.at_start = True
             self._show()
         self.call(change)
 
@@ -227,6 +237,7 @@ class Runner:
         for command in commands:
             self._simulation.apply(command)
         self._simulation.advance(self._steps)
+        self.at_start = False
         self._show()
 
     def _show(self) -> None:

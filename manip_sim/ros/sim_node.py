@@ -24,6 +24,7 @@ from manip_sim.ros.parameters import (
 from manip_sim.ros.publishers import publish_mjcf, StatePublishers
 from manip_sim.ros.runner import Runner
 from manip_sim.ros.services import SimulationServices
+from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.drives import SubsystemDrive
 
@@ -67,6 +68,7 @@ class SimNode(Node):
             drive.command_timeout_s = value(f'{name}.command_timeout')
         self.commands = CommandSubscribers(self, self.simulation, self.runner, names)
         SimulationServices(self, self.simulation, self.runner)
+        offer_simulation_interfaces(self, self.simulation, self.runner, names)
         Diagnostics(self, self.simulation, self.runner, self.commands)
         publish_mjcf(self, world.to_xml())
         self.add_post_set_parameters_callback(self._parameters_changed)

@@ -3,6 +3,9 @@
 
 """Services that control the simulation."""
 
+import subprocess
+import sys
+
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
@@ -13,6 +16,18 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
+#: A node in a process that cannot import the package.
+WITHOUT = """
+import sys
+sys.modules['simulation_interfaces'] = None
+import rclpy
+from manip_sim.ros.sim_node import SimNode
+rclpy.init()
+node = SimNode()
+print(*(service.srv_name for service in node.services))
+node.destroy_node()
+rclpy.shutdown()
+"""
 
 
 def nanoseconds(message):
@@ -124,6 +139,14 @@ def test_tare_lets_the_external_wrench_read_zero(serve, client):
     client.spin_until(lambda: bool(wrenches) and abs(norm(wrenches[-1]) - 5.0) < 0.1)
     assert trigger(client, 'tare_wrench').success
     client.spin_until(lambda: norm(wrenches[-1]) < 0.05)
+
+
+def test_without_simulation_interfaces_only_its_services_are_missing():
+    done = subprocess.run([sys.executable, '-c', WITHOUT], capture_output=True, text=True,
+                          check=True, timeout=60.0)
+    assert '~/reset' in done.stdout
+    assert 'get_entities' not in done.stdout
+    assert 'simulation_interfaces' not in done.stdout + done.stderr
 
 
 def test_parameters_change_while_the_node_runs(serve, client):

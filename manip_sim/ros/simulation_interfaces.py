@@ -1,0 +1,293 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The services of the package ``simulation_interfaces``, where that is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Generator
+import os
+import subprocess
+from typing import Any
+
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+
+from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
+from manip_sim.ros.messages import Names, stamp_of, WORLD
+from manip_sim.ros.runner import Runner
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.entities import Entities, Pose, Twist
+
+try:
+    from simulation_interfaces.msg import (
+        Bounds, EntityCategory, Result, SimulationState, SimulatorFeatures)
+    from simulation_interfaces.srv import (
+        GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures, ResetSimulation,
+        SetEntityState, SetSimulationState, StepSimulation)
+    AVAILABLE = True
+except ModuleNotFoundError as missing:
+    if str(missing.name).split('.')[0] != 'simulation_interfaces':
+        raise
+    AVAILABLE = False
+
+#: What of ``SimulatorFeatures`` works here.
+_FEATURES = (
+    'ENTITY_CATEGORIES', 'ENTITY_STATE_GETTING', 'ENTITY_STATE_SETTING', 'SIMULATION_RESET',
+    'SIMULATION_RESET_STATE', 'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING',
+    'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE')
+_ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
+          'of a reset restarts simulation time, scope STATE lets it go on.')
+#: How long the filter of entities may take [s].
+_FILTER_S = 1.0
+
+
+class _Refusal(Exception):
+    """A request cannot be met, with the result code that says why."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class _Others:
+    """Await it to let the executor of a node do what else there is to do, and then come back."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+
+    def __await__(self) -> Generator[None, None, None]:
+        # An executor looks after what it has begun only when something wakes it.
+        executor = self._node.executor
+        if executor is not None:
+            executor.wake()
+        yield
+
+
+def offer_simulation_interfaces(node: Node, simulation: Simulation, runner: Runner,
+                                names: Names) -> None:
+    """
+    Offer the standard's services under ``~/`` if their package is installed, else do nothing.
+
+    :param node: the node
+    :param simulation: what is controlled
+    :param runner: runs it
+    :param names: public names
+    """
+    if AVAILABLE:
+        SimulationInterfaces(node, simulation, runner, names)
+
+
+class SimulationInterfaces:
+    """
+    The standard's services for simulation state, steps, reset and entities.
+
+    A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
+    simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
+
+    :param node: the node
+    :param simulation: what is controlled
+    :param runner: runs it
+    :param names: public names
+    """
+
+    def __init__(self, node: Node, simulation: Simulation, runner: Runner, names: Names) -> None:
+        self._node = node
+        self._simulation = simulation
+        self._runner = runner
+        robot = simulation.robot
+        frame = robot.base.root_body if robot.base and robot.base.joints else robot.root_body
+        self._entities = Entities(simulation.model, robot.root_body, frame)
+        self._of_public = {names.public(name): name for name in self._entities.names}
+        self._stopped = False
+        node.create_service(GetSimulatorFeatures, '~/get_simulator_features', self._features)
+        self._offer(GetSimulationState, 'get_simulation_state', self._get_state)
+        self._offer(SetSimulationState, 'set_simulation_state', self._set_state)
+        self._offer(StepSimulation, 'step_simulation', self._step)
+        self._offer(ResetSimulation, 'reset_simulation', self._reset)
+        self._offer(GetEntities, 'get_entities', self._get_entities)
+        self._offer(GetEntityState, 'get_entity_state', self._get_entity_state)
+        self._offer(SetEntityState, 'set_entity_state', self._set_entity_state)
+
+    def _offer(self, service_type: Any, name: str,
+               meet: Callable[[Any, Any], Awaitable[None]]) -> None:
+        async def answer(request: Any, response: Any) -> Any:
+            response.result.result = Result.RESULT_OK
+            try:
+                await meet(request, response)
+            except _Refusal as refusal:
+                response.result = Result(result=refusal.code, error_message=str(refusal))
+            except UnknownNameError as error:
+                response.result = Result(result=Result.RESULT_NOT_FOUND, error_message=str(error))
+            except ManipSimError as error:
+                response.result = Result(result=Result.RESULT_OPERATION_FAILED,
+                                         error_message=str(error))
+            return response
+
+        # Each has a group of its own, because a request for many steps takes long.
+        self._node.create_service(service_type, f'~/{name}', answer,
+                                  callback_group=MutuallyExclusiveCallbackGroup())
+
+    def _features(self, _: Any, response: Any) -> Any:
+        response.features.features = [getattr(SimulatorFeatures, name) for name in _FEATURES]
+        response.features.custom_info = _ABOUT
+        return response
+
+    # ------------------------------------------------------------------ the simulation
+
+    def _state(self) -> int:
+        if not self._runner.paused:
+            return int(SimulationState.STATE_PLAYING)
+        if self._stopped and self._runner.at_start:
+            return int(SimulationState.STATE_STOPPED)
+        return int(SimulationState.STATE_PAUSED)
+
+    async def _get_state(self, _: Any, response: Any) -> None:
+        response.state.state = self._state()
+
+    async def _set_state(self, request: Any, response: Any) -> None:
+        target = request.state.state
+        if target not in (SimulationState.STATE_STOPPED, SimulationState.STATE_PLAYING,
+                          SimulationState.STATE_PAUSED):
+            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+                           f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
+                           'PAUSED (2); SIGTERM ends the simulator')
+        if target == self._state():
+            raise _Refusal(SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
+                           'the simulation is in this state already')
+        if target == SimulationState.STATE_PLAYING and self._simulation.diverged is not None:
+            raise _Refusal(SetSimulationState.Response.STATE_TRANSITION_ERROR,
+                           f'{self._simulation.diverged}; reset it first')
+        self._runner.pause(target != SimulationState.STATE_PLAYING)
+        if target == SimulationState.STATE_STOPPED:
+            self._runner.reset(restart_time=True)
+        self._stopped = target == SimulationState.STATE_STOPPED
+
+    async def _step(self, request: Any, response: Any) -> None:
+        if request.steps == 0:
+            raise _Refusal(Result.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
+        if self._state() == SimulationState.STATE_STOPPED:
+            raise _Refusal(Result.RESULT_OPERATION_FAILED,
+                           'the simulation is stopped: pause it first')
+        for done in range(request.steps):
+            try:
+                self._runner.step()
+            except CommandError as error:
+                after = f' (after {done} of {request.steps} steps)' if done else ''
+                raise CommandError(f'{error}{after}') from error
+            await _Others(self._node)
+
+    async def _reset(self, request: Any, response: Any) -> None:
+        scope = request.scope
+        everything = scope in (ResetSimulation.Request.SCOPE_DEFAULT,
+                               ResetSimulation.Request.SCOPE_ALL)
+        known = ResetSimulation.Request.SCOPE_TIME | ResetSimulation.Request.SCOPE_STATE
+        if not everything and (scope & ~known or not scope & ResetSimulation.Request.SCOPE_STATE):
+            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+                           f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
+                           'STATE with TIME (3)')
+        self._runner.reset(
+            restart_time=everything or bool(scope & ResetSimulation.Request.SCOPE_TIME))
+
+    # ------------------------------------------------------------------ the entities
+
+    async def _get_entities(self, request: Any, response: Any) -> None:
+        filters = request.filters
+        if filters.tags.tags:
+            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
+        if filters.bounds.type != Bounds.TYPE_EMPTY:
+            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
+        wanted = {category.category for category in filters.categories}
+        response.entities = _matching(filters.filter, [
+            public for public, name in self._of_public.items()
+            if not wanted or self._category(name) in wanted])
+
+    def _category(self, name: str) -> int:
+        return int(EntityCategory.CATEGORY_OBJECT if self._entities.is_free(name)
+                   else EntityCategory.CATEGORY_ROBOT)
+
+    def _entity(self, public: str) -> str:
+        if public not in self._of_public:
+            raise UnknownNameError('entity', public, self._of_public)
+        return self._of_public[public]
+
+    async def _get_entity_state(self, request: Any, response: Any) -> None:
+        name, simulation = self._entity(request.entity), self._simulation
+        time_ns, state = self._runner.call(
+            lambda: (simulation.time_ns, self._entities.read(simulation.data, name)))
+        message = response.state
+        message.header.stamp, message.header.frame_id = stamp_of(time_ns), WORLD
+        message.pose.position = _filled(Point(), state.pose.position)
+        message.pose.orientation = _filled(Quaternion(), state.pose.quat_xyzw)
+        message.twist.linear = _filled(Vector3(), state.twist.linear)
+        message.twist.angular = _filled(Vector3(), state.twist.angular)
+        message.acceleration.linear = _filled(Vector3(), state.linear_acceleration)
+        message.acceleration.angular = _filled(Vector3(), state.angular_acceleration)
+
+    async def _set_entity_state(self, request: Any, response: Any) -> None:
+        name = self._entity(request.entity)
+        if not self._entities.is_free(name):
+            raise _Refusal(Result.RESULT_OPERATION_FAILED,
+                           f"'{request.entity}' cannot be moved, only free bodies can")
+        if request.state.header.frame_id not in ('', WORLD):
+            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+                           f"frame_id '{request.state.header.frame_id}' is not supported: leave "
+                           f"it empty or write '{WORLD}'")
+        pose, twist = _parts(request)
+
+        def place() -> None:
+            if self._simulation.diverged is not None:
+                raise _Refusal(Result.RESULT_INCORRECT_STATE,
+                               f'{self._simulation.diverged}; reset it first')
+            self._entities.place(self._simulation.data, name, pose, twist)
+        self._runner.call(place)
+
+
+def _filled(message: Any, values: Any) -> Any:
+    for field, value in zip(message.get_fields_and_field_types(), values.tolist()):
+        setattr(message, field, value)
+    return message
+
+
+def _numbers(message: Any) -> list[float]:
+    return [getattr(message, field) for field in message.get_fields_and_field_types()]
+
+
+def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
+    """Return what of a state shall be set; version 1 of the standard has no flags and sets all."""
+    state = request.state
+    set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
+    pose = twist = None
+    if not (set_pose or set_twist):
+        raise _Refusal(Result.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
+                       'are false, and an acceleration cannot be set')
+    if set_pose:
+        try:
+            pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
+        except CommandError as error:
+            raise _Refusal(SetEntityState.Response.INVALID_POSE, str(error)) from error
+    if set_twist:
+        twist = Twist.checked(_numbers(state.twist.linear), _numbers(state.twist.angular))
+    return pose, twist
+
+
+def _matching(pattern: str, names: list[str]) -> list[str]:
+    """
+    Return the names in which a POSIX Extended regular expression is found.
+
+    It is left to grep, which knows this kind of expression, and which can be ended where it takes
+    too long.
+    """
+    if not pattern:
+        return names
+    try:
+        found = subprocess.run(
+            ['grep', '-E', '-e', pattern], input='\n'.join(names), capture_output=True, text=True,
+            timeout=_FILTER_S, check=False, env={**os.environ, 'LC_ALL': 'C'})
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise _Refusal(Result.RESULT_OPERATION_FAILED, f'filter: {error}') from error
+    if found.returncode > 1:
+        raise _Refusal(Result.RESULT_OPERATION_FAILED,
+                       f"filter '{pattern}': {found.stderr.strip().removeprefix('grep: ')}")
+    return found.stdout.splitlines()

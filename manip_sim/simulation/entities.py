@@ -1,0 +1,187 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where the things of a world are and how they move; put the free ones somewhere else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
+from manip_sim.simulation.commands import finite_numbers
+from manip_sim.typing import FloatArray
+
+#: What is farther from the origin is lost [m].
+MAX_DISTANCE_M = 1e4
+#: What is faster flies through everything in a step [m/s, rad/s].
+MAX_VELOCITY = 1e3
+#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
+_NORM_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class Pose:
+    """
+    Where the frame of a body is in ``world``.
+
+    :ivar position: [m], shape (3,)
+    :ivar quat_xyzw: of unit length, shape (4,)
+    """
+
+    position: FloatArray
+    quat_xyzw: FloatArray
+
+    @classmethod
+    def checked(cls, position: ArrayLike, quat_xyzw: ArrayLike) -> Pose:
+        """
+        Return a pose of numbers that somebody else gave.
+
+        :raises CommandError: if a number is not finite, the position is too far or the quaternion
+            is not of unit length
+        """
+        place = finite_numbers(position, 3, 'position')
+        quat = finite_numbers(quat_xyzw, 4, 'orientation')
+        if np.abs(place).max() > MAX_DISTANCE_M:
+            raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
+                               f'{place.tolist()}')
+        norm = float(np.linalg.norm(quat))
+        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
+            raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
+                               f'{quat.tolist()} of length {norm:g}')
+        return cls(place, quat / norm)
+
+
+@dataclass(frozen=True)
+class Twist:
+    """
+    How the frame of a body moves, in the axes of ``world``.
+
+    :ivar linear: of the frame's origin [m/s], shape (3,)
+    :ivar angular: [rad/s], shape (3,)
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+
+    @classmethod
+    def checked(cls, linear: ArrayLike, angular: ArrayLike) -> Twist:
+        """
+        Return a twist of numbers that somebody else gave.
+
+        :raises CommandError: if a number is not finite or too great
+        """
+        speeds = {'linear velocity': finite_numbers(linear, 3, 'linear velocity'),
+                  'angular velocity': finite_numbers(angular, 3, 'angular velocity')}
+        for what, values in speeds.items():
+            if np.abs(values).max() > MAX_VELOCITY:
+                raise CommandError(f'{what} must be within {MAX_VELOCITY:g}, got '
+                                   f'{values.tolist()}')
+        return cls(*speeds.values())
+
+
+@dataclass(frozen=True)
+class EntityState:
+    """
+    A thing of the world at one instant; plain copies.
+
+    :ivar pose: of its body's frame
+    :ivar twist: of its body's frame
+    :ivar linear_acceleration: of the frame's origin, in world axes [m/s^2], shape (3,)
+    :ivar angular_acceleration: in world axes [rad/s^2], shape (3,)
+    """
+
+    pose: Pose
+    twist: Twist
+    linear_acceleration: FloatArray
+    angular_acceleration: FloatArray
+
+
+class Entities:
+    """
+    A robot, which stands for all that is mounted on it, and the free bodies of the arena.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param robot: name of the robot's root body
+    :param frame: the body that says where the robot is, such as its mobile base
+    """
+
+    def __init__(self, model: Any, robot: str, frame: str) -> None:
+        self._model = model
+        self._bodies: dict[str, int] = {robot: model.body(frame).id}
+        self._joints: dict[str, tuple[int, int]] = {}
+        for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
+            body = model.body(model.jnt_bodyid[joint])
+            if body.name and body.name != robot:
+                self._bodies[body.name] = body.id
+                self._joints[body.name] = (int(model.jnt_qposadr[joint]),
+                                           int(model.jnt_dofadr[joint]))
+
+    @property
+    def names(self) -> list[str]:
+        """All of them, the robot first."""
+        return list(self._bodies)
+
+    def is_free(self, name: str) -> bool:
+        """
+        Tell whether :meth:`place` works for it.
+
+        :raises UnknownNameError: if there is no such entity
+        """
+        self._body(name)
+        return name in self._joints
+
+    def _body(self, name: str) -> int:
+        if name not in self._bodies:
+            raise UnknownNameError('entity', name, self._bodies)
+        return self._bodies[name]
+
+    def read(self, data: Any, name: str) -> EntityState:
+        """
+        Return an entity at the instant of the last ``mj_forward``.
+
+        :param data: the ``mujoco.MjData``
+        :raises UnknownNameError: if there is no such entity
+        """
+        body, frame = self._body(name), mujoco.mjtObj.mjOBJ_XBODY
+        velocity, acceleration = np.empty(6), np.empty(6)
+        mujoco.mj_objectVelocity(self._model, data, frame, body, velocity, 0)
+        # MuJoCo does this by itself only where a sensor needs it.
+        mujoco.mj_rnePostConstraint(self._model, data)
+        mujoco.mj_objectAcceleration(self._model, data, frame, body, acceleration, 0)
+        return EntityState(
+            Pose(data.xpos[body].copy(), wxyz_to_xyzw(data.xquat[body])),
+            Twist(velocity[3:], velocity[:3]),
+            # MuJoCo lets the world fall upwards in place of gravity.
+            acceleration[3:] + self._model.opt.gravity, acceleration[:3])
+
+    def place(self, data: Any, name: str, pose: Pose | None, twist: Twist | None) -> None:
+        """
+        Put a free body somewhere else, and give it another velocity.
+
+        :param data: the ``mujoco.MjData``; all of it belongs to the new state afterwards
+        :param pose: None leaves it where it is
+        :param twist: None leaves its velocity in world axes as it is
+        :raises CommandError: if the entity is not free
+        :raises UnknownNameError: if there is no such entity
+        """
+        if not self.is_free(name):
+            raise CommandError(f"'{name}' cannot be moved, only free bodies can: "
+                               + (', '.join(self._joints) or 'there are none here'))
+        qpos, dof = self._joints[name]
+        twist = twist or self.read(data, name).twist
+        if pose is not None:
+            data.qpos[qpos:qpos + 3] = pose.position
+            data.qpos[qpos + 3:qpos + 7] = xyzw_to_wxyz(pose.quat_xyzw)
+        # A free joint's linear velocity is in world axes, its angular velocity in the body's.
+        to_body, angular = np.empty(4), np.empty(3)
+        mujoco.mju_negQuat(to_body, data.qpos[qpos + 3:qpos + 7])
+        mujoco.mju_rotVecQuat(angular, twist.angular, to_body)
+        data.qvel[dof:dof + 3] = twist.linear
+        data.qvel[dof + 3:dof + 6] = angular
+        mujoco.mj_forward(self._model, data)

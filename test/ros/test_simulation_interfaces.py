@@ -1,0 +1,390 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The services of the package simulation_interfaces, versions 1 and 2."""
+
+import math
+from pathlib import Path
+import re
+
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
+import numpy as np
+import pytest
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+pytest.importorskip('simulation_interfaces',
+                    reason='the optional package simulation_interfaces is not installed')
+
+from simulation_interfaces.msg import (  # noqa: E402
+    Bounds, EntityCategory, EntityFilters, Result, SimulationState,
+    SimulatorFeatures, TagsFilter)
+from simulation_interfaces.srv import (  # noqa: E402
+    GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures, ResetSimulation,
+    SetEntityState, SetSimulationState, StepSimulation)
+
+ARM = [f'robot0_joint{n}' for n in range(1, 8)]
+STOPPED, PLAYING, PAUSED = (
+    SimulationState.STATE_STOPPED, SimulationState.STATE_PLAYING, SimulationState.STATE_PAUSED)
+OK, UNSUPPORTED, NOT_FOUND = (
+    Result.RESULT_OK, Result.RESULT_FEATURE_UNSUPPORTED, Result.RESULT_NOT_FOUND)
+FAILED, INCORRECT_STATE = Result.RESULT_OPERATION_FAILED, Result.RESULT_INCORRECT_STATE
+INVALID_POSE = SetEntityState.Response.INVALID_POSE
+HAS_FLAGS = 'set_pose' in SetEntityState.Request.get_fields_and_field_types()
+NAN = math.nan
+
+
+def get_state(client):
+    response = client.call(GetSimulationState, 'manip_sim/get_simulation_state')
+    assert response.result.result == OK
+    return response.state.state
+
+
+def set_state(client, state):
+    request = SetSimulationState.Request(state=SimulationState(state=state))
+    return client.call(SetSimulationState, 'manip_sim/set_simulation_state', request).result
+
+
+def step(client, steps):
+    request = StepSimulation.Request(steps=steps)
+    return client.call(StepSimulation, 'manip_sim/step_simulation', request).result
+
+
+def reset(client, scope):
+    request = ResetSimulation.Request(scope=scope)
+    return client.call(ResetSimulation, 'manip_sim/reset_simulation', request).result
+
+
+def entities(client, **filters):
+    request = GetEntities.Request(filters=EntityFilters(**filters))
+    return client.call(GetEntities, 'manip_sim/get_entities', request)
+
+
+def entity_state(client, name):
+    request = GetEntityState.Request(entity=name)
+    return client.call(GetEntityState, 'manip_sim/get_entity_state', request)
+
+
+def place(client, name='cube', frame='', position=(0.0, 0.0, 1.5),
+          orientation=(0.0, 0.0, 0.0, 1.0), linear=(0.0, 0.0, 0.0), angular=(0.0, 0.0, 0.0),
+          **flags):
+    request = SetEntityState.Request(entity=name)
+    request.state.header.frame_id = frame
+    request.state.pose = Pose(position=filled(Point, position),
+                              orientation=filled(Quaternion, orientation))
+    request.state.twist = Twist(linear=filled(Vector3, linear), angular=filled(Vector3, angular))
+    if HAS_FLAGS:
+        request.set_pose, request.set_twist = True, True
+    for flag, value in flags.items():
+        setattr(request, flag, value)
+    return client.call(SetEntityState, 'manip_sim/set_entity_state', request).result
+
+
+def filled(message_type, values):
+    return message_type(**dict(zip('xyzw', values)))
+
+
+def numbers(message):
+    return [getattr(message, field) for field in message.get_fields_and_field_types()]
+
+
+def nanoseconds(stamp):
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def test_the_features_are_those_that_work(serve, client):
+    serve(start_paused=True)
+    features = client.call(
+        GetSimulatorFeatures, 'manip_sim/get_simulator_features').features
+    assert set(features.features) == {
+        SimulatorFeatures.ENTITY_CATEGORIES, SimulatorFeatures.ENTITY_STATE_GETTING,
+        SimulatorFeatures.ENTITY_STATE_SETTING, SimulatorFeatures.SIMULATION_RESET,
+        SimulatorFeatures.SIMULATION_RESET_STATE, SimulatorFeatures.SIMULATION_STATE_GETTING,
+        SimulatorFeatures.SIMULATION_STATE_SETTING, SimulatorFeatures.SIMULATION_STATE_PAUSE,
+        SimulatorFeatures.STEP_SIMULATION_SINGLE, SimulatorFeatures.STEP_SIMULATION_MULTIPLE}
+    assert not features.spawn_formats
+    assert 'control period' in features.custom_info
+
+
+def test_the_services_are_documented_with_their_types(serve, client):
+    serve()
+    client.state()
+    services = client.node.get_service_names_and_types_by_node('manip_sim', '/')
+    found = {(name.replace('/manip_sim/', '~/'), kinds[0].replace('/srv/', '/'))
+             for name, kinds in services if kinds[0].startswith('simulation_interfaces/')}
+    readme = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
+    assert found == set(re.findall(r'^\| `(~/\w+)` \| (simulation_interfaces/\w+) \|', readme,
+                                   re.MULTILINE))
+
+
+def test_a_simulation_plays_is_paused_and_stopped(serve, client):
+    serve()
+    client.state()
+    assert get_state(client) == PLAYING
+    for state in (PAUSED, PLAYING, STOPPED, PAUSED, STOPPED, PLAYING):
+        assert set_state(client, state).result == OK
+        assert get_state(client) == state
+        again = set_state(client, state)
+        assert again.result == SetSimulationState.Response.ALREADY_IN_TARGET_STATE
+        assert again.error_message
+
+
+def test_pause_and_the_states_of_the_standard_are_one(serve, client):
+    serve(start_paused=True)
+    assert get_state(client) == PAUSED
+    client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
+    assert get_state(client) == PLAYING
+    assert set_state(client, STOPPED).result == OK
+    assert client.call(Trigger, 'manip_sim/step').success
+    assert get_state(client) == PAUSED
+
+
+@pytest.mark.parametrize('state', [SimulationState.STATE_QUITTING, SimulationState.STATE_NO_WORLD,
+                                   SimulationState.STATE_LOADING_WORLD, 77])
+def test_a_state_that_cannot_be_set_is_refused(state, serve, client):
+    serve()
+    refused = set_state(client, state)
+    assert refused.result == UNSUPPORTED and str(state) in refused.error_message
+    assert get_state(client) == PLAYING
+
+
+def test_stopped_is_at_the_start_with_time_zero(serve, client):
+    serve()
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+    client.spin_until(lambda: client.state().position[0] > 0.1)
+    states, clocks = client.listen(JointState, 'joint_states'), client.listen(Clock, '/clock')
+    assert set_state(client, STOPPED).result == OK
+    client.spin_until(lambda: bool(states) and nanoseconds(states[-1].header.stamp) == 0)
+    client.spin_until(lambda: bool(clocks) and nanoseconds(clocks[-1].clock) == 0)
+    assert abs(states[-1].position[0]) < 1e-6
+    refused = step(client, 1)
+    assert refused.result == FAILED and 'pause it first' in refused.error_message
+    assert set_state(client, PAUSED).result == OK
+    assert step(client, 1).result == OK
+    client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == 10_000_000)
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
+def test_steps_are_control_periods_and_are_done_when_the_answer_comes(stepping, serve, client):
+    node = serve(stepping=stepping, start_paused=True)
+    states = client.listen(JointState, 'joint_states')
+    for steps, time_ns in ((1, 10_000_000), (20, 210_000_000)):
+        assert step(client, steps).result == OK
+        assert node.simulation.time_ns == time_ns
+    client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == 210_000_000)
+    assert get_state(client) == PAUSED
+
+
+def test_steps_are_refused_while_the_simulation_plays(serve, client):
+    serve()
+    refused = step(client, 1)
+    assert refused.result == FAILED and 'pause it first' in refused.error_message
+    set_state(client, PAUSED)
+    refused = step(client, 0)
+    assert refused.result == FAILED and 'got 0' in refused.error_message
+
+
+def test_the_node_stays_responsive_while_it_makes_many_steps(serve, client):
+    node = serve(start_paused=True)
+    stepper = client.node.create_client(StepSimulation, 'manip_sim/step_simulation')
+    client.spin_until(stepper.service_is_ready)
+    future = stepper.call_async(StepSimulation.Request(steps=2**63))
+    client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
+    client.spin_until(lambda: node.simulation.time_ns > 10**9)
+    assert client.state().position[0] > 0.01
+    assert not future.done()
+    client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
+    client.spin_until(future.done)
+    result = future.result().result
+    assert result.result == FAILED and f'of {2**63} steps' in result.error_message
+
+
+def test_the_node_ends_while_it_makes_many_steps(sim_process, client):
+    started = sim_process('start_paused:=true')
+    stepper = client.node.create_client(StepSimulation, 'manip_sim/step_simulation')
+    client.spin_until(stepper.service_is_ready)
+    clocks = client.listen(Clock, '/clock')
+    stepper.call_async(StepSimulation.Request(steps=2**63))
+    client.spin_until(lambda: len(clocks) > 100)
+    started.terminate()
+    assert started.wait(timeout=10.0) == 0
+    assert 'Traceback' not in started.stderr.read()
+
+
+@pytest.mark.parametrize('scope, restarts', [
+    (ResetSimulation.Request.SCOPE_DEFAULT, True), (ResetSimulation.Request.SCOPE_ALL, True),
+    (ResetSimulation.Request.SCOPE_STATE, False),
+    (ResetSimulation.Request.SCOPE_STATE | ResetSimulation.Request.SCOPE_TIME, True)])
+def test_a_reset_puts_all_back_and_keeps_or_restarts_time(scope, restarts, serve, client):
+    node = serve(arena='table', start_paused=True)
+    start = numbers(entity_state(client, 'cube').state.pose.position)
+    assert place(client, position=(0.1, 0.2, 1.5)).result == OK
+    assert step(client, 10).result == OK
+    assert reset(client, scope).result == OK
+    assert node.simulation.time_ns == (0 if restarts else 110_000_000)
+    np.testing.assert_array_equal(
+        numbers(entity_state(client, 'cube').state.pose.position), start)
+    assert get_state(client) == PAUSED
+
+
+@pytest.mark.parametrize('scope', [ResetSimulation.Request.SCOPE_TIME,
+                                   ResetSimulation.Request.SCOPE_SPAWNED, 6, 64])
+def test_a_scope_that_does_not_work_is_refused(scope, serve, client):
+    node = serve(start_paused=True)
+    step(client, 1)
+    refused = reset(client, scope)
+    assert refused.result == UNSUPPORTED and f'scope {scope}' in refused.error_message
+    assert node.simulation.time_ns == 10_000_000
+
+
+def test_a_simulation_that_diverged_can_be_reset_only(serve, client):
+    node = serve(arena='table')
+    client.state()
+
+    def explode():
+        node.simulation.data.qvel[-1] = 1e9
+    node.runner.call(explode)
+    client.spin_until(lambda: node.simulation.diverged is not None)
+    assert set_state(client, PAUSED).result == OK
+    playing = set_state(client, PLAYING)
+    assert playing.result == SetSimulationState.Response.STATE_TRANSITION_ERROR
+    assert 'reset it first' in playing.error_message
+    refused = step(client, 1)
+    assert refused.result == FAILED and 'reset it first' in refused.error_message
+    refused = place(client)
+    assert refused.result == INCORRECT_STATE and 'reset it first' in refused.error_message
+    assert reset(client, ResetSimulation.Request.SCOPE_ALL).result == OK
+    assert set_state(client, PLAYING).result == OK
+
+
+def test_entities_are_the_robot_and_what_moves_freely(serve, client):
+    serve(arena='table', joint_prefix='left_')
+    assert entities(client).entities == ['left_base', 'cube']
+
+
+@pytest.mark.parametrize('pattern, expected', [
+    ('cube', ['cube']), ('^(cube|sphere)$', ['cube']), ('^robot[[:digit:]]+_', ['robot0_base']),
+    ('e$', ['robot0_base', 'cube']), ('nothing', []), ('-v', [])])
+def test_entities_are_filtered_by_posix_extended_expressions(pattern, expected, serve, client):
+    serve(arena='table')
+    response = entities(client, filter=pattern)
+    assert response.result.result == OK
+    assert response.entities == expected
+
+
+def test_entities_are_filtered_by_category(serve, client):
+    serve(arena='table')
+    for category, expected in ((EntityCategory.CATEGORY_ROBOT, ['robot0_base']),
+                               (EntityCategory.CATEGORY_OBJECT, ['cube']),
+                               (EntityCategory.CATEGORY_HUMAN, [])):
+        categories = [EntityCategory(category=category)]
+        assert entities(client, categories=categories).entities == expected
+
+
+@pytest.mark.parametrize('filters, code, text', [
+    ({'filter': '('}, FAILED, '('), ({'filter': 'x' * 200_000}, FAILED, 'filter'),
+    ({'tags': TagsFilter(tags=['red'])}, UNSUPPORTED, 'tags'),
+    ({'bounds': Bounds(type=Bounds.TYPE_SPHERE)}, UNSUPPORTED, 'bounds')])
+def test_a_filter_that_does_not_work_is_refused(filters, code, text, serve, client):
+    serve(arena='table')
+    result = entities(client, **filters).result
+    assert result.result == code and text in result.error_message
+
+
+def test_a_falling_cube_obeys_the_laws_of_motion(serve, client):
+    serve(arena='table', start_paused=True)
+    height, time_s, gravity = 3.0, 0.2, 9.81
+    assert place(client, position=(0.0, 0.0, height), linear=(0.5, 0.0, 1.0)).result == OK
+    assert step(client, 20).result == OK
+    response = entity_state(client, 'cube')
+    assert response.result.result == OK
+    state = response.state
+    assert state.header.frame_id == 'world' and nanoseconds(state.header.stamp) == 200_000_000
+    np.testing.assert_allclose(
+        numbers(state.pose.position),
+        [0.5 * time_s, 0.0, height + time_s - gravity * time_s**2 / 2], atol=2e-3)
+    np.testing.assert_allclose(numbers(state.twist.linear), [0.5, 0.0, 1.0 - gravity * time_s],
+                               atol=1e-6)
+    np.testing.assert_allclose(numbers(state.acceleration.linear), [0.0, 0.0, -gravity], atol=1e-6)
+
+
+def test_a_turning_cube_turns_about_the_axis_of_the_world(serve, client):
+    serve(arena='table', start_paused=True)
+    half = math.sqrt(0.5)
+    # On its side: the body's z lies along the world's -y.
+    assert place(client, position=(0.0, 0.0, 3.0), orientation=(half, 0.0, 0.0, half),
+                 angular=(0.0, 0.0, 2.0)).result == OK
+    state = entity_state(client, 'cube').state
+    np.testing.assert_allclose(numbers(state.pose.orientation), [half, 0.0, 0.0, half], atol=1e-12)
+    np.testing.assert_allclose(numbers(state.twist.angular), [0.0, 0.0, 2.0], atol=1e-12)
+    assert step(client, 25).result == OK
+    state = entity_state(client, 'cube').state
+    # Half a radian about the world's z, after a quarter turn about x.
+    x, w = math.sin(0.25), math.cos(0.25)
+    expected = half * np.array([w, x, x, w])
+    np.testing.assert_allclose(numbers(state.pose.orientation), expected, atol=1e-6)
+    np.testing.assert_allclose(numbers(state.twist.angular), [0.0, 0.0, 2.0], atol=1e-6)
+
+
+def test_the_robot_stands_still_where_it_is_mounted(serve, client):
+    node = serve(start_paused=True)
+    state = entity_state(client, 'robot0_base').state
+    expected = node.simulation.robot.base_xpos_offset['empty']
+    np.testing.assert_allclose(numbers(state.pose.position)[:2], expected[:2], atol=1e-9)
+    for field in (state.twist, state.acceleration):
+        np.testing.assert_allclose(numbers(field.linear) + numbers(field.angular), 0.0, atol=1e-9)
+
+
+def test_a_mobile_robot_is_where_its_base_is(serve, client):
+    serve(robot='PandaOmron', start_paused=True)
+    start = entity_state(client, 'robot0_base').state
+    client.publish('base/cmd_vel', Twist(linear=Vector3(x=0.3)))
+    assert step(client, 30).result == OK
+    state = entity_state(client, 'robot0_base').state
+    moved = np.subtract(numbers(state.pose.position), numbers(start.pose.position))
+    assert np.linalg.norm(moved) > 0.05
+    assert np.linalg.norm(numbers(state.twist.linear)) == pytest.approx(0.3, abs=0.03)
+
+
+def test_an_unknown_entity_is_not_found(serve, client):
+    serve(arena='table')
+    for result in (entity_state(client, 'cub').result, place(client, name='cub')):
+        assert result.result == NOT_FOUND
+        assert "did you mean 'cube'?" in result.error_message
+
+
+@pytest.mark.parametrize('request_, code, text', [
+    ({'position': (0.0, NAN, 1.0)}, INVALID_POSE, 'position must be finite, got nan'),
+    ({'position': (0.0, 0.0, 1e9)}, INVALID_POSE, 'within 10000 m'),
+    ({'orientation': (0.0, 0.0, 0.0, 0.0)}, INVALID_POSE, 'length 0'),
+    ({'orientation': (0.0, 0.0, 0.0, 2.0)}, INVALID_POSE, 'length 2'),
+    ({'orientation': (0.0, 0.0, math.inf, 0.0)}, INVALID_POSE, 'orientation must be finite'),
+    ({'linear': (NAN, 0.0, 0.0)}, FAILED, 'linear velocity must be finite'),
+    ({'angular': (0.0, 0.0, 1e30)}, FAILED, 'angular velocity must be within 1000'),
+    ({'frame': 'robot0_link1'}, UNSUPPORTED, "frame_id 'robot0_link1'"),
+    ({'name': 'robot0_base'}, FAILED, 'cannot be moved')])
+def test_a_request_that_is_refused_changes_nothing(request_, code, text, serve, client):
+    node = serve(arena='table', start_paused=True)
+    before = node.simulation.data.qpos.copy(), node.simulation.data.qvel.copy()
+    refused = place(client, **request_)
+    assert refused.result == code and text in refused.error_message
+    np.testing.assert_array_equal(node.simulation.data.qpos, before[0])
+    np.testing.assert_array_equal(node.simulation.data.qvel, before[1])
+
+
+@pytest.mark.skipif(not HAS_FLAGS, reason='version 1 of the standard has no flags')
+def test_only_what_is_flagged_is_set(serve, client):
+    serve(arena='table', start_paused=True)
+    place(client, position=(0.0, 0.0, 2.0), linear=(1.0, 0.0, 0.0))
+    assert place(client, set_pose=False, orientation=(0.0, 0.0, 0.0, 0.0),
+                 linear=(0.0, 0.5, 0.0)).result == OK
+    state = entity_state(client, 'cube').state
+    assert numbers(state.pose.position) == [0.0, 0.0, 2.0]
+    assert numbers(state.twist.linear) == [0.0, 0.5, 0.0]
+    assert place(client, set_twist=False, linear=(NAN, 0.0, 0.0)).result == OK
+    state = entity_state(client, 'cube').state
+    assert numbers(state.pose.position) == [0.0, 0.0, 1.5]
+    assert numbers(state.twist.linear) == [0.0, 0.5, 0.0]
+    refused = place(client, set_pose=False, set_twist=False, set_acceleration=True)
+    assert refused.result == FAILED and 'nothing to set' in refused.error_message
