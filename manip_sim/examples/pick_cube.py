@@ -31,7 +31,7 @@ GRAVITY = 9.81
 _LIFT_M = 0.10
 _HOLD_S = 2.0
 _MOVE_S = 2.0
-_SETTLE_S = 0.5
+_SETTLE_S = 1.0
 _STILL_S = 0.5
 #: Fingers that move less are still [rad or m].
 _STILL = 5e-4

@@ -18,7 +18,7 @@ SINGLE_ARMS = [type(robot).__name__ for robot in ROBOTS
 
 
 def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process, client):
-    sim_process('arena:=table', 'stepping:=realtime', 'real_time_factor:=4.0')
+    sim_process('arena:=table', 'real_time_factor:=2.0')
     client.state()
     wrenches = client.listen(WrenchStamped, 'right/wrench')
     fingers = client.listen(JointState, 'right/gripper/joint_states')
@@ -37,7 +37,7 @@ def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process,
 
 @pytest.mark.parametrize('name', [name for name in SINGLE_ARMS if name != 'Panda'])
 def test_every_other_single_arm_picks_it_up_too(name, sim_process, process, client):
-    sim_process(f'robot:={name}', 'arena:=table', 'real_time_factor:=4.0')
+    sim_process(f'robot:={name}', 'arena:=table', 'real_time_factor:=3.0')
     client.state()
     controller = process(module='manip_sim.examples.pick_cube')
     output, errors = controller.communicate(timeout=60.0)
