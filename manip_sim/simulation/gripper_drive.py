@@ -46,6 +46,23 @@ class GripperDrive:
         self._steps_per_call = max(1, round(1.0 / (GRIPPER_RATE_HZ * timestep_s)))
         self._next_call = 0
         self._action: FloatArray | None = None
+        self._goal: FloatArray | None = None
+        self._ctrl_speed = self._speed_limit()
+
+    def _speed_limit(self) -> FloatArray:
+        """Return how fast each control may change for a joint command, infinite where unknown."""
+        limits = np.full(len(self._ids), np.inf)
+        for index, joint in enumerate(self.part.driven_joints):
+            if joint is None:
+                continue
+            declared = self._model.joint(joint).user
+            if len(declared) and declared[0] > 0.0:
+                limits[index] = declared[0]
+        gain = self._model.actuator_gainprm[self._ids, 0]
+        per_length = np.abs(self._model.actuator_biasprm[self._ids, 1]
+                            / np.where(gain == 0.0, 1.0, gain))
+        scale = per_length * np.abs(self._model.actuator_gear[self._ids, 0])
+        return limits * np.where(scale > 0.0, scale, 1.0)
 
     def limits(self) -> FloatArray:
         """Return the range of an action, shape (dof, 2)."""
@@ -77,7 +94,7 @@ class GripperDrive:
 
     def reset(self, data: Any) -> None:
         """Drop all commands and hold the fingers where they are."""
-        self._action = None
+        self._action = self._goal = None
         self._next_call = 0
         mujoco.mj_fwdPosition(self._model, data)
         data.ctrl[self._ids] = self._ctrl_for(data.actuator_length[self._ids])
@@ -88,14 +105,28 @@ class GripperDrive:
         if isinstance(command, GripperAction):
             if self._action is None:
                 self._go_on_from(data)
-            self._action = command.action
+            self._action, self._goal = command.action, None
             self.call_if_due(data, step)
         elif isinstance(command, Goal):
             self._action = None
-            goal = data.ctrl[self._ids].copy()
+            goal = data.ctrl[self._ids].copy() if self._goal is None else self._goal
             wanted = self._ctrl_for(self._lengths(command))
             goal[command.indices] = wanted[command.indices]
-            data.ctrl[self._ids] = np.clip(goal, *self._ranges.T)
+            self._goal = np.clip(goal, *self._ranges.T)
+
+    def update(self, data: Any, period_s: float) -> None:
+        """
+        Approach the goal of a joint command, no faster than the joints may move.
+
+        :param period_s: length of the control period that begins [s]
+        """
+        if self._goal is None:
+            return
+        reach = self._ctrl_speed * period_s
+        here = data.ctrl[self._ids]
+        data.ctrl[self._ids] = here + np.clip(self._goal - here, -reach, reach)
+        if np.array_equal(data.ctrl[self._ids], self._goal):
+            self._goal = None
 
     def _lengths(self, command: Goal) -> FloatArray:
         lengths = np.zeros(len(self._ids))

@@ -187,6 +187,8 @@ class Simulation:
             return
         for subsystem in self._subsystems:
             subsystem.update(self.data, self.step_count, self.timestep_s, steps)
+        for gripper in self._grippers:
+            gripper.update(self.data, steps * self.timestep_s)
         mujoco.mj_getState(self.model, self.data, self._good,
                            mujoco.mjtState.mjSTATE_INTEGRATION)
         warnings = self._bad_numbers()

@@ -96,12 +96,24 @@ def test_action_goes_on_from_a_joint_command(panda_sim, run):
     np.testing.assert_allclose(control(panda_sim), [0.026, -0.026], atol=1e-9)
 
 
+def test_joint_command_is_approached_no_faster_than_the_fingers_may_move(panda_sim, run):
+    open_fully(panda_sim, run)
+    panda_sim.apply(panda_sim.drive(GRIPPER).joint_command([LEFT, RIGHT], [0.0, 0.0], [], []))
+    speeds = []
+    for _ in range(100):
+        panda_sim.advance(5)
+        speeds.append(np.abs(panda_sim.state().velocity[-2:]).max())
+    assert 0.045 < max(speeds) < 0.055
+    run(panda_sim, 0.5)
+    np.testing.assert_allclose(control(panda_sim), [0.0, 0.0])
+
+
 def test_joint_command_ends_an_action(panda_sim, run):
     drive = panda_sim.drive(GRIPPER)
     panda_sim.apply(drive.action([1.0]))
     run(panda_sim, 0.1)
     panda_sim.apply(drive.joint_command([LEFT], [0.035], [], []))
-    run(panda_sim, 0.5)
+    run(panda_sim, 1.0)
     assert control(panda_sim)[0] == pytest.approx(0.035)
 
 
