@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
+import select
 import signal
+import socket
 import sys
 import threading
 
@@ -25,6 +27,32 @@ _WATCH_S = 0.5
 _SWITCH_S = 5e-4
 
 
+class EndSignals:
+    """
+    Lets the main thread wait for SIGINT or SIGTERM.
+
+    The signals arrive as bytes in a socket: a handler that took a lock, such as that of an event,
+    could meet the lock it waits for.
+    """
+
+    def __init__(self) -> None:
+        self._arrived, self._signals = socket.socketpair()
+        self._signals.setblocking(False)
+        signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: None)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Tell whether a signal has come; wait for one for so long [s]."""
+        return bool(select.select([self._arrived], [], [], timeout_s)[0])
+
+    def ignore_more(self) -> None:
+        """Let further signals do nothing: the process is ending."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        signal.set_wakeup_fd(-1)
+
+
 def run(arguments: Sequence[str]) -> int:
     """
     Serve a robot until SIGINT or SIGTERM.
@@ -32,9 +60,7 @@ def run(arguments: Sequence[str]) -> int:
     :param arguments: ROS arguments, such as ``--ros-args -p robot:=Panda``
     :returns: the exit code: 0, or 1 if the node cannot start or fails
     """
-    asked_to_end = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: asked_to_end.set())
+    asked_to_end = EndSignals()
     sys.setswitchinterval(_SWITCH_S)
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -46,9 +72,10 @@ def run(arguments: Sequence[str]) -> int:
         return _fail(str(error))
     finally:
         rclpy.try_shutdown()
+        asked_to_end.ignore_more()
 
 
-def _serve(asked_to_end: threading.Event) -> int:
+def _serve(asked_to_end: EndSignals) -> int:
     node = SimNode()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
