@@ -5,8 +5,10 @@
 What a physics step of each robot costs, as a ratio.
 
 The measure is robosuite's model of the same robot, with its own gripper, base and options, in the
-same process: ``pip install robosuite==1.5.2``. Its models compile with new versions of MuJoCo too,
-with which its simulation does not run. Without robosuite the measure is a bare pendulum.
+same process: ``pip install robosuite==1.5.2``. Our models are as the node steps them, without the
+shapes that cannot collide; robosuite steps its own with them. Its models compile with new versions
+of MuJoCo too, with which its simulation does not run. Without robosuite the measure is a bare
+pendulum.
 
     python3 benchmark/step_cost.py [NAME ...]
 """
@@ -87,7 +89,7 @@ def ours(name):
     for arm, gripper in robot.default_gripper.items():
         robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
     world = World([robot])
-    return Stepper(world.compile(), world.init_qpos())
+    return Stepper(world.compile(visual=False), world.init_qpos())
 
 
 class Robosuite:

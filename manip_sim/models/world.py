@@ -20,6 +20,8 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 #: Friction cones and their stiffness: what lets a grasp hold without creeping
 #: (mujoco.readthedocs.io, modeling, "Preventing slip").
 _IMPRATIO = 10.0
+#: MuJoCo 3.17; 3.15 and those before do not compile a composed world without visual shapes.
+_DISCARDS_VISUALS = 3017000
 
 
 class World:
@@ -72,14 +74,18 @@ class World:
                     if int(joint.type) != free:
                         joint.actgravcomp = True
 
-    def compile(self) -> Any:
+    def compile(self, visual: bool = True) -> Any:
         """
         Compile the world.
 
+        :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
+            a step costs less and gives the same states
         :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
-        return compile_spec(self.compose(), ' and '.join(r.name for r in self.robots))
+        spec = self.compose()
+        spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
+        return compile_spec(spec, ' and '.join(r.name for r in self.robots))
 
     def to_xml(self) -> str:
         """Return the MJCF of the world."""

@@ -37,6 +37,7 @@ class Simulation:
 
     :param world: an arena with robots; the first robot is commanded and observed, the others hold
         where they start
+    :param visual: keep the shapes that cannot collide, to look at; they make a step dearer
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
     :ivar drives: what moves each part, by the part's name
@@ -44,9 +45,9 @@ class Simulation:
     :ivar diverged: why the physics is held, or None
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, visual: bool = False) -> None:
         self.robot = world.robots[0]
-        self.model: Any = world.compile()
+        self.model: Any = world.compile(visual)
         # A physics that went wrong shall be seen, not be set back by MuJoCo behind our back.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data: Any = mujoco.MjData(self.model)

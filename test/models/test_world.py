@@ -162,3 +162,18 @@ def test_names_of_an_arena_have_no_prefix():
     arena = TableArena()
     assert arena.naming_prefix == ''
     assert 'table' in arena.bodies
+
+
+def test_shapes_that_cannot_collide_change_no_state(panda):
+    world = World([panda], TableArena(cube=True))
+    states = []
+    for visual in (True, False):
+        model = world.compile(visual)
+        data = mujoco.MjData(model)
+        for joint, position in world.init_qpos().items():
+            data.joint(joint).qpos[0] = position
+        mujoco.mj_step(model, data, 200)
+        states.append((model.ngeom, model.body_mass.sum(), data.qpos.tobytes()))
+    assert states[0][1:] == states[1][1:]
+    if mujoco.mj_version() >= 3017000:
+        assert states[0][0] > 2 * states[1][0]
