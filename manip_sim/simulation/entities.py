@@ -149,16 +149,18 @@ class Entities:
         :raises UnknownNameError: if there is no such entity
         """
         body, frame = self._body(name), mujoco.mjtObj.mjOBJ_XBODY
-        velocity, acceleration = np.empty(6), np.empty(6)
+        velocity, acceleration = np.empty(6), np.zeros(6)
         mujoco.mj_objectVelocity(self._model, data, frame, body, velocity, 0)
-        # MuJoCo does this by itself only where a sensor needs it.
-        mujoco.mj_rnePostConstraint(self._model, data)
-        mujoco.mj_objectAcceleration(self._model, data, frame, body, acceleration, 0)
+        if self._model.body_weldid[body]:  # What is fixed to the world has none.
+            # MuJoCo does this by itself only where a sensor needs it.
+            mujoco.mj_rnePostConstraint(self._model, data)
+            mujoco.mj_objectAcceleration(self._model, data, frame, body, acceleration, 0)
+            # MuJoCo lets the world fall upwards in place of gravity.
+            acceleration[3:] += self._model.opt.gravity
         return EntityState(
             Pose(data.xpos[body].copy(), wxyz_to_xyzw(data.xquat[body])),
             Twist(velocity[3:], velocity[:3]),
-            # MuJoCo lets the world fall upwards in place of gravity.
-            acceleration[3:] + self._model.opt.gravity, acceleration[:3])
+            acceleration[3:], acceleration[:3])
 
     def place(self, data: Any, name: str, pose: Pose | None, twist: Twist | None) -> None:
         """
