@@ -60,11 +60,17 @@ def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process,
     idle = subprocess.Popen([sys.executable, '-c', NEVER_READS])
     try:
         client.spin_until(lambda: client.node.count_subscribers('joint_states') > 0)
-        wall, clock = [], []
+        wall, clock, errors = [], [], []
         client.node.create_subscription(Clock, '/clock', lambda m: (
             clock.append(m.clock.sec + m.clock.nanosec * 1e-9), wall.append(time.monotonic())), 10)
-        client.spin_until(lambda: bool(clock) and clock[-1] - clock[0] > 5.0)
-        assert abs((clock[-1] - clock[0]) / (wall[-1] - wall[0]) - 1.0) < 0.01
+        # Another process may slow the machine for a while; the subscriber would every time.
+        for _ in range(3):
+            first = len(clock)
+            client.spin_until(lambda n=first: len(clock) > n + 400)
+            errors.append(abs((clock[-1] - clock[first]) / (wall[-1] - wall[first]) - 1.0))
+            if errors[-1] < 0.01:
+                break
+        assert min(errors) < 0.01
     finally:
         idle.kill()
         idle.wait()
