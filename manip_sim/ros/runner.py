@@ -19,7 +19,7 @@ from manip_sim.simulation.pacing import Pacer
 from manip_sim.simulation.staging import Staging
 
 T = TypeVar('T')
-#: How often lockstep repeats the present state while it waits, wall time [s].
+#: How often a state is repeated while lockstep waits or the physics is held, wall time [s].
 _REPEAT_S = 0.1
 
 
@@ -176,6 +176,7 @@ class Runner:
             if restart_time:
                 self._simulation.step_count = 0
             self.at_start = True
+            self._pacer.restart(time.monotonic())
             self._show()
         self.call(change)
 
@@ -207,7 +208,7 @@ class Runner:
                     _answer(function, future)
                 if due and not self._paused:
                     self._period()
-                elif self._stepping == 'lockstep' and time.monotonic() >= self._repeat_at:
+                elif self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
             self.error = error
@@ -217,8 +218,9 @@ class Runner:
         """Wait until there is something to do; tell whether a control period is due."""
         while not (self._stopping or self._calls):
             now = time.monotonic()
-            if self._stepping == 'lockstep':
-                if not self._paused and self._staging.complete:
+            if self._repeats:
+                held = self._paused or self._simulation.diverged is not None
+                if not held and self._staging.complete:
                     return True
                 if now >= self._repeat_at:
                     return False
@@ -230,6 +232,11 @@ class Runner:
             else:
                 self._wake.wait(self._pacer.deadline_s - now)
         return False
+
+    @property
+    def _repeats(self) -> bool:
+        """Whether the present state is shown again and again: nothing is due by itself."""
+        return self._stepping == 'lockstep' or self._simulation.diverged is not None
 
     def _period(self) -> None:
         with self._wake:

@@ -48,7 +48,8 @@ class GripperRig:
     A gripper on a carriage that a servo moves up and down.
 
     Actions go through ``format_action`` at 20 Hz; commands then move no faster than the joints'
-    velocity limits, as in the simulation.
+    velocity limits, as on the real gripper. The simulation does so with joint commands only: there
+    the time of an action is that of ``speed`` alone.
 
     :param name: name of a gripper
     :param part: adds a part to the ``mujoco.MjSpec``, such as :func:`cube` returns

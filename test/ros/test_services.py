@@ -124,6 +124,27 @@ def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):
     client.spin_until(lambda: nanoseconds(client.state()) > nanoseconds(first))
 
 
+def test_a_held_simulation_repeats_its_state_and_leaves_the_machine_alone(serve, client):
+    node = serve(stepping='free')
+    client.state()
+
+    def explode():
+        node.simulation.data.qvel[0] = 1e9
+    node.runner.call(explode)
+    client.spin_until(lambda: node.simulation.diverged is not None)
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: len(states) >= 5)
+    assert len({nanoseconds(state) for state in states[-5:]}) == 1
+    shown = []
+    publish = node.runner._publish
+    node.runner._publish = lambda state: (shown.append(state), publish(state))
+    count = len(states)
+    client.spin_until(lambda: len(states) >= count + 5)
+    assert len(shown) < 20
+    assert trigger(client, 'reset').success
+    client.spin_until(lambda: nanoseconds(states[-1]) > nanoseconds(states[0]))
+
+
 def test_tare_lets_the_external_wrench_read_zero(serve, client):
     node = serve()
     wrenches = client.listen(WrenchStamped, 'right/external_wrench')

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.models.grippers.open_close_gripper import OpenCloseGripper
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
 
@@ -35,22 +36,7 @@ class PandaGripperBase(GripperModel, registered=False):
         return np.array([0.020833, -0.020833])
 
 
-class PandaGripper(PandaGripperBase):
+class PandaGripper(OpenCloseGripper, PandaGripperBase):
     """Franka hand that opens and closes."""
 
-    speed = 0.2
-
-    def format_action(self, action: ArrayLike) -> FloatArray:
-        """
-        Close or open by one step.
-
-        :param action: the sign counts: + closes, - opens, 0 holds; shape (1,)
-        :returns: commands of the left and the right finger, +1 and -1 open, shape (2,), a copy
-        :raises CommandError: if the length is wrong or a number is not finite
-        """
-        return self._integrate(np.array([-1.0, 1.0]) * self.speed * np.sign(self._checked(action)))
-
-    @property
-    def dof(self) -> int:
-        """One number for both fingers."""
-        return 1
+    _closed = (-1.0, 1.0)

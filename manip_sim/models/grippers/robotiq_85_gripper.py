@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.models.grippers.open_close_gripper import OpenCloseGripper
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
 
@@ -41,22 +42,7 @@ class Robotiq85GripperBase(GripperModel, registered=False):
         return np.array([-0.026, -0.267, -0.2, -0.026, -0.267, -0.2])
 
 
-class Robotiq85Gripper(Robotiq85GripperBase):
+class Robotiq85Gripper(OpenCloseGripper, Robotiq85GripperBase):
     """Robotiq 2F-85 that opens and closes."""
 
-    speed = 0.2
-
-    def format_action(self, action: ArrayLike) -> FloatArray:
-        """
-        Close or open by one step.
-
-        :param action: the sign counts: + closes, - opens, 0 holds; shape (1,)
-        :returns: commands of the left and the right knuckle, +1 closed, shape (2,), a copy
-        :raises CommandError: if the length is wrong or a number is not finite
-        """
-        return self._integrate(np.ones(2) * self.speed * np.sign(self._checked(action)))
-
-    @property
-    def dof(self) -> int:
-        """One number for both knuckles."""
-        return 1
+    _closed = (1.0, 1.0)

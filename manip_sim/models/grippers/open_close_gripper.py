@@ -1,0 +1,39 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the grippers share whose two actuators open and close together."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.typing import FloatArray
+
+
+class OpenCloseGripper(GripperModel, registered=False):
+    """A gripper with one action for two actuators; stands before the class with the file."""
+
+    speed = 0.2
+
+    #: The command of each actuator that closes.
+    _closed: ClassVar[tuple[float, float]]
+
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """
+        Close or open by one step.
+
+        :param action: the sign counts: + closes, - opens, 0 holds; shape (1,)
+        :returns: commands in the order of :attr:`actuators`, in [-1, 1], shape (2,), a copy
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        return self._integrate(np.array(self._closed) * self.speed
+                               * np.sign(self._checked(action)))
+
+    @property
+    def dof(self) -> int:
+        """One number for both actuators."""
+        return 1
