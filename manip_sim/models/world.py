@@ -46,8 +46,13 @@ class World:
         if len(set(prefixes)) != len(prefixes):
             raise ModelError(f'robots in one world need different idn, got {", ".join(prefixes)}')
 
-    def compose(self) -> Any:
-        """Return a new ``mujoco.MjSpec`` of the whole world."""
+    def compose(self, visual: bool = True) -> Any:
+        """
+        Return a new ``mujoco.MjSpec`` of the whole world.
+
+        :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
+            a step costs less and gives the same states
+        """
         spec = self.arena.compose()
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
         spec.option.timestep = self.timestep_s
@@ -61,6 +66,7 @@ class World:
             robot.attach_to(spec, spec.worldbody.add_frame())
         if self.gravity_compensation:
             self._compensate_gravity(spec)
+        spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
         return spec
 
     def _compensate_gravity(self, spec: Any) -> None:
@@ -78,13 +84,19 @@ class World:
         """
         Compile the world.
 
-        :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
-            a step costs less and gives the same states
+        :param visual: as for :meth:`compose`
         :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
-        spec = self.compose()
-        spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
+        return self.compile_spec(self.compose(visual))
+
+    def compile_spec(self, spec: Any) -> Any:
+        """
+        Compile a spec that was composed of this world and edited.
+
+        :returns: a new ``mujoco.MjModel``
+        :raises ModelError: with what MuJoCo says
+        """
         return compile_spec(spec, ' and '.join(r.name for r in self.robots))
 
     def to_xml(self) -> str:

@@ -1,157 +1,168 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands after validation: what a part shall do, with numbers that are finite and in range."""
+"""Commands after validation, with numbers that are finite and in range, and what became of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from manip_sim.errors import CommandError, describe_choices
-from manip_sim.simulation.control import MODES
 from manip_sim.simulation.trajectory import Trajectory
-from manip_sim.typing import FloatArray, IntArray
+from manip_sim.typing import BoolArray, FloatArray, IntArray
+
+C = TypeVar('C', bound='Command')
+#: Control modes of joints.
+MODES = ('position', 'velocity', 'effort')
 
 
-@dataclass(frozen=True)
-class Goal:
+class Status(Enum):
+    """What has become of a command."""
+
+    WAITING = 'waiting'
+    RUNNING = 'running'
+    DONE = 'done'
+    REPLACED = 'replaced'
+    ABORTED = 'aborted'
+
+
+@dataclass
+class CommandHandle:
     """
-    New goals for some actuators of a part.
+    What has become of a command that was submitted; it may be asked from any thread.
 
-    :ivar mode: the control mode that the values are meant for
-    :ivar indices: which of the part's actuators
-    :ivar values: at the joints, in SI units, shape of ``indices``
+    A command is *done* when a position or gripper goal is reached by the setpoint, or a trajectory
+    has come to its end; a velocity or an effort lasts. It is *replaced* when newer commands have
+    taken over all of its joints, and *aborted* by a reset, a change of mode, a time-out or an
+    empty trajectory.
+
+    :ivar status: of the command
+    :ivar reason: why it was aborted
+    :ivar error: goal less measured position when it was done [rad or m], or None
+    """
+
+    status: Status = Status.WAITING
+    reason: str = ''
+    error: FloatArray | None = None
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the command still waits or runs."""
+        return self.status in (Status.WAITING, Status.RUNNING)
+
+    def end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
+        """Say what became of the command; the first word counts."""
+        if self.is_active:
+            self.reason, self.error, self.status = reason, error, status
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Command:
+    """
+    A command for joints or for a gripper.
+
+    :ivar parts: the parts that it is for, arms one by one
+    :ivar indices: of the simulation's controlled joints, or of the gripper's actuators
     :ivar clamped: how many numbers had to be brought into their range
+    :ivar handle: tells what becomes of the command
     """
 
-    part: str
-    mode: str
+    parts: frozenset[str]
     indices: IntArray
-    values: FloatArray
     clamped: int = 0
+    handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
+
+    def without(self: C, indices: IntArray) -> C | None:
+        """Return the command for the joints that are not among some, or None if none is left."""
+        kept = ~np.isin(self.indices, indices)
+        if kept.all():
+            return self
+        return self._only(kept) if kept.any() else None
+
+    def _only(self: C, kept: BoolArray) -> C:
+        return replace(self, indices=self.indices[kept])
 
 
-@dataclass(frozen=True)
-class GripperAction:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointSetpoint(Command):
+    """
+    Goals for some joints.
+
+    :ivar modes: control mode that each goal is meant for
+    :ivar values: at the joints, in SI units, shape of ``indices``
+    """
+
+    modes: tuple[str, ...]
+    values: FloatArray
+
+    def _only(self, kept: BoolArray) -> JointSetpoint:
+        modes = tuple(mode for mode, keep in zip(self.modes, kept) if keep)
+        return replace(self, indices=self.indices[kept], modes=modes, values=self.values[kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTrajectory(Command):
+    """
+    A motion that some joints shall follow.
+
+    :ivar trajectory: of all joints that it was made for
+    :ivar columns: those of the trajectory that the joints of ``indices`` follow
+    :ivar start_ns: simulation time of its time zero [ns]; 0 is when it is taken over
+    :ivar slowed: by which factor it was slowed down to obey the velocity limits; 1 is not
+    """
+
+    trajectory: Trajectory
+    columns: IntArray
+    start_ns: int = 0
+    slowed: float = 1.0
+
+    def own_trajectory(self) -> JointTrajectory:
+        """Return the command with a trajectory of its joints alone."""
+        return replace(self, trajectory=self.trajectory.of(self.columns),
+                       columns=np.arange(len(self.columns)))
+
+    def _only(self, kept: BoolArray) -> JointTrajectory:
+        return replace(self, indices=self.indices[kept], columns=self.columns[kept])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrajectoryStop(Command):
+    """End the trajectories of some joints: they come to rest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseTwist(Command):
+    """
+    A velocity of a mobile base in its own frame; ``indices`` are the joints x, y and yaw.
+
+    :ivar twist: along x [m/s], along y [m/s], about z [rad/s], shape (3,)
+    """
+
+    twist: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperAction(Command):
     """
     What a gripper shall do from now on.
 
     :ivar action: for ``GripperModel.format_action``, shape (dof,)
-    :ivar clamped: how many numbers had to be brought into [-1, 1]
     """
 
-    part: str
     action: FloatArray
-    clamped: int = 0
 
 
-@dataclass(frozen=True)
-class TrajectoryPoints:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperSetpoint(Command):
     """
-    A motion that a part shall follow from its present state.
+    Positions for some joints of a gripper.
 
-    :ivar indices: which of the part's actuators
-    :ivar times_s: of the points [s], shape (n_points,)
-    :ivar positions: shape (n_points, n)
-    :ivar velocities: shape (n_points, n), or None
-    :ivar accelerations: shape (n_points, n), or None
-    :ivar clamped: how many positions had to be brought into their range
+    :ivar joints: their names
+    :ivar values: [rad or m], in the order of ``joints``
     """
 
-    part: str
-    indices: IntArray
-    times_s: FloatArray
-    positions: FloatArray
-    velocities: FloatArray | None = None
-    accelerations: FloatArray | None = None
-    clamped: int = 0
-
-    def from_state(self, position: FloatArray, velocity: FloatArray) -> Trajectory:
-        """Return the motion that starts at a position and velocity of the part's actuators."""
-        return Trajectory(position[self.indices], velocity[self.indices], self.times_s.tolist(),
-                          self.positions, self.velocities, self.accelerations)
-
-
-@dataclass(frozen=True)
-class BaseTwist:
-    """
-    A velocity of a mobile base in its own frame.
-
-    :ivar twist: along x [m/s], along y [m/s], about z [rad/s], shape (3,)
-    :ivar clamped: how many numbers had to be brought into their range
-    """
-
-    part: str
-    twist: FloatArray
-    clamped: int = 0
-
-
-Command = Goal | GripperAction | TrajectoryPoints | BaseTwist
-
-
-def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:
-    """
-    Return numbers as an array.
-
-    :param what: what they are, for the message
-    :raises CommandError: if there are not ``length`` of them, or one is not finite
-    """
-    numbers = np.asarray(values, dtype=float)
-    if numbers.shape != (length,):
-        raise CommandError(f'{what} must have {length} numbers, got {numbers.size}')
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if bad.size:
-        raise CommandError(f'{what} must be finite, got {numbers[bad[0]]} at index {bad[0]}')
-    return numbers
-
-
-def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
-    """
-    Bring numbers into their ranges.
-
-    :param ranges: lowest and highest value, shape (n, 2) for values of shape (..., n)
-    :returns: the numbers in range, and how many were not
-    """
-    inside = np.clip(values, ranges[:, 0], ranges[:, 1])
-    return inside, int(np.count_nonzero(inside != values))
-
-
-def joint_indices(names: Sequence[str], available: Sequence[str | None], part: str) -> IntArray:
-    """
-    Find joints by name.
-
-    :param names: the joints that are asked for
-    :param available: the joints of the part that can be commanded
-    :raises CommandError: if there are none, one is unknown, or one comes twice
-    """
-    if not names:
-        raise CommandError(f'{part}: no joint is named')
-    index_of = {name: index for index, name in enumerate(available) if name is not None}
-    for name in names:
-        if name not in index_of:
-            raise CommandError(f"{part} has no joint '{name}' that can be commanded: "
-                               f'{describe_choices(name, index_of)}')
-    if len(set(names)) != len(names):
-        raise CommandError(f'{part}: a joint is named twice in {", ".join(names)}')
-    return np.array([index_of[name] for name in names], dtype=np.int64)
-
-
-def field_of_mode(part: str, mode: str, count: int, position: ArrayLike, velocity: ArrayLike,
-                  effort: ArrayLike) -> FloatArray:
-    """
-    Return the field of a joint command that a control mode uses.
-
-    :param count: how many joints are named
-    :raises CommandError: if another field is filled, or the field has not one finite number for
-        each joint
-    """
-    fields = dict(zip(MODES, (position, velocity, effort)))
-    for name, values in fields.items():
-        if name != mode and np.size(values):
-            raise CommandError(f'{part} is in {mode} mode, which does not use the field {name}: '
-                               'leave it empty')
-    return finite_numbers(fields[mode], count, f'{part}: {mode}')
+    joints: tuple[str, ...]
+    values: FloatArray

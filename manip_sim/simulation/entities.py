@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
-from manip_sim.simulation.commands import finite_numbers
+from manip_sim.simulation.numbers import finite_numbers
 from manip_sim.typing import FloatArray
 
 #: What is farther from the origin is lost [m].

@@ -1,17 +1,17 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The parts of a robot that are seen and commanded apart, with their addresses in the model."""
+"""The parts of a robot that are seen and commanded, with their addresses in the model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from manip_sim.errors import ModelError
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.robots.subsystems import driven_joint, SUBSYSTEMS
@@ -23,9 +23,11 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 @dataclass(frozen=True)
 class Part:
     """
-    A subsystem or a gripper: names in the model's order, addresses resolved once.
+    A subsystem, an arm of it or a gripper: names in the model's order, addresses resolved once.
 
-    :ivar name: ``arm``, ``base``, ``torso``, ``head``, ``legs`` or ``<arm>/gripper``
+    :ivar name: ``arm``, ``base``, ``torso``, ``head``, ``legs``, ``right``, ``left`` or
+        ``<arm>/gripper``
+    :ivar atomic: names of the parts that it consists of, which do not overlap; itself for most
     :ivar joints: scalar joints
     :ivar actuators: all actuators
     :ivar qpos_addresses: of the joints in ``qpos``, shape (n_joints,)
@@ -36,6 +38,7 @@ class Part:
     """
 
     name: str
+    atomic: tuple[str, ...]
     joints: tuple[str, ...]
     actuators: tuple[str, ...]
     qpos_addresses: IntArray
@@ -45,30 +48,75 @@ class Part:
     gripper: GripperModel | None = None
 
 
-def find_parts(model: Any, robot: RobotModel) -> Iterator[Part]:
+def find_parts(model: Any, robot: RobotModel) -> dict[str, Part]:
     """
-    Yield the parts that a robot has: its subsystems, then its grippers.
+    Return the parts that a robot has: its subsystems, its arms, its grippers.
+
+    The only arm is also the part ``right``; two arms are ``right`` and ``left``, and ``arm`` is
+    both.
 
     :param model: the compiled ``mujoco.MjModel``
     """
+    parts: dict[str, Part] = {}
     for subsystem in SUBSYSTEMS:
         joints, actuators = robot.joints_of(subsystem), robot.actuators_of(subsystem)
-        if joints or actuators:
-            yield _part(model, subsystem, joints, actuators)
+        if not (joints or actuators):
+            continue
+        if subsystem == 'arm' and isinstance(robot, ManipulatorModel):
+            parts.update(_arms(model, robot, joints, actuators))
+        else:
+            parts[subsystem] = _part(model, subsystem, joints, actuators)
     if isinstance(robot, ManipulatorModel):
         for arm, gripper in robot.grippers.items():
-            yield _part(model, f'{arm}/gripper', gripper.joints, gripper.actuators, gripper)
+            name = f'{arm}/gripper'
+            parts[name] = _part(model, name, gripper.joints, gripper.actuators, gripper=gripper)
+    return parts
+
+
+def _arms(model: Any, robot: ManipulatorModel, joints: list[str], actuators: list[str]
+          ) -> dict[str, Part]:
+    if len(robot.arms) == 1:
+        return {'arm': _part(model, 'arm', joints, actuators),
+                robot.arms[0]: _part(model, robot.arms[0], joints, actuators, ('arm',))}
+    arms = {'arm': _part(model, 'arm', joints, actuators, robot.arms)}
+    arm_of = {joint: _arm_of(model, robot, joint) for joint in joints}
+    driven = dict(zip(arms['arm'].actuators, arms['arm'].driven_joints))
+    for arm in robot.arms:
+        arms[arm] = _part(model, arm, [j for j in joints if arm_of[j] == arm],
+                          [a for a in actuators if arm_of.get(driven[a] or '', 'right') == arm])
+    return arms
+
+
+def _arm_of(model: Any, robot: ManipulatorModel, joint: str) -> str:
+    """Return which arm a joint moves; the first one also has what moves both or none."""
+    mover = int(model.joint(joint).bodyid[0])
+    moved = []
+    for arm, eef in robot.eef_name.items():
+        body = model.body(eef).id
+        while body not in (0, mover):
+            body = int(model.body_parentid[body])
+        if body == mover:
+            moved.append(arm)
+    return moved[0] if len(moved) == 1 else robot.arms[0]
 
 
 def _part(model: Any, name: str, joints: list[str], actuators: list[str],
-          gripper: GripperModel | None = None) -> Part:
+          atomic: tuple[str, ...] = (), gripper: GripperModel | None = None) -> Part:
     scalar = [joint for joint in joints if int(model.joint(joint).type[0]) in _SCALAR]
     ids = np.array([model.joint(joint).id for joint in scalar], dtype=np.int64)
     actuator_ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
+    driven = tuple(driven_joint(model, int(a)) for a in actuator_ids)
+    if gripper is None:
+        _check_driven(name, actuators, driven)
     return Part(
-        name=name, joints=tuple(scalar), actuators=tuple(actuators),
+        name=name, atomic=atomic or (name,), joints=tuple(scalar), actuators=tuple(actuators),
         qpos_addresses=model.jnt_qposadr[ids].astype(np.int64),
         dof_addresses=model.jnt_dofadr[ids].astype(np.int64),
-        actuator_ids=actuator_ids,
-        driven_joints=tuple(driven_joint(model, int(a)) for a in actuator_ids),
-        gripper=gripper)
+        actuator_ids=actuator_ids, driven_joints=driven, gripper=gripper)
+
+
+def _check_driven(part: str, actuators: list[str], driven: tuple[str | None, ...]) -> None:
+    for actuator, joint in zip(actuators, driven):
+        if joint is None:
+            raise ModelError(f"actuator '{actuator}' of {part} must drive a joint, not a tendon, "
+                             'a site or a body')

@@ -5,19 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.models.robots import RobotModel
+from manip_sim.errors import CommandError
 from manip_sim.models.world import World
-from manip_sim.simulation.commands import Command, Goal
-from manip_sim.simulation.drives import (
-    Drive, GripperDrive, split_joint_command, SubsystemDrive)
+from manip_sim.simulation.command_parser import CommandParser
+from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint
+from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
+from manip_sim.simulation.servos import add_setpoint_activation
 from manip_sim.simulation.state import State
 from manip_sim.simulation.wrench import EndEffectorReader
 
@@ -25,44 +25,57 @@ from manip_sim.simulation.wrench import EndEffectorReader
 _ABSURD_VELOCITY = 1e4
 #: How long the coupled joints of grippers may take to find their start [s].
 _SETTLE_S = 0.5
+#: Setpoints that move are linear for at most so long [s].
+_INTERVAL_S = 0.004
 
 
 class Simulation:
     """
-    The physics of a world, and the parts of its first robot.
+    The physics of a world, and the control of its first robot.
 
     Time is a count of steps. Nothing here waits or looks at a clock; one thread at a time may use
-    it. Commands are validated by the parts' drives, which only read, and take effect with
+    it. Commands are validated by :attr:`parse`, which only reads, and take effect with
     :meth:`apply`.
 
     :param world: an arena with robots; the first robot is commanded and observed, the others hold
         where they start
-    :param visual: keep the shapes that cannot collide, to look at; they make a step dearer
+    :param visual: keep the shapes that cannot collide, to look at; they slow down each step
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
-    :ivar drives: what moves each part, by the part's name
+    :ivar parts: of the first robot, by name
+    :ivar joints: controls its joints
+    :ivar grippers: its grippers, by part
+    :ivar parse: makes commands for it
     :ivar step_count: physics steps since construction; a reset does not change it
     :ivar diverged: why the physics is held, or None
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
         self.robot = world.robots[0]
-        self.model: Any = world.compile(visual)
-        # A physics that went wrong shall be seen, not be set back by MuJoCo behind our back.
+        spec = world.compose(visual)
+        add_setpoint_activation(spec, [
+            name for robot in world.robots for name in robot.all_actuators])
+        self.model: Any = world.compile_spec(spec)
+        # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data: Any = mujoco.MjData(self.model)
         self.step_count = 0
         self.diverged: str | None = None
         self._start = world.init_qpos()
         self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
-        self.parts: dict[str, Part] = {p.name: p for p in find_parts(self.model, self.robot)}
-        self.drives: dict[str, Drive] = {
-            name: self._drive(part, self.robot) for name, part in self.parts.items()}
-        # The other robots are not commanded: they hold where they start.
-        self._bystanders = [self._drive(part, robot) for robot in world.robots[1:]
-                            for part in find_parts(self.model, robot)]
-        self._subsystems = [d for d in self.drives.values() if isinstance(d, SubsystemDrive)]
-        self._grippers = [d for d in self.drives.values() if isinstance(d, GripperDrive)]
+        self._period_s = self.timestep_s
+        self._interval_steps = max(1, round(_INTERVAL_S / self.timestep_s))
+        self._to_start()
+        parts_of_robot = [find_parts(self.model, robot) for robot in world.robots]
+        self.parts: dict[str, Part] = parts_of_robot[0]
+        self._joint_controllers = [self._joint_controller(parts) for parts in parts_of_robot]
+        self._gripper_controllers = [
+            GripperController(self.model, part, self.timestep_s)
+            for parts in parts_of_robot for part in parts.values() if part.gripper is not None]
+        self.joints = self._joint_controllers[0]
+        self.grippers = {g.part.name: g for g in self._gripper_controllers
+                         if g.part is self.parts.get(g.part.name)}
+        self.parse = CommandParser(self.robot, self.joints, self.grippers)
         self.end_effectors = {
             name.split('/')[0]: EndEffectorReader(self.model, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
@@ -70,6 +83,17 @@ class Simulation:
         self._settle_linkages()
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
         self.reset()
+
+    def _joint_controller(self, parts: dict[str, Part]) -> JointController:
+        joint_parts = {name: part for name, part in parts.items() if part.gripper is None}
+        atomic = [name for name, part in joint_parts.items() if part.atomic == (name,)]
+        return JointController(self.model, self.data, joint_parts, atomic)
+
+    def _to_start(self) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        for joint, position in self._start.items():
+            self.data.joint(joint).qpos[0] = position
+        mujoco.mj_forward(self.model, self.data)
 
     def _settle_linkages(self) -> None:
         """
@@ -84,26 +108,19 @@ class Simulation:
         self.model.opt.gravity[:] = 0.0
         mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
         self.model.opt.gravity[:] = gravity
-        for drive in [*self._grippers, *self._bystanders]:
-            part = drive.part
-            if part.gripper is not None:
-                self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
-
-    def _drive(self, part: Part, robot: RobotModel) -> Drive:
-        if part.gripper is not None:
-            return GripperDrive(self.model, part, self.timestep_s)
-        return SubsystemDrive(self.model, part, robot)
+        for gripper in self._gripper_controllers:
+            part = gripper.part
+            self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
 
     def _index_joints(self) -> None:
-        parts = self.parts.values()
-        self.joint_names: tuple[str, ...] = tuple(j for part in parts for j in part.joints)
-        self._qpos_addresses = np.concatenate([part.qpos_addresses for part in parts])
-        self._dof_addresses = np.concatenate([part.dof_addresses for part in parts])
-        self.slice_of: dict[str, slice] = {}
-        begin = 0
-        for part in parts:
-            self.slice_of[part.name] = slice(begin, begin + len(part.joints))
-            begin += len(part.joints)
+        atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
+        self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
+        self._qpos_addresses = np.concatenate([part.qpos_addresses for part in atomic])
+        self._dof_addresses = np.concatenate([part.dof_addresses for part in atomic])
+        place = {name: index for index, name in enumerate(self.joint_names)}
+        #: Where the joints of each part are among :attr:`joint_names`.
+        self.indices_of = {name: np.array([place[j] for j in part.joints], dtype=np.int64)
+                           for name, part in self.parts.items()}
 
     @property
     def timestep_s(self) -> float:
@@ -111,70 +128,55 @@ class Simulation:
         return float(self.model.opt.timestep)
 
     @property
+    def time_s(self) -> float:
+        """Simulation time [s]."""
+        return self.time_ns * 1e-9
+
+    @property
     def time_ns(self) -> int:
         """Simulation time: steps times the timestep [ns]."""
         return self.step_count * self._timestep_ns
 
-    def drive(self, part: str) -> Drive:
+    def apply(self, *commands: Command, period_s: float | None = None) -> None:
         """
-        Return what moves a part.
+        Let validated commands take effect with the next control period.
 
-        :raises UnknownNameError: if the robot has no such part
+        :param period_s: length of a control period [s]; None is that of the last one
         """
-        if part not in self.drives:
-            raise UnknownNameError('part', part, self.drives)
-        return self.drives[part]
-
-    def joint_command(self, position: Mapping[str, float]) -> list[Goal]:
-        """
-        Validate position goals for joints of any parts, all or none.
-
-        :param position: goal by joint [rad or m]
-        :raises CommandError: if a joint is not there, or a number is not finite
-        """
-        names = list(position)
-        return self.split_joint_command(names, [position[n] for n in names], [], [])
-
-    def split_joint_command(self, names: list[str], position: Any, velocity: Any, effort: Any
-                            ) -> list[Goal]:
-        """
-        Validate goals for joints of any parts, all or none.
-
-        :param names: joints
-        :param position: goals of the joints whose part is in position mode; with one entry for
-            each name, or empty; so are ``velocity`` and ``effort``
-        :raises CommandError: if a joint is not there, or the numbers do not fit
-        """
-        return split_joint_command(self.drives, names, position, velocity, effort)
-
-    def apply(self, command: Command) -> None:
-        """Let a validated command take effect with the next control period."""
-        self.drives[command.part].apply(command, self.data, self.step_count,
-                                        self.step_count * self.timestep_s)
+        if period_s is not None:
+            self._period_s = period_s
+        for command in commands:
+            if isinstance(command, (GripperAction, GripperSetpoint)):
+                (part,) = command.parts
+                self.grippers[part].apply(command, self.data, self.step_count)
+            else:
+                self.joints.apply(command, self.data, self.time_s, self._period_s)
 
     def set_control_mode(self, part: str, mode: str) -> None:
         """
-        Change how a subsystem is controlled; it stays where it is.
+        Change how a part is controlled; it comes to rest.
 
         :param mode: ``position``, ``velocity`` or ``effort``
+        :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part or mode
         """
-        self._subsystem(part).set_mode(mode, self.data)
+        self._check_no_gripper(part)
+        self.joints.set_mode(part, mode, self.data)
 
     def set_command_timeout(self, part: str, timeout_s: float) -> None:
         """
-        Change after how long without a fresh command a subsystem rests.
+        Change after how long without a fresh command a part rests.
 
         :param timeout_s: simulation time [s]; 0 is never
-        :raises UnknownNameError: if there is no such subsystem
+        :raises CommandError: if the part is a gripper
+        :raises UnknownNameError: if there is no such part
         """
-        self._subsystem(part).command_timeout_s = timeout_s
+        self._check_no_gripper(part)
+        self.joints.set_timeout(part, timeout_s)
 
-    def _subsystem(self, part: str) -> SubsystemDrive:
-        drive = self.drive(part)
-        if not isinstance(drive, SubsystemDrive):
+    def _check_no_gripper(self, part: str) -> None:
+        if part in self.grippers:
             raise CommandError(f'{part} is a gripper, which is always in position mode')
-        return drive
 
     def advance(self, steps: int) -> None:
         """
@@ -186,10 +188,9 @@ class Simulation:
         """
         if self.diverged is not None:
             return
-        for subsystem in self._subsystems:
-            subsystem.update(self.data, self.step_count, self.timestep_s, steps)
-        for gripper in self._grippers:
-            gripper.update(self.data, steps * self.timestep_s)
+        self._period_s = steps * self.timestep_s
+        for joints in self._joint_controllers:
+            joints.begin_period(self.data, self.time_s)
         mujoco.mj_getState(self.model, self.data, self._good,
                            mujoco.mjtState.mjSTATE_INTEGRATION)
         warnings = self._bad_numbers()
@@ -199,19 +200,25 @@ class Simulation:
         self._check_divergence(warnings)
 
     def _step(self, steps: int) -> None:
-        end = self.step_count + steps
-        while self.step_count < end:
-            calls = [g.steps_to_call(self.step_count) for g in self._grippers]
-            chunk = min([end - self.step_count, *(c for c in calls if c is not None)])
+        left = steps
+        while left:
+            moving = any(controller.moving for controller in self._joint_controllers) or any(
+                gripper.moving for gripper in self._gripper_controllers)
+            # As even as they can be.
+            chunk = -(-left // -(-left // self._interval_steps)) if moving else left
+            for controller in self._joint_controllers:
+                controller.tick(self.data, self.time_s, chunk * self.timestep_s)
+            for gripper in self._gripper_controllers:
+                gripper.tick(self.data, self.step_count, chunk * self.timestep_s)
             mujoco.mj_step(self.model, self.data, chunk)
             self.step_count += chunk
-            for gripper in self._grippers:
-                gripper.call_if_due(self.data, self.step_count)
+            left -= chunk
 
     def _bad_numbers(self) -> int:
         warning, kinds = self.data.warning, mujoco.mjtWarning
         return sum(int(warning[int(kind)].number) for kind in (
-            kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC))
+            kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC,
+            kinds.mjWARN_BADCTRL))
 
     def _check_divergence(self, warnings_before: int) -> None:
         velocity = self.data.qvel
@@ -221,7 +228,7 @@ class Simulation:
         elif np.abs(velocity).max(initial=0.0) > _ABSURD_VELOCITY:
             reason = f'a velocity is above {_ABSURD_VELOCITY:g}'
         elif self._bad_numbers() > warnings_before:
-            reason = 'MuJoCo warns of a bad position, velocity or acceleration'
+            reason = 'MuJoCo warns of a bad position, velocity, acceleration or control'
         else:
             return
         self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
@@ -236,11 +243,11 @@ class Simulation:
         Joints, grippers and their action state, free objects and tare are as after construction;
         control modes stay.
         """
-        mujoco.mj_resetData(self.model, self.data)
-        for joint, position in self._start.items():
-            self.data.joint(joint).qpos[0] = position
-        for drive in [*self.drives.values(), *self._bystanders]:
-            drive.reset(self.data)
+        self._to_start()
+        for controller in self._joint_controllers:
+            controller.reset(self.data)
+        for gripper in self._gripper_controllers:
+            gripper.reset(self.data)
         for reader in self.end_effectors.values():
             reader.reset()
         self.diverged = None

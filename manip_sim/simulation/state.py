@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from manip_sim.typing import FloatArray
+from manip_sim.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,25 @@ class EndEffector:
     angular_velocity: FloatArray
     wrench: Wrench
     external_wrench: Wrench
+
+
+@dataclass(frozen=True)
+class JointReference:
+    """
+    Where some joints shall be at one instant.
+
+    :ivar position: [rad or m], shape (n,)
+    :ivar velocity: [rad/s or m/s], shape (n,)
+    :ivar acceleration: [rad/s^2 or m/s^2], shape (n,)
+    :ivar effort: that is commanded, of the joints that give one [N m or N], shape (n,)
+    :ivar gives_effort: whether a joint gives its effort and has no setpoint, shape (n,)
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    gives_effort: BoolArray
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from scipy.interpolate import BPoly, pchip_interpolate
+from scipy.interpolate import PchipInterpolator
 
 from manip_sim.errors import CommandError
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
+
+#: Fractions of a segment at which its velocity is looked at.
+_SAMPLES = np.linspace(0.0, 1.0, 17)
 
 
 class Trajectory:
@@ -19,51 +20,119 @@ class Trajectory:
     A motion through points in time: quintic where accelerations are given, else cubic.
 
     Where the points have no velocities, those of a shape-preserving (Fritsch-Carlson) cubic are
-    taken, zero at the end.
+    taken, zero at the end. The first segment begins where :meth:`begin_at` says.
 
-    :param start_position: where the motion starts [rad or m], shape (n,)
-    :param start_velocity: how fast it starts [rad/s or m/s], shape (n,)
     :param times_s: of the points after the start [s], increasing, the first one above zero or,
         alone or followed by others, at zero: then that point replaces the start
     :param positions: shape (n_points, n)
     :param velocities: shape (n_points, n), or None
     :param accelerations: shape (n_points, n), or None; only with velocities
-    :raises CommandError: if the times do not increase
+    :ivar end_s: time of the last point [s]
+    :raises CommandError: if the times do not increase, or the spline through the points is not
+        finite
     """
 
-    def __init__(self, start_position: FloatArray, start_velocity: FloatArray,
-                 times_s: Sequence[float], positions: FloatArray,
+    def __init__(self, times_s: FloatArray, positions: FloatArray,
                  velocities: FloatArray | None = None,
                  accelerations: FloatArray | None = None) -> None:
-        times = np.asarray(times_s, dtype=float)
-        check_times(times)
-        self.end_s = float(times[-1])
-        self._end = np.array(positions[-1], dtype=float)
-        if times[0] > 0.0:
-            times = np.concatenate([[0.0], times])
-            positions = np.vstack([start_position, positions])
+        check_times(times_s)
+        self.times_s = np.asarray(times_s, dtype=float)
+        self.positions = np.asarray(positions, dtype=float)
+        self.end_s = float(self.times_s[-1])
+        self._velocities, self._accelerations = velocities, accelerations
+        count = self.positions.shape[1]
+        self.begin_at(self.positions[0], np.zeros(count))
+
+    def begin_at(self, position: FloatArray, velocity: FloatArray, time_s: float = 0.0) -> None:
+        """
+        Let the motion start somewhere; points up to then are dropped.
+
+        A first point at time zero overrides a start at time zero.
+
+        :param position: [rad or m], shape (n,)
+        :param velocity: [rad/s or m/s], shape (n,)
+        :param time_s: of the start [s]
+        :raises CommandError: if the spline is not finite
+        """
+        first = 0
+        if time_s > 0.0:
+            last = len(self.times_s) - 1
+            first = min(int(np.searchsorted(self.times_s, time_s, side='right')), last)
+        times, positions = self.times_s[first:], self.positions[first:]
+        velocities = None if self._velocities is None else self._velocities[first:]
+        accelerations = None if self._accelerations is None else self._accelerations[first:]
+        if times[0] > time_s:
+            times = np.concatenate([[time_s], times])
+            positions = np.vstack([position, positions])
             if velocities is not None:
-                velocities = np.vstack([start_velocity, velocities])
+                velocities = np.vstack([velocity, velocities])
             if accelerations is not None:
-                accelerations = np.vstack([np.zeros_like(start_position), accelerations])
-        if len(times) == 1:
-            self._spline = None
-            return
-        if velocities is None:
-            velocities = pchip_interpolate(times, positions, times, der=1, axis=0)
-            velocities[0], velocities[-1] = start_velocity, 0.0
-        derivatives = [positions, velocities] + ([] if accelerations is None else [accelerations])
-        self._spline = BPoly.from_derivatives(times, np.stack(derivatives, axis=1))
+                accelerations = np.vstack([np.zeros_like(position), accelerations])
+        with np.errstate(all='ignore'):
+            if velocities is None:
+                velocities = _shape_preserving(times, positions)
+                velocities[0], velocities[-1] = velocity, 0.0
+            if accelerations is None:
+                self._coefficients = _cubic(times, positions, velocities)
+            else:
+                self._coefficients = _quintic(times, positions, velocities, accelerations)
+            derived = self._coefficients * np.maximum(np.diff(times), 1.0)[:, None, None] ** 5
+        if not (np.isfinite(derived).all() and np.isfinite(velocities).all()):
+            raise CommandError('the spline through the points is not finite: positions, '
+                               'velocities or accelerations are too great')
+        self._knots = times
+        self._end = (positions[-1].copy(), velocities[-1].copy(), np.zeros(positions.shape[1]))
 
-    def position(self, time_s: float) -> FloatArray:
-        """
-        Return where the joints shall be [rad or m], shape (n,), a copy.
+    @property
+    def end_velocity(self) -> FloatArray:
+        """Velocity at the last point [rad/s or m/s], shape (n,)."""
+        return np.asarray(self._end[1])
 
-        :param time_s: since the start [s]; after the end the last point is held
+    def slowed(self, factor: float, from_s: float = 0.0) -> Trajectory:
         """
-        if self._spline is None or time_s >= self.end_s:
-            return self._end.copy()
-        return np.asarray(self._spline(max(time_s, 0.0)), dtype=float)
+        Return the rest of the path in ``factor`` times the time; its time zero is ``from_s``.
+
+        :param from_s: points up to then are dropped, but for the last one [s]
+        """
+        rest = self.times_s > from_s if from_s > 0.0 else self.times_s >= 0.0
+        rest[-1] = True
+        return Trajectory(
+            np.maximum(self.times_s[rest] - from_s, 0.0) * factor, self.positions[rest],
+            None if self._velocities is None else self._velocities[rest] / factor,
+            None if self._accelerations is None else self._accelerations[rest] / factor**2)
+
+    def of(self, columns: IntArray) -> Trajectory:
+        """Return the motion of some of the joints."""
+        return Trajectory(
+            self.times_s, self.positions[:, columns],
+            None if self._velocities is None else self._velocities[:, columns],
+            None if self._accelerations is None else self._accelerations[:, columns])
+
+    def highest_velocity(self) -> FloatArray:
+        """Return the highest speed of each joint on the way [rad/s or m/s], shape (n,)."""
+        if len(self._knots) == 1:
+            return np.zeros(self.positions.shape[1])
+        reach = np.diff(self._knots)[:, None] * _SAMPLES
+        powers = np.stack([k * reach**(k - 1) for k in range(1, self._coefficients.shape[1])])
+        speeds = np.einsum('kst,skn->stn', powers, self._coefficients[:, 1:])
+        return np.asarray(np.abs(speeds).max(axis=(0, 1)))
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """
+        Return position, velocity and acceleration at a time, each of shape (n,), copies.
+
+        :param time_s: since time zero [s]; the last point lasts
+        """
+        if time_s >= self.end_s:
+            return self._end[0].copy(), self._end[1].copy(), self._end[2].copy()
+        segment = max(0, int(np.searchsorted(self._knots, time_s, side='right')) - 1)
+        since_s = max(0.0, time_s - float(self._knots[segment]))
+        position = velocity = acceleration = np.zeros(self.positions.shape[1])
+        for coefficient in self._coefficients[segment, ::-1]:
+            acceleration = acceleration * since_s + 2.0 * velocity
+            velocity = velocity * since_s + position
+            position = position * since_s + coefficient
+        return position, velocity, acceleration
 
 
 def check_times(times: FloatArray) -> None:
@@ -74,6 +143,38 @@ def check_times(times: FloatArray) -> None:
     """
     if len(times) == 0:
         raise CommandError('a trajectory needs at least one point')
-    if times[0] < 0.0 or (np.diff(times) <= 0.0).any():
+    steps = np.diff(times)
+    if times[0] < 0.0 or (steps <= 0.0).any():
+        where = int(np.argmax(steps <= 0.0)) + 1 if times[0] >= 0.0 else 0
         raise CommandError('time_from_start must not be negative and must increase from point to '
-                           f'point, got {times.tolist()}')
+                           f'point, got {times[where]:g} s at point {where}'
+                           + (f' after {times[where - 1]:g} s' if where else ''))
+
+
+def _shape_preserving(times: FloatArray, positions: FloatArray) -> FloatArray:
+    if len(times) < 2:
+        return np.zeros_like(positions)
+    try:
+        return np.asarray(PchipInterpolator(times, positions, axis=0).derivative()(times))
+    except ValueError:  # Its differences are not finite; the caller tells.
+        return np.full_like(positions, np.nan)
+
+
+def _cubic(times: FloatArray, p: FloatArray, v: FloatArray) -> FloatArray:
+    """Return coefficients of 1, t, t^2, t^3 by segment and joint, shape (segments, 4, n)."""
+    h = np.diff(times)[:, None]
+    slope = np.diff(p, axis=0) / h
+    return np.stack([p[:-1], v[:-1], (3.0 * slope - 2.0 * v[:-1] - v[1:]) / h,
+                     (v[:-1] + v[1:] - 2.0 * slope) / h**2], axis=1)
+
+
+def _quintic(times: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """Return coefficients of 1 to t^5 by segment and joint, shape (segments, 6, n)."""
+    h = np.diff(times)[:, None]
+    rest = np.diff(p, axis=0) - v[:-1] * h - a[:-1] * h**2 / 2.0
+    speed = (v[1:] - v[:-1] - a[:-1] * h) * h
+    bend = (a[1:] - a[:-1]) * h**2
+    return np.stack([p[:-1], v[:-1], a[:-1] / 2.0,
+                     (10.0 * rest - 4.0 * speed + bend / 2.0) / h**3,
+                     (-15.0 * rest + 7.0 * speed - bend) / h**4,
+                     (6.0 * rest - 3.0 * speed + bend / 2.0) / h**5], axis=1)

@@ -5,15 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
-from manip_sim.simulation.commands import (
-    clamp, Command, field_of_mode, finite_numbers, Goal, GripperAction, joint_indices)
+from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint, Status
 from manip_sim.simulation.parts import Part
 from manip_sim.typing import FloatArray
 
@@ -21,7 +18,7 @@ from manip_sim.typing import FloatArray
 GRIPPER_RATE_HZ = 20.0
 
 
-class GripperDrive:
+class GripperController:
     """
     Drives a gripper: calls its ``format_action`` at the reference's 20 Hz of simulation time.
 
@@ -64,33 +61,31 @@ class GripperDrive:
         scale = per_length * np.abs(self._model.actuator_gear[self._ids, 0])
         return limits * np.where(scale > 0.0, scale, 1.0)
 
-    def limits(self) -> FloatArray:
-        """Return the range of an action, shape (dof, 2)."""
-        return np.tile([-1.0, 1.0], (self._gripper.dof, 1))
+    @property
+    def dof(self):
+        return self._gripper.dof
 
-    def action(self, action: ArrayLike) -> GripperAction:
-        """
-        Validate an action for the gripper's ``format_action``.
+    @property
+    def indices(self):
+        return np.arange(len(self._ids))
 
-        :raises CommandError: if the length is wrong or a number is not finite
-        """
-        part, count = self.part.name, self._gripper.dof
-        numbers = finite_numbers(action, count, f'{part}: an action')
-        return GripperAction(part, *clamp(numbers, self.limits()))
+    @property
+    def commanded_joints(self):
+        return [j for j in self.part.driven_joints if j]
 
-    def joint_command(self, names: Sequence[str], position: ArrayLike, velocity: ArrayLike,
-                      effort: ArrayLike) -> Goal:
-        """
-        Validate positions for joints that an actuator drives.
+    def followers(self, joint):
+        return []
 
-        :raises CommandError: if a joint is not there, or the numbers do not fit
-        """
-        part = self.part.name
-        indices = joint_indices(names, self.part.driven_joints, part)
-        values = field_of_mode(part, self.mode, len(names), position, velocity, effort)
-        joints = [self._model.joint(name) for name in names]
-        ranges = np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in joints])
-        return Goal(part, self.mode, indices, *clamp(values, ranges))
+    def joint_ranges(self, joints):
+        found = [self._model.joint(name) for name in joints]
+        return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
+
+    def actuators_of(self, joints):
+        return np.array([self.part.driven_joints.index(j) for j in joints])
+
+    @property
+    def moving(self):
+        return self._action is not None or self._goal is not None
 
     def reset(self, data: Any) -> None:
         """Drop all commands and hold the fingers where they are."""
@@ -100,14 +95,15 @@ class GripperDrive:
         data.ctrl[self._ids] = self._ctrl_for(data.actuator_length[self._ids])
         self._go_on_from(data)
 
-    def apply(self, command: Command, data: Any, step: int, time_s: float) -> None:
+    def apply(self, command: Command, data: Any, step: int) -> None:
         """Take a command over."""
+        command.handle.status = Status.RUNNING
         if isinstance(command, GripperAction):
             if self._action is None:
                 self._go_on_from(data)
             self._action, self._goal = command.action, None
             self.call_if_due(data, step)
-        elif isinstance(command, Goal):
+        elif isinstance(command, GripperSetpoint):
             self._action = None
             goal = data.ctrl[self._ids].copy() if self._goal is None else self._goal
             wanted = self._ctrl_for(self._lengths(command))
@@ -128,11 +124,15 @@ class GripperDrive:
         if np.array_equal(data.ctrl[self._ids], self._goal):
             self._goal = None
 
-    def _lengths(self, command: Goal) -> FloatArray:
+    def _lengths(self, command: GripperSetpoint) -> FloatArray:
         lengths = np.zeros(len(self._ids))
         lengths[command.indices] = command.values
         lengths *= self._model.actuator_gear[self._ids, 0]
         return lengths
+
+    def tick(self, data, step, h):
+        self.call_if_due(data, step)
+        self.update(data, h)
 
     def steps_to_call(self, step: int) -> int | None:
         """Return after how many physics steps :meth:`call_if_due` has to be called, or None."""

@@ -1,0 +1,296 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Validate what comes from outside and make commands of it; nothing is changed here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import CommandError, describe_choices
+from manip_sim.models.robots import RobotModel
+from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.simulation.commands import (
+    BaseTwist, Command, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory,
+    TrajectoryStop)
+from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.numbers import clamp, finite_numbers
+from manip_sim.simulation.trajectory import check_times, Trajectory
+from manip_sim.typing import FloatArray, IntArray
+
+#: A trajectory with more points is refused: it could not be checked in a moment.
+MAX_POINTS = 10_000
+#: A start that is farther ahead is taken for a stamp of another clock [s].
+_MAX_AHEAD_S = 3600.0
+
+
+class CommandParser:
+    """
+    Makes commands for the parts of a robot.
+
+    :param robot: whose ``format_action`` maps abstract actions
+    :param joints: controls the joints of arms, base, torso, head and legs; only read
+    :param grippers: by part; only read
+    """
+
+    def __init__(self, robot: RobotModel, joints: JointController,
+                 grippers: Mapping[str, GripperController]) -> None:
+        self._robot = robot
+        self._joints = joints
+        self._grippers = grippers
+        self._gripper_of = {joint: gripper for gripper in grippers.values()
+                            for joint in gripper.commanded_joints}
+
+    def action(self, part: str, action: ArrayLike) -> Command:
+        """
+        Return the command of an abstract action.
+
+        :param part: such as ``arm`` or ``right/gripper``
+        :param action: in [-1, 1] for each actuator of the part, or each dof of the gripper
+        :raises CommandError: if the length is wrong or a number is not finite
+        :raises UnknownNameError: if there is no such part
+        """
+        if part in self._grippers:
+            gripper = self._grippers[part]
+            numbers = finite_numbers(action, gripper.dof, f'{part}: an action')
+            inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
+            return GripperAction(parts=frozenset([part]), indices=gripper.indices, action=inside,
+                                 clamped=clamped)
+        indices = self._joints.indices_of(part)
+        numbers = finite_numbers(action, len(indices), f'{part}: an action')
+        inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
+        return JointSetpoint(
+            parts=self._joints.parts_of(indices), indices=indices, clamped=clamped,
+            modes=self._joints.modes_of(indices), values=self._formatted(part, indices, inside))
+
+    def _formatted(self, part: str, indices: IntArray, action: FloatArray) -> FloatArray:
+        # An arm of two is the part of the subsystem that format_action knows.
+        subsystem = part if part in SUBSYSTEMS else 'arm'
+        whole = self._joints.indices_of(subsystem)
+        own = np.flatnonzero(np.isin(whole, indices))
+        padded = np.zeros(len(whole))
+        padded[own] = action
+        return self._robot.format_action(subsystem, padded, self._joints.ranges(whole))[own]
+
+    def joint_command(self, names: Sequence[str], position: ArrayLike = (),
+                      velocity: ArrayLike = (), effort: ArrayLike = (), part: str | None = None
+                      ) -> list[Command]:
+        """
+        Return the commands of goals for some joints, all or none.
+
+        The field that counts is that of the joint's control mode. NaN is no command for a joint.
+        A field may also have numbers for those joints alone whose mode uses it, in the order of
+        their names; finger joints that follow one named before them need none.
+
+        :param names: joints
+        :param position: goals of the joints in position mode [rad or m]
+        :param velocity: goals of the joints in velocity mode [rad/s or m/s]
+        :param effort: goals of the joints in effort mode [N m or N]
+        :param part: takes joints of this part only; None takes all
+        :raises CommandError: if a joint is not there, or the numbers do not fit
+        """
+        what = part or 'joint_command'
+        available = self._commanded_joints(part)
+        check_names(names, available, what)
+        modes = [self._mode(name) for name in names]
+        fields = {'position': position, 'velocity': velocity, 'effort': effort}
+        values = np.full(len(names), np.nan)
+        for field, numbers in fields.items():
+            placed = self._placed(what, field, numbers, names, modes)
+            uses = np.array([mode == field for mode in modes])
+            surplus = np.flatnonzero(~uses & ~np.isnan(placed))
+            if surplus.size:
+                name = names[surplus[0]]
+                raise CommandError(
+                    f"{what}: joint '{name}' is in {self._mode(name)} mode, which does not use "
+                    f'the field {field}: leave it empty, or NaN for this joint')
+            values[uses] = placed[uses]
+        if np.isnan(values).all():
+            raise CommandError(f'{what}: no joint has a number in the field of its control mode '
+                               f'({", ".join(sorted(set(modes)))})')
+        commanded = ~np.isnan(values)
+        return list(self._setpoints([n for n, c in zip(names, commanded) if c],
+                                    values[commanded]))
+
+    def _placed(self, what: str, field: str, numbers: ArrayLike, names: Sequence[str],
+                modes: Sequence[str]) -> FloatArray:
+        """Return the numbers of a field by joint, NaN where there is none."""
+        given = np.asarray(numbers, dtype=float)
+        placed = np.full(len(names), np.nan)
+        infinite = np.flatnonzero(np.isinf(given))
+        if infinite.size:
+            raise CommandError(f'{what}: {field} must be finite, got {given[infinite[0]]} at '
+                               f'index {infinite[0]}')
+        if given.size == len(names):
+            return given
+        if np.isnan(given).all():
+            return placed
+        takers = self._takers(field, names, modes)
+        if given.size != len(takers):
+            raise CommandError(f'{what}: {field} must have {len(names)} numbers, one for each '
+                               f'joint, got {given.size}')
+        placed[takers] = given
+        return placed
+
+    def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:
+        followed: set[str] = set()
+        takers = []
+        for index, (name, mode) in enumerate(zip(names, modes)):
+            if mode != field or name in followed:
+                continue
+            takers.append(index)
+            if name in self._gripper_of:
+                followed.update(self._gripper_of[name].followers(name))
+        return takers
+
+    def _commanded_joints(self, part: str | None) -> list[str]:
+        if part is None:
+            return [*self._joints.names, *self._gripper_of]
+        if part in self._grippers:
+            return list(self._grippers[part].commanded_joints)
+        return [self._joints.names[i] for i in self._joints.indices_of(part)]
+
+    def _mode(self, name: str) -> str:
+        return 'position' if name in self._gripper_of else self._joints.mode_of(name)
+
+    def _setpoints(self, names: Sequence[str], values: FloatArray) -> Iterable[Command]:
+        own = [i for i, name in enumerate(names) if name not in self._gripper_of]
+        if own:
+            indices = self._joints.find([names[i] for i in own])
+            inside, clamped = clamp(values[own], self._joints.clamps(indices))
+            yield JointSetpoint(
+                parts=self._joints.parts_of(indices), indices=indices, values=inside,
+                modes=self._joints.modes_of(indices), clamped=clamped)
+        for part, gripper in self._grippers.items():
+            fingers = [i for i, name in enumerate(names) if self._gripper_of.get(name) is gripper]
+            if fingers:
+                joints = tuple(names[i] for i in fingers)
+                inside, clamped = clamp(values[fingers], gripper.joint_ranges(joints))
+                yield GripperSetpoint(parts=frozenset([part]), joints=joints, values=inside,
+                                      indices=gripper.actuators_of(joints), clamped=clamped)
+
+    def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
+                   positions: ArrayLike, velocities: ArrayLike | None = None,
+                   accelerations: ArrayLike | None = None, start_ns: int = 0,
+                   now_ns: int = 0) -> Command:
+        """
+        Return the command of a motion for some joints of a part.
+
+        The spline is made and checked here, from where the setpoints are now. Points that are past
+        are dropped; a motion that is faster than the joints may move is slowed down as a whole.
+        Without points the present trajectories of the joints end.
+
+        :param times_s: of the points after the start [s]
+        :param positions: [rad or m], shape (n_points, n)
+        :param velocities: of that shape, or None
+        :param accelerations: of that shape, or None
+        :param start_ns: simulation time of the start [ns]; 0 is now
+        :param now_ns: present simulation time [ns]
+        :raises CommandError: if a joint is not there, the times do not increase, all points are
+            past or the numbers do not fit; or if a joint is not in position mode
+        """
+        joints = self._joints
+        available = self._commanded_joints(part)
+        if not len(times_s):
+            indices = joints.find(names) if names else joints.indices_of(part)
+            return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
+        check_names(names, available, part)
+        indices = joints.find(names)
+        self._check_position_mode(part, names)
+        if len(times_s) > MAX_POINTS:
+            raise CommandError(f'{part}: a trajectory may have {MAX_POINTS} points, got '
+                               f'{len(times_s)}')
+        times = finite_numbers(times_s, len(times_s), f'{part}: time_from_start')
+        check_times(times)
+        shape = (len(times), len(names))
+        goal, clamped = clamp(_points(part, 'positions', positions, shape),
+                              joints.clamps(indices))
+        speeds = None if velocities is None else _points(part, 'velocities', velocities, shape)
+        bends = None if accelerations is None else _points(part, 'accelerations', accelerations,
+                                                           shape)
+        if bends is not None and speeds is None:
+            raise CommandError(f'{part}: accelerations need velocities')
+        delay_s = (start_ns - now_ns) * 1e-9 if start_ns else 0.0
+        _check_start(part, times, delay_s)
+        elapsed_s = max(0.0, -delay_s)
+        trajectory, slowed = joints.fitted(Trajectory(times, goal, speeds, bends), indices,
+                                           elapsed_s)
+        if slowed > 1.0 and elapsed_s > 0.0:
+            start_ns = 0
+        return JointTrajectory(
+            parts=joints.parts_of(indices), indices=indices, trajectory=trajectory,
+            columns=np.arange(len(names)), start_ns=start_ns, slowed=slowed, clamped=clamped)
+
+    def _check_position_mode(self, part: str, names: Sequence[str]) -> None:
+        for name in names:
+            mode = self._joints.mode_of(name)
+            if mode != 'position':
+                raise CommandError(f'{part} follows trajectories in position mode only, '
+                                   f"joint '{name}' is in {mode} mode")
+
+    def twist(self, forward: float, side: float, yaw: float) -> Command:
+        """
+        Return the command of a velocity of the mobile base in its own frame.
+
+        :param forward: along x [m/s]
+        :param side: along y [m/s]
+        :param yaw: about z [rad/s]
+        :raises CommandError: if a number is not finite, or the base is not in velocity mode
+        """
+        indices = self._joints.twist_indices
+        if indices is None:
+            raise CommandError('base: this robot has none that takes a twist')
+        values = finite_numbers([forward, side, yaw], 3, 'base: a twist')
+        mode = self._joints.modes_of(indices)[0]
+        if mode != 'velocity':
+            raise CommandError(f'base takes a twist in velocity mode only, it is in {mode} mode')
+        inside, clamped = clamp(values, self._joints.clamps(indices))
+        return BaseTwist(parts=self._joints.parts_of(indices), indices=indices, twist=inside,
+                         clamped=clamped)
+
+
+def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:
+    """
+    Check the names of joints.
+
+    :param available: the joints that can be commanded
+    :param what: who takes them, for the message
+    :raises CommandError: if there are none, one is unknown, or one comes twice
+    """
+    if not len(names):
+        raise CommandError(f'{what}: no joint is named')
+    known = set(available)
+    for name in names:
+        if name not in known:
+            raise CommandError(f"{what} has no joint '{name}' that can be commanded: "
+                               f'{describe_choices(name, available)}')
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if list(names).count(name) > 1)
+        raise CommandError(f"{what}: joint '{twice}' is named twice")
+
+
+def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except ValueError:
+        numbers = np.empty(0)
+    if numbers.shape != shape:
+        raise CommandError(f'{part}: {field} must have {shape[1]} numbers at each of {shape[0]} '
+                           'points')
+    if not np.isfinite(numbers).all():
+        raise CommandError(f'{part}: {field} must be finite')
+    return numbers
+
+
+def _check_start(part: str, times: FloatArray, delay_s: float) -> None:
+    if delay_s > _MAX_AHEAD_S:
+        raise CommandError(f'{part}: the trajectory would start in {delay_s:.0f} s of simulation '
+                           'time, by its stamp: set use_sim_time in the node that sends it, or '
+                           'leave the stamp zero')
+    if delay_s < 0.0 and times[-1] + delay_s < 0.0:
+        raise CommandError(f'{part}: the trajectory ended {-(times[-1] + delay_s):.3f} s ago, by '
+                           'its stamp')

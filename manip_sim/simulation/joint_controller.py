@@ -1,0 +1,394 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Controls the joints of a robot: who commands each joint, and where its setpoint goes next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.simulation.commands import (
+    BaseTwist, Command, JointSetpoint, JointTrajectory, MODES, Status, TrajectoryStop)
+from manip_sim.simulation.parts import Part
+from manip_sim.simulation.servos import Servos
+from manip_sim.simulation.setpoints import SetpointGenerator
+from manip_sim.simulation.state import JointReference
+from manip_sim.simulation.trajectory import Trajectory
+from manip_sim.typing import FloatArray, IntArray
+
+C = TypeVar('C', bound=Command)
+#: A trajectory that would have to be slowed down more than this is refused.
+_MAX_SLOWDOWN = 1000.0
+#: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
+_TWIST_JOINTS = ('forward', 'side', 'yaw')
+
+
+class JointController:
+    """
+    Position, velocity and effort control of all driven joints of a robot.
+
+    A command owns the joints it names until a newer one names them; so commands for one part, or
+    one joint, never disturb another. A joint in effort mode holds its place until it gets its
+    first effort.
+
+    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``
+    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
+    :param parts: by name; those of one arm and of both arms may overlap
+    :param atomic: the names of the parts that do not overlap
+    :ivar names: of the driven joints, in the order of their indices
+    :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
+    :ivar timeouts: how often each atomic part had no fresh command for too long
+    """
+
+    def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str]
+                 ) -> None:
+        driven = [(actuator, joint) for name in atomic for actuator, joint in
+                  zip(parts[name].actuators, parts[name].driven_joints) if joint is not None]
+        self.names = [joint for _, joint in driven]
+        self._index_of = {name: index for index, name in enumerate(self.names)}
+        self._indices_of = {name: self.find([j for j in part.driven_joints if j])
+                            for name, part in parts.items()}
+        self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
+        self._servos = Servos(model, data, [a for a, _ in driven], self.names)
+        self._setpoints = SetpointGenerator(
+            self._servos.position_clamp(), self._servos.velocity_limit,
+            self._servos.acceleration_limit)
+        self._everything = np.arange(len(self.names))
+        self._mode = ['position'] * len(self.names)
+        self._effort = np.zeros(len(self.names))
+        #: Each owns the joints of its indices; trajectories that start later own none yet.
+        self._running: list[Command] = []
+        self._waiting: list[JointTrajectory] = []
+        self.twist_indices = self._find_twist_joints(parts)
+        self._timeout_s = dict.fromkeys(atomic, 0.0)
+        self._last_command_s: dict[str, float] = {}
+        self.timeouts = dict.fromkeys(atomic, 0)
+        self._written = False
+
+    def _find_twist_joints(self, parts: Mapping[str, Part]) -> IntArray | None:
+        if 'base' not in parts:
+            return None
+        words = [set((joint or '').split('_')) for joint in parts['base'].driven_joints]
+        found = [[i for i, w in enumerate(words) if key in w] for key in _TWIST_JOINTS]
+        if any(len(indices) != 1 for indices in found):
+            return None
+        return self._indices_of['base'][[indices[0] for indices in found]]
+
+    # ------------------------------------------------------------------ what is there
+
+    def indices_of(self, part: str) -> IntArray:
+        """
+        Return the indices of a part's driven joints.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        if part not in self._indices_of:
+            raise UnknownNameError('part', part, self._indices_of)
+        return self._indices_of[part]
+
+    def find(self, names: Sequence[str]) -> IntArray:
+        """Return the indices of driven joints."""
+        return np.array([self._index_of[name] for name in names], dtype=np.int64)
+
+    def parts_of(self, indices: IntArray) -> frozenset[str]:
+        """Return the atomic parts that joints belong to."""
+        return frozenset(self._part_of[i] for i in indices)
+
+    def mode_of(self, name: str) -> str:
+        """Return the control mode of a driven joint."""
+        return self._mode[self._index_of[name]]
+
+    def modes_of(self, indices: IntArray) -> tuple[str, ...]:
+        """Return the control modes of driven joints."""
+        return tuple(self._mode[i] for i in indices)
+
+    def ranges(self, indices: IntArray) -> FloatArray:
+        """Return what an action of -1 to 1 spans in the present modes, shape (n, 2), a copy."""
+        return np.array([self._servos.ranges[self._mode[i]][i] for i in indices]).reshape(-1, 2)
+
+    def clamps(self, indices: IntArray) -> FloatArray:
+        """Return the ranges of goals in the present modes, shape (n, 2), a copy."""
+        clamps = self.ranges(indices)
+        endless = ~self._servos.limited[indices] & np.array(
+            [self._mode[i] == 'position' for i in indices], dtype=bool)
+        clamps[endless] = (-np.inf, np.inf)
+        return clamps
+
+    def fitted(self, trajectory: Trajectory, indices: IntArray, elapsed_s: float
+               ) -> tuple[Trajectory, float]:
+        """
+        Return a trajectory that keeps to the velocity limits, and how much slower it is.
+
+        One that is slowed down begins now.
+
+        :param indices: the joints that follow it, from where their setpoints are now
+        :param elapsed_s: how long it has been running [s]
+        :raises CommandError: if it is much too fast, or its spline is not finite
+        """
+        position, velocity = self._setpoints.position[indices], self._setpoints.velocity[indices]
+        trajectory.begin_at(position, velocity, elapsed_s)
+        speeds, limit = trajectory.highest_velocity(), self._servos.velocity_limit[indices]
+        factor = float((speeds / limit).max(initial=0.0))
+        if factor <= 1.0 + 1e-6:
+            return trajectory, 1.0
+        if factor > _MAX_SLOWDOWN:
+            worst = int(np.argmax(speeds / limit))
+            raise CommandError(f"joint '{self.names[indices[worst]]}' would have to move at "
+                               f'{speeds[worst]:g} per second, its limit is {limit[worst]:g}')
+        return trajectory.slowed(factor, elapsed_s), factor
+
+    def reference(self, indices: IntArray) -> JointReference:
+        """Return where joints shall be, copies; for joints in effort mode what they give."""
+        gives = self._servos.gives_effort(indices)
+        return JointReference(
+            position=self._setpoints.position[indices], velocity=self._setpoints.velocity[indices],
+            acceleration=self._setpoints.acceleration[indices],
+            effort=np.where(gives, self._effort[indices], 0.0), gives_effort=gives)
+
+    @property
+    def moving(self) -> bool:
+        """Whether setpoints change, or may, in the next interval."""
+        return bool(self._setpoints.moving or self._waiting or any(
+            isinstance(c, (JointTrajectory, BaseTwist)) for c in self._running))
+
+    @property
+    def busy_parts(self) -> frozenset[str]:
+        """The atomic parts that follow a trajectory, or wait for its start."""
+        trajectories = [*self._waiting,
+                        *(c for c in self._running if isinstance(c, JointTrajectory))]
+        return frozenset().union(*(self.parts_of(t.indices) for t in trajectories))
+
+    # ------------------------------------------------------------------ what is changed
+
+    def set_timeout(self, part: str, timeout_s: float) -> None:
+        """
+        Change after how long without a fresh command a part rests.
+
+        :param timeout_s: simulation time [s]; 0 is never
+        :raises UnknownNameError: if there is no such part
+        """
+        for name in self.parts_of(self.indices_of(part)):
+            self._timeout_s[name] = timeout_s
+
+    def set_mode(self, part: str, mode: str, data: Any) -> None:
+        """
+        Change how a part is controlled; joints whose mode changes come to rest.
+
+        :param mode: one of :data:`MODES`
+        :raises UnknownNameError: if there is no such part or mode
+        """
+        if mode not in MODES:
+            raise UnknownNameError('control mode', mode, MODES)
+        changed = np.array([i for i in self.indices_of(part) if self._mode[i] != mode],
+                           dtype=np.int64)
+        if changed.size:
+            self._release(changed, Status.ABORTED, f'the control mode is {mode} now')
+            for index in changed:
+                self._mode[index] = mode
+            self._hold(changed, data)
+
+    def _hold(self, indices: IntArray, data: Any) -> None:
+        """Let joints come to rest as soon as their acceleration limits allow."""
+        gives = self._servos.gives_effort(indices)
+        free, held = indices[gives], indices[~gives]
+        self._setpoints.set_velocity(held, np.zeros(len(held)))
+        if free.size:
+            self._effort[free] = 0.0
+            self._servos.give_effort(free, False)
+            self._setpoints.place(free, data.qpos[self._servos.qpos[free]],
+                                  data.qvel[self._servos.dofs[free]])
+            self._servos.start(data, free, self._setpoints.position[free],
+                               self._setpoints.velocity[free])
+
+    def reset(self, data: Any) -> None:
+        """Abort all commands and rest where the joints are; modes stay."""
+        everything = self._everything
+        self._release(everything, Status.ABORTED, 'the simulation was reset')
+        self._last_command_s.clear()
+        self._effort[:] = 0.0
+        self._servos.give_effort(everything, False)
+        position = data.qpos[self._servos.qpos]
+        self._setpoints.place(everything, position, np.zeros(len(position)))
+        self._setpoints.moving = False
+        self._servos.start(data, everything, position, np.zeros(len(position)))
+        self._written = False
+
+    def _release(self, indices: IntArray, status: Status, reason: str = '') -> None:
+        """Take joints from the commands that own or await them."""
+        self._running = list(_without(self._running, indices, status, reason))
+        self._waiting = list(_without(self._waiting, indices, status, reason))
+
+    def apply(self, command: Command, data: Any, now_s: float, period_s: float) -> None:
+        """
+        Take a command over, at the beginning of a control period.
+
+        What was meant for another control mode than the present one is aborted.
+
+        :param now_s: simulation time [s]
+        :param period_s: length of the period [s]
+        """
+        self._setpoints.now_s = now_s
+        meant = self._of_present_mode(command)
+        if meant is None:
+            command.handle.end(Status.ABORTED, 'the control mode has changed')
+            return
+        meant.handle.status = Status.RUNNING
+        for part in meant.parts:
+            self._last_command_s[part] = now_s
+        if isinstance(meant, JointTrajectory):
+            # What runs goes on until this one starts.
+            self._waiting = [*_without(self._waiting, meant.indices, Status.REPLACED), meant]
+        elif isinstance(meant, TrajectoryStop):
+            self._stop_trajectories(meant)
+        else:
+            self._release(meant.indices, Status.REPLACED)
+            self._running.append(meant)
+            if isinstance(meant, JointSetpoint):
+                self._apply_setpoint(meant, period_s)
+
+    def _of_present_mode(self, command: C) -> C | None:
+        if isinstance(command, TrajectoryStop):
+            return command
+        modes = command.modes if isinstance(command, JointSetpoint) else (
+            'velocity' if isinstance(command, BaseTwist) else 'position',) * len(command.indices)
+        changed = [i for i, mode in zip(command.indices, modes) if self._mode[i] != mode]
+        return command.without(np.array(changed, dtype=np.int64))
+
+    def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
+        modes = np.array(command.modes)
+        for mode in MODES:
+            chosen = modes == mode
+            indices, values = command.indices[chosen], command.values[chosen]
+            if not indices.size:
+                continue
+            if mode == 'position':
+                self._setpoints.go_to(indices, values, period_s)
+            elif mode == 'velocity':
+                self._setpoints.set_velocity(indices, values)
+            else:
+                self._effort[indices] = values
+                self._servos.give_effort(indices, True)
+                self._setpoints.moving = True
+
+    def _stop_trajectories(self, stop: TrajectoryStop) -> None:
+        reason = 'ended by an empty trajectory'
+        self._waiting = list(_without(self._waiting, stop.indices, Status.ABORTED, reason))
+        for followed in [c.indices for c in self._running if isinstance(c, JointTrajectory)]:
+            named = np.intersect1d(stop.indices, followed)
+            self._release(named, Status.ABORTED, reason)
+            self._setpoints.set_velocity(named, np.zeros(len(named)))
+        stop.handle.end(Status.DONE)
+
+    # ------------------------------------------------------------------ in the control loop
+
+    def begin_period(self, data: Any, now_s: float) -> None:
+        """
+        See which commands are done or too old.
+
+        :param now_s: simulation time [s]
+        """
+        for command in list(self._running):
+            if (isinstance(command, JointSetpoint) and set(command.modes) == {'position'}
+                    and self._setpoints.at_rest(command.indices)):
+                self._finish(command, data, command.values)
+        for part, last_s in list(self._last_command_s.items()):
+            timeout_s = self._timeout_s[part]
+            if 0.0 < timeout_s <= now_s - last_s + 1e-9 and part not in self.busy_parts:
+                self._time_out(part)
+
+    def _finish(self, command: Command, data: Any, goal: FloatArray) -> None:
+        self._running.remove(command)
+        measured = data.qpos[self._servos.qpos[command.indices]]
+        command.handle.end(Status.DONE, error=goal - measured)
+
+    def _time_out(self, part: str) -> None:
+        indices = self.indices_of(part)
+        del self._last_command_s[part]
+        self.timeouts[part] += 1
+        self._release(indices, Status.ABORTED, 'no fresh command came in time')
+        gives = self._servos.gives_effort(indices)
+        self._effort[indices[gives]] = 0.0
+        self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
+
+    def tick(self, data: Any, now_s: float, duration_s: float) -> None:
+        """
+        Write the controls of the next interval; setpoints are linear in it.
+
+        :param now_s: simulation time [s]
+        :param duration_s: length of the interval [s]
+        """
+        if not self.moving:
+            if self._written:
+                self._servos.rest(data)
+                self._written = False
+            return
+        setpoints, servos = self._setpoints, self._servos
+        setpoints.now_s = now_s
+        self._start_trajectories(now_s, duration_s)
+        self._turn_twist(data)
+        setpoints.advance(duration_s)
+        self._follow_trajectories(data, now_s + duration_s)
+        setpoints.hold_back(data.qpos[servos.qpos], servos.lead)
+        servos.write(data, duration_s, setpoints.position, setpoints.velocity,
+                     setpoints.acceleration, self._effort)
+        self._written = True
+
+    def _start_trajectories(self, now_s: float, duration_s: float) -> None:
+        for command in list(self._waiting):
+            start_s = command.start_ns * 1e-9 if command.start_ns else now_s
+            if start_s >= now_s + duration_s - 1e-9:
+                continue
+            self._waiting.remove(command)
+            self._release(command.indices, Status.REPLACED)
+            own = command.own_trajectory()
+            try:
+                own.trajectory.begin_at(self._setpoints.position[own.indices],
+                                        self._setpoints.velocity[own.indices], now_s - start_s)
+            except CommandError as error:
+                command.handle.end(Status.ABORTED, str(error))
+                continue
+            self._running.append(replace(own, start_ns=round(start_s * 1e9)))
+
+    def _follow_trajectories(self, data: Any, end_s: float) -> None:
+        for command in list(self._running):
+            if not isinstance(command, JointTrajectory):
+                continue
+            since_s = end_s - command.start_ns * 1e-9
+            position, velocity, acceleration = (
+                values[command.columns] for values in command.trajectory.at(since_s))
+            self._setpoints.follow(command.indices, position, velocity, acceleration)
+            if since_s >= command.trajectory.end_s - 1e-9:
+                self._finish(command, data, position)
+                if velocity.any():
+                    self._setpoints.come_back(command.indices, position)
+                for part in command.parts - self._commanded_parts():
+                    self._last_command_s.pop(part, None)
+
+    def _commanded_parts(self) -> frozenset[str]:
+        return frozenset().union(*(self.parts_of(c.indices) for c in self._running))
+
+    def _turn_twist(self, data: Any) -> None:
+        """Give the joints the velocities of the twist; the slides do not turn with the base."""
+        for command in self._running:
+            if isinstance(command, BaseTwist):
+                forward, side, turn = command.twist
+                yaw = data.qpos[self._servos.qpos[command.indices[2]]]
+                cos, sin = np.cos(yaw), np.sin(yaw)
+                velocity = np.array([cos * forward - sin * side, sin * forward + cos * side, turn])
+                self._setpoints.set_velocity(command.indices, velocity)
+
+
+def _without(commands: Iterable[C], indices: IntArray, status: Status, reason: str = ''
+             ) -> Iterator[C]:
+    """Yield what is left of commands that lose some joints; end those that lose all."""
+    for command in commands:
+        rest = command.without(indices)
+        if rest is None:
+            command.handle.end(status, reason)
+        else:
+            yield rest

@@ -1,0 +1,39 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Check and clamp numbers that come from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import CommandError
+from manip_sim.typing import FloatArray
+
+
+def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:
+    """
+    Return numbers as an array.
+
+    :param what: what they are, for the message
+    :raises CommandError: if there are not ``length`` of them, or one is not finite
+    """
+    numbers = np.asarray(values, dtype=float)
+    if numbers.shape != (length,):
+        raise CommandError(f'{what} must have {length} numbers, got {numbers.size}')
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if bad.size:
+        raise CommandError(f'{what} must be finite, got {numbers[bad[0]]} at index {bad[0]}')
+    return numbers
+
+
+def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
+    """
+    Bring numbers into their ranges.
+
+    :param ranges: lowest and highest value, shape (2,), or (n, 2) for values of shape (..., n)
+    :returns: the numbers in range, and how many were not
+    """
+    inside = np.clip(values, ranges[..., 0], ranges[..., 1])
+    return inside, int(np.count_nonzero(inside != values))

@@ -1,0 +1,291 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+MuJoCo's own actuators as servos of joints: gains, limits and what is written into ``data``.
+
+The activation of an actuator holds its setpoint; ``ctrl`` is the rate at which the setpoint
+changes. So setpoints are linear between two calls of :meth:`Servos.write`, and the physics loop
+runs no code of this module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError
+from manip_sim.typing import BoolArray, FloatArray, IntArray
+
+#: Lag of a position servo whose gains are derived [s]: damping over stiffness.
+_LAG_S = 0.013
+#: Span of an unlimited hinge that an abstract action of -1 to 1 stands for [rad].
+_UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
+#: Span of the effort of a joint without a torque limit [N m or N].
+_UNLIMITED_EFFORT = 1e3
+#: Velocity limit of a joint that declares none [rad/s or m/s].
+_DEFAULT_VELOCITY = np.pi
+#: What steps may use of the torque that is left beside weight and damping.
+_TORQUE_SHARE = 0.6
+#: A step takes at least this long to come to the velocity limit [s].
+_SPEED_UP_S = 0.1
+#: In how many poses the inertia is looked at, and which share of them may be heavier.
+_POSES = 64
+_QUANTILE = 0.3
+#: A servo that saturates is integrated explicitly: its damping per step and inertia stays below.
+_EXPLICIT_DAMPING = 1.5
+
+
+def add_setpoint_activation(spec: Any, actuators: Iterable[str]) -> None:
+    """
+    Give actuators an activation that holds their setpoint and changes at the rate of ``ctrl``.
+
+    :param spec: the ``mujoco.MjSpec``, changed in place
+    :param actuators: their names
+    """
+    for name in actuators:
+        actuator = spec.actuator(name)
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        actuator.dynprm[0] = 1.0
+        actuator.actlimited = 0
+
+
+class Servos:
+    """
+    The actuators that drive joints, each as a servo or as a source of effort.
+
+    Torque limits hold in both. Stiffness and damping are those of the model where its actuators
+    are position or velocity servos, and derived from the joint's inertia where they are motors.
+
+    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``; the
+        actuators are set
+    :param data: at the start, after ``mj_forward``
+    :param actuators: their names
+    :param joints: the joint that each of them drives
+    :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
+    :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
+    :ivar limited: whether each joint has a range, shape (n,)
+    :ivar ranges: lowest and highest goal by control mode, at the joints in SI units, shape (n, 2)
+    :ivar acceleration_limit: of steps [rad/s^2 or m/s^2], shape (n,)
+    :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
+    :raises ModelError: if two actuators drive one joint
+    """
+
+    def __init__(self, model: Any, data: Any, actuators: Sequence[str], joints: Sequence[str]
+                 ) -> None:
+        _check_single(actuators, joints)
+        self._model = model
+        ids = self._ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
+        joint_ids = np.array([model.joint(j).id for j in joints], dtype=np.int64)
+        self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
+        self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
+        self._activation = model.actuator_actadr[ids].astype(np.int64)
+        self._gear: FloatArray = model.actuator_gear[ids, 0].copy()
+        stiffness, damping = _stiffness_and_damping(model, ids, self.dofs)
+        self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
+        self._soften()
+        passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
+        #: Force per velocity of a setpoint, so that the joint moves as fast.
+        self._drag = self._damping + passive
+        self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
+        velocity = _velocity_limit(model, joint_ids, ids)
+        self.ranges = {'position': self._position_range(joint_ids),
+                       'velocity': np.stack([-velocity, velocity], axis=1),
+                       'effort': self._limit_effort(joint_ids)}
+        self.acceleration_limit = self._acceleration_limit(data, joint_ids)
+        torque = np.abs(self.ranges['effort']).max(axis=1)
+        self.lead = np.maximum(torque, self._damping * velocity) / self._stiffness
+        self._gives_effort = np.zeros(len(ids), dtype=bool)
+        self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
+        model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+        model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
+        model.actuator_ctrllimited[ids] = 0
+        self._compensated = bool(model.body_gravcomp[model.jnt_bodyid[joint_ids]].all())
+        self._set_gains(np.arange(len(ids)))
+
+    def _soften(self) -> None:
+        share = (self._model.opt.timestep * self._damping
+                 * self._model.dof_invweight0[self.dofs])
+        factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(share, 1e-12))
+        self._damping, self._stiffness = self._damping * factor, self._stiffness * factor**2
+
+    def _position_range(self, joint_ids: IntArray) -> FloatArray:
+        limits: FloatArray = self._model.jnt_range[joint_ids].copy()
+        limits[~self.limited] = _UNLIMITED
+        return limits
+
+    def _limit_effort(self, joint_ids: IntArray) -> FloatArray:
+        # At the joint: there the gravity compensation counts too.
+        limits = _effort_range(self._model, joint_ids, self._ids)
+        limited = np.isfinite(limits).all(axis=1)
+        limits = np.clip(limits, -_UNLIMITED_EFFORT, _UNLIMITED_EFFORT)
+        self._model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
+        self._model.jnt_actfrclimited[joint_ids[limited]] = 1
+        return limits
+
+    def _acceleration_limit(self, data: Any, joint_ids: IntArray) -> FloatArray:
+        if self._model.nuser_jnt > 1:
+            declared = self._model.jnt_user[joint_ids, 1]
+        else:
+            declared = np.zeros(len(joint_ids))
+        model, kind = self._model, self._model.jnt_type[joint_ids]
+        random = np.random.default_rng(0)
+        scratch = mujoco.MjData(model)
+        low, high = np.clip(self.position_clamp(), -np.pi, np.pi).T
+        drag = (self._drag - self._damping) * self.velocity_limit
+        torque = np.abs(self.ranges['effort']).max(axis=1)
+        possible = []
+        for pose in range(_POSES):
+            scratch.qpos[:] = data.qpos
+            if pose:
+                scratch.qpos[self.qpos] = random.uniform(low, high)
+            mujoco.mj_forward(model, scratch)
+            # All joints of a kind may accelerate at once.
+            coupled = (self._inertia(scratch) * (kind[:, None] == kind)).sum(axis=1)
+            weight = np.abs(scratch.qfrc_gravcomp[self.dofs])
+            possible.append(np.maximum(torque - weight - drag, 0.2 * torque) / coupled)
+        usual = np.quantile(possible, _QUANTILE, axis=0)
+        derived = np.minimum(_TORQUE_SHARE * usual, self.velocity_limit / _SPEED_UP_S)
+        return np.where(declared > 0.0, declared, derived)
+
+    def _inertia(self, data: Any) -> FloatArray:
+        """Return the sizes of the driven joints' part of the inertia matrix, shape (n, n)."""
+        inertia = np.empty((len(self.dofs), len(self.dofs)))
+        unit, column = np.zeros(self._model.nv), np.zeros(self._model.nv)
+        for index, dof in enumerate(self.dofs):
+            unit[dof] = 1.0
+            mujoco.mj_mulM(self._model, data, column, unit)
+            unit[dof] = 0.0
+            inertia[index] = np.abs(column[self.dofs])
+        return inertia
+
+    @property
+    def velocity_limit(self) -> FloatArray:
+        """How fast each joint may move [rad/s or m/s], shape (n,)."""
+        return np.asarray(self.ranges['velocity'][:, 1])
+
+    def position_clamp(self) -> FloatArray:
+        """Return the ranges of position setpoints: infinite for joints without limits (n, 2)."""
+        clamp = self.ranges['position'].copy()
+        clamp[~self.limited] = (-np.inf, np.inf)
+        return clamp
+
+    def give_effort(self, indices: IntArray, gives: bool) -> None:
+        """Let some actuators be sources of effort, or servos again."""
+        self._gives_effort[indices] = gives
+        self._set_gains(indices)
+
+    def gives_effort(self, indices: IntArray) -> BoolArray:
+        """Tell which of some actuators are sources of effort, shape of ``indices``."""
+        return np.asarray(self._gives_effort[indices])
+
+    def _set_gains(self, indices: IntArray) -> None:
+        model, ids, effort = self._model, self._ids[indices], self._gives_effort[indices]
+        stiffness = self._stiffness[indices] / self._gear[indices]**2
+        damping = self._damping[indices] / self._gear[indices]**2
+        model.actuator_gainprm[ids, 0] = np.where(effort, 1.0, stiffness)
+        model.actuator_biasprm[ids, 0] = 0.0
+        model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
+        model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
+
+    def start(self, data: Any, indices: IntArray, position: FloatArray, velocity: FloatArray
+              ) -> None:
+        """
+        Put the setpoints of some servos somewhere at once.
+
+        :param position: [rad or m], shape of ``indices``
+        :param velocity: [rad/s or m/s], shape of ``indices``
+        """
+        ahead = self._drag[indices] / self._stiffness[indices] * velocity
+        data.act[self._activation[indices]] = (position + ahead) * self._gear[indices]
+        data.ctrl[self._ids[indices]] = 0.0
+
+    def rest(self, data: Any) -> None:
+        """Let the setpoints stay where they are."""
+        data.ctrl[self._ids] = 0.0
+
+    def write(self, data: Any, duration_s: float, position: FloatArray, velocity: FloatArray,
+              acceleration: FloatArray, effort: FloatArray) -> None:
+        """
+        Let the setpoints be at the end of an interval where they shall be.
+
+        The activation that a servo needs there is the position, and what its force needs besides
+        for the velocity and, with the inertia matrix of the moment, for the acceleration.
+
+        :param duration_s: length of the interval [s]
+        :param position: at its end [rad or m], shape (n,)
+        :param velocity: at its end [rad/s or m/s], shape (n,)
+        :param acceleration: at its end [rad/s^2 or m/s^2], shape (n,)
+        :param effort: of the sources of effort, at once [N m or N], shape (n,)
+        """
+        self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
+        mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
+        force = self._drag * velocity + self._effort_force[self.dofs]
+        if self._compensated:
+            # The bias force less the weight, which the actuators carry already.
+            force += data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs]
+        goal = (position + force / self._stiffness) * self._gear
+        here = data.act[self._activation]
+        data.ctrl[self._ids] = np.where(self._gives_effort, 0.0, (goal - here) / duration_s)
+        data.act[self._activation] = np.where(self._gives_effort, effort / self._gear, here)
+
+
+def _check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
+    driver: dict[str, str] = {}
+    for actuator, joint in zip(actuators, joints):
+        if joint in driver:
+            raise ModelError(f"joint '{joint}' is driven by two actuators, '{driver[joint]}' and "
+                             f"'{actuator}': give it one")
+        driver[joint] = actuator
+
+
+def _stiffness_and_damping(model: Any, ids: IntArray, dofs: IntArray
+                           ) -> tuple[FloatArray, FloatArray]:
+    kp = -model.actuator_biasprm[ids, 1].copy()
+    kv = -model.actuator_biasprm[ids, 2].copy()
+    affine = model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    position_servo = affine & (kp > 0.0)
+    velocity_servo = affine & (kp == 0.0) & (kv > 0.0)
+    # What the actuator sees of the joint through its gear.
+    inertia = model.dof_M0[dofs] / model.actuator_gear[ids, 0]**2
+    # Critical damping, kv = 2 sqrt(kp M), with the lag wanted, kv / kp, or the kv that is there.
+    derived_kp = 4.0 * inertia / _LAG_S**2
+    damped_kp = np.minimum(kv**2 / (4.0 * inertia), derived_kp)
+    kp = np.where(position_servo, kp, np.where(velocity_servo, damped_kp, derived_kp))
+    kv = np.where((position_servo | velocity_servo) & (kv > 0.0), kv,
+                  2.0 * np.sqrt(np.maximum(kp * inertia, 0.0)))
+    return kp, kv
+
+
+def _velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
+    limit = np.full(len(joint_ids), np.inf)
+    if model.nuser_jnt:
+        declared = model.jnt_user[joint_ids, 0]
+        limit = np.where(declared > 0.0, declared, limit)
+    velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
+    of_servo = np.where(velocity_servo & (model.actuator_ctrllimited[ids] != 0),
+                        np.abs(model.actuator_ctrlrange[ids]).min(axis=1)
+                        / np.abs(model.actuator_gear[ids, 0]), np.inf)
+    limit = np.minimum(limit, of_servo)
+    return np.where(np.isfinite(limit), limit, _DEFAULT_VELOCITY)
+
+
+def _effort_range(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
+    """Return the lowest and highest effort at the joints, infinite where there is no limit."""
+    gear = model.actuator_gear[ids, :1]
+    motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
+    gain = np.where(motor, model.actuator_gainprm[ids, 0], 0.0)[:, None]
+    motor_limited = motor & (model.actuator_ctrllimited[ids] != 0)
+    ranges = [
+        np.where(model.actuator_forcelimited[ids, None] != 0,
+                 model.actuator_forcerange[ids] * gear, (-np.inf, np.inf)),
+        np.where(model.jnt_actfrclimited[joint_ids, None] != 0,
+                 model.jnt_actfrcrange[joint_ids], (-np.inf, np.inf)),
+        np.where(motor_limited[:, None], model.actuator_ctrlrange[ids] * gain * gear,
+                 (-np.inf, np.inf))]
+    # A negative gear turns a range round.
+    ordered = np.sort(np.stack(ranges), axis=2)
+    return np.stack([ordered[..., 0].max(axis=0), ordered[..., 1].min(axis=0)], axis=1)

@@ -1,0 +1,266 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where joints shall be at each instant; how actuators get them there is not decided here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_sim.typing import BoolArray, FloatArray, IntArray
+
+#: Messages that come at least this often are a stream, of which a velocity can be told [s].
+STREAM_INTERVAL_S = 0.105
+#: Time constant of each of the two low-pass stages behind a step [s].
+_SMOOTHING_S = 0.02
+#: What is slower and nearer than this has arrived [rad or m, and per second].
+_ARRIVED = 1e-10
+
+
+class SetpointGenerator:
+    """
+    Position, velocity and acceleration setpoints of joints, continuous in position and velocity.
+
+    The velocity of a setpoint is the sum of two parts. The *stream* part follows goals that come
+    regularly: it ramps to their velocity within one message interval, so that a stream passes
+    with a delay of one and a half intervals. The *catch-up* part brings the rest: a time-optimal
+    profile with limited velocity and acceleration, behind two low-pass stages, which average and
+    so never overshoot. Everything is a closed form in the time step, which may vary.
+
+    :param position_range: lowest and highest setpoint [rad or m], shape (n, 2)
+    :param velocity_limit: [rad/s or m/s], shape (n,)
+    :param acceleration_limit: of steps, velocities and stops [rad/s^2 or m/s^2], shape (n,)
+    :ivar position: setpoint at the end of the last interval [rad or m], shape (n,)
+    :ivar velocity: its velocity there [rad/s or m/s], shape (n,)
+    :ivar acceleration: its acceleration there [rad/s^2 or m/s^2], shape (n,)
+    :ivar now_s: simulation time, set from outside [s]
+    :ivar moving: whether any setpoint moves or is about to
+    """
+
+    def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
+                 acceleration_limit: FloatArray) -> None:
+        count = len(velocity_limit)
+        self._low, self._high = position_range.T.copy()
+        self._velocity_limit = velocity_limit
+        self._acceleration_limit = acceleration_limit
+
+        def zeros() -> FloatArray:
+            return np.zeros(count)
+
+        self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
+        self.moving = False
+        self._seeks = np.zeros(count, dtype=bool)
+        self._goal = zeros()
+        # The catch-up part: velocity before and behind each low-pass stage.
+        self._raw, self._stage1, self._stage2 = zeros(), zeros(), zeros()
+        # The stream part: its velocity, what it ramps to and how fast, and until when.
+        self._stream, self._stream_goal = zeros(), zeros()
+        self._ramp = acceleration_limit.copy()
+        self._until_s = np.full(count, np.inf)
+        # Of the last message: its goal, when it came, how far it was from the one before.
+        self._last_goal, self._last_s = zeros(), np.full(count, -np.inf)
+        self._last_step, self._interval_s = zeros(), zeros()
+        self.now_s = 0.0
+
+    def at_rest(self, indices: IntArray) -> bool:
+        """Tell whether some setpoints have come to where they shall be."""
+        return not self.moving or bool(np.all(self._resting()[indices]))
+
+    def place(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
+        """
+        Put setpoints somewhere with a velocity, from which they come to rest.
+
+        :param position: [rad or m], shape of ``indices``
+        :param velocity: [rad/s or m/s], shape of ``indices``
+        """
+        self.position[indices] = np.clip(position, self._low[indices], self._high[indices])
+        for part in (self._raw, self._stage1, self._stage2, self.acceleration):
+            part[indices] = 0.0
+        self._stream[indices] = self.velocity[indices] = velocity
+        self.set_velocity(indices, np.zeros(len(indices)))
+
+    def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
+        """
+        Let setpoints come to a velocity; zero holds them.
+
+        :param velocity: [rad/s or m/s], shape of ``indices``
+        """
+        self._seeks[indices] = False
+        self._stream_goal[indices] = velocity
+        self._ramp[indices] = self._acceleration_limit[indices]
+        self._until_s[indices] = np.inf
+        self._last_s[indices] = -np.inf
+        self.moving = True
+
+    def go_to(self, indices: IntArray, goal: FloatArray, period_s: float) -> None:
+        """
+        Let setpoints come to a position; goals that come regularly are followed as a stream.
+
+        :param goal: [rad or m], shape of ``indices``
+        :param period_s: length of a control period [s]
+        """
+        since_s = self.now_s - self._last_s[indices]
+        streams = (since_s > 0.0) & (since_s <= STREAM_INTERVAL_S)
+        elapsed_s = np.where(streams, since_s, period_s)
+        # Where messages jitter the longest interval of late counts, else the stream would stall.
+        interval_s = np.where(
+            streams, np.maximum(elapsed_s, 0.75 * self._interval_s[indices]), period_s)
+        step = np.where(streams, goal - self._last_goal[indices], 0.0)
+        before, limit = self._last_step[indices], self._acceleration_limit[indices]
+        # A jump is no stream: a step may be twice the last one, and what can be braked again.
+        slack = 2.0 * limit * elapsed_s * period_s
+        expected = np.clip(step, np.minimum(0.0, 2.0 * before) - slack,
+                           np.maximum(0.0, 2.0 * before) + slack)
+        top = self._velocity_limit[indices]
+        velocity = np.clip(expected / elapsed_s, -top, top)
+        self._stream_goal[indices] = velocity
+        self._ramp[indices] = np.maximum(
+            np.abs(velocity - self._stream[indices]) / interval_s, 1e-9)
+        self._until_s[indices] = self.now_s + interval_s
+        self._interval_s[indices] = interval_s
+        self._last_goal[indices] = self._goal[indices] = goal
+        self._last_step[indices] = step
+        self._last_s[indices] = self.now_s
+        self._seeks[indices] = True
+        self.moving = True
+
+    def come_back(self, indices: IntArray, goal: FloatArray) -> None:
+        """
+        Let setpoints that move brake and come to a position.
+
+        :param goal: [rad or m], shape of ``indices``
+        """
+        self.set_velocity(indices, np.zeros(len(indices)))
+        self._goal[indices] = goal
+        self._seeks[indices] = True
+
+    def advance(self, duration_s: float) -> None:
+        """
+        Move all setpoints on.
+
+        :param duration_s: length of the interval [s]
+        """
+        before = self.position.copy()
+        self._end_streams()
+        travel = self._advance_catch_up(duration_s) + self._advance_stream(duration_s)
+        np.clip(before + travel, self._low, self._high, out=self.position)
+        self.velocity = self._stream + self._stage2
+        self.now_s += duration_s
+        resting = self._resting()
+        if resting.all():
+            self.moving = False
+            self.position[self._seeks] = self._goal[self._seeks]
+            for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
+                         self.acceleration):
+                part[:] = 0.0
+
+    def follow(self, indices: IntArray, position: FloatArray, velocity: FloatArray,
+               acceleration: FloatArray) -> None:
+        """
+        Take setpoints of the instant from elsewhere, such as a trajectory.
+
+        Where that ends, they come to rest from there.
+
+        :param position: [rad or m], shape of ``indices``; ``velocity`` and ``acceleration`` too
+        """
+        self.place(indices, position, velocity)
+        self.acceleration[indices] = acceleration
+
+    def hold_back(self, measured: FloatArray, lead: FloatArray) -> None:
+        """
+        Do not let setpoints run ahead of joints that cannot keep up.
+
+        :param measured: where the joints are [rad or m], shape (n,)
+        :param lead: how far a setpoint may be from there [rad or m], shape (n,)
+        """
+        near = np.clip(self.position, measured - lead, measured + lead)
+        held = near != self.position
+        if held.any():
+            self.position = near
+            for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
+                         self.acceleration):
+                part[held] = 0.0
+
+    def _resting(self) -> BoolArray:
+        pace = np.maximum.reduce([
+            np.abs(self._raw), np.abs(self._stage1), np.abs(self._stage2), np.abs(self._stream),
+            np.abs(self._stream_goal)])
+        away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
+        return np.maximum(pace, away) < _ARRIVED
+
+    def _end_streams(self) -> None:
+        ended = self._until_s <= self.now_s + 1e-9
+        if ended.any():
+            self._stream_goal[ended] = 0.0
+            self._ramp[ended] = np.maximum(
+                np.abs(self._stream[ended]) / self._interval_s[ended], 1e-9)
+            self._until_s[ended] = np.inf
+
+    def _still_to_come(self) -> FloatArray:
+        """Return how far the setpoints go by themselves if nothing more is asked of them."""
+        left_s = self._until_s - self.now_s
+        streaming = np.isfinite(left_s)
+        left_s = np.where(streaming, left_s, 0.0)
+        ramp_s = np.abs(self._stream_goal - self._stream) / self._ramp
+        ramp_s = np.where(streaming, np.minimum(ramp_s, left_s), ramp_s)
+        stream = (self._stream + self._stream_goal) / 2.0 * ramp_s + self._stream_goal * (
+            left_s - ramp_s * streaming)
+        # At the end of the message interval the stream ends with the same ramp in time.
+        stream += np.where(streaming, self._stream_goal * self._interval_s / 2.0, 0.0)
+        return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
+
+    def _advance_catch_up(self, duration_s: float) -> FloatArray:
+        limit, top = self._acceleration_limit, self._velocity_limit
+        missing = np.where(self._seeks, self._goal - self.position - self._still_to_come(), 0.0)
+        raw = braking_velocity(missing, limit, duration_s)
+        np.clip(raw, self._raw - limit * duration_s, self._raw + limit * duration_s, out=raw)
+        np.clip(raw, -top - self._stream_goal, top - self._stream_goal, out=raw)
+        self._raw = raw
+        # Two first-order stages whose input is constant meanwhile.
+        ratio = duration_s / _SMOOTHING_S
+        decay = np.exp(-ratio)
+        stage1, stage2 = self._stage1, self._stage2
+        off1, off2 = (stage1 - raw) * decay, (stage2 - raw) * decay
+        self._stage1, self._stage2 = raw + off1, raw + off2 + off1 * ratio
+        self.acceleration = (self._stage1 - self._stage2) / _SMOOTHING_S
+        return np.asarray(raw * duration_s + _SMOOTHING_S * (
+            stage1 + stage2 - self._stage1 - self._stage2))
+
+    def _advance_stream(self, duration_s: float) -> FloatArray:
+        begin, goal = self._stream, self._stream_goal
+        free = ~self._seeks & (goal != 0.0)
+        if free.any():
+            goal = self._before_the_range_ends(goal, duration_s)
+        ramp_s = np.minimum(np.abs(goal - begin) / self._ramp, duration_s)
+        end = begin + np.sign(goal - begin) * self._ramp * ramp_s
+        self._stream = end
+        self.acceleration += (end - begin) / duration_s
+        return np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
+
+    def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:
+        """Return velocities at the end of an interval that can still be braked in the range."""
+        bend = self._acceleration_limit * duration_s / 2.0
+        highest, lowest = (
+            np.sqrt(np.maximum(bend**2 + 2.0 * self._acceleration_limit * np.maximum(
+                distance - towards * duration_s / 2.0, 0.0), 0.0)) - bend
+            for distance, towards in ((np.minimum(self._high - self.position, 1e6), self._stream),
+                                      (np.minimum(self.position - self._low, 1e6), -self._stream)))
+        return np.where(self._seeks, velocity, np.clip(velocity, -lowest, highest))
+
+
+def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float) -> FloatArray:
+    """
+    Return the highest velocity in the next interval that can still be braked before the goal.
+
+    The velocity is constant in each interval and falls by at most ``limit`` times the interval
+    from one to the next: with n full steps to come the distance is that of an arithmetic series.
+
+    :param distance: to the goal, with sign [rad or m], shape (n,)
+    :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
+    :param interval_s: [s]
+    """
+    size = np.minimum(np.abs(distance), 1e6)
+    step = limit * interval_s
+    steps = np.maximum(np.ceil(np.sqrt(0.25 + 2.0 * size / (step * interval_s)) - 0.5) - 1.0, 0.0)
+    return np.asarray(np.sign(distance) * (
+        size / ((steps + 1.0) * interval_s) + step * steps / 2.0))

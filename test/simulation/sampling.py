@@ -1,0 +1,122 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""See what happens inside a control period: every robot, sampled at every physics step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.bases import create_base
+from manip_sim.models.grippers import create_gripper
+from manip_sim.models.robots import create_robot
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
+
+
+def whole_robot(name, timestep_s=0.002, contacts=False, **options):
+    """Return a simulation of a robot with all that it has by default, in position mode."""
+    robot = create_robot(name)
+    if robot.default_base is not None:
+        robot.add_base(create_base(robot.default_base))
+    for arm, gripper in robot.default_gripper.items():
+        robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
+    simulation = Simulation(World([robot], timestep_s=timestep_s, **options))
+    if not contacts:
+        simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return simulation
+
+
+class Driven:
+    """
+    The driven joints of a simulation, with what the model says of them.
+
+    :ivar names: of the joints
+    :ivar velocity_limit: as the model declares it [rad/s or m/s], shape (n,)
+    :ivar low: and ``high``: of the range, infinite where there is none [rad or m], shape (n,)
+    """
+
+    def __init__(self, simulation, part=None):
+        self.simulation, model = simulation, simulation.model
+        parts = [part] if part else [n for n, p in simulation.parts.items()
+                                     if p.atomic == (n,) and p.gripper is None]
+        self.names = [j for p in parts for j in simulation.parts[p].driven_joints]
+        joints = [model.joint(name) for name in self.names]
+        self.qpos = np.array([j.qposadr[0] for j in joints])
+        self.dofs = np.array([j.dofadr[0] for j in joints])
+        self.velocity_limit = np.array([j.user[0] for j in joints])
+        limited = np.array([bool(j.limited[0]) for j in joints])
+        self.low = np.where(limited, [j.range[0] for j in joints], -np.inf)
+        self.high = np.where(limited, [j.range[1] for j in joints], np.inf)
+        self.damping = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
+
+    @property
+    def position(self):
+        """Where the joints are [rad or m], shape (n,), a copy."""
+        return self.simulation.data.qpos[self.qpos].copy()
+
+    def command(self, mode, values, joints=None, period_s=0.01):
+        """Apply goals for all joints, or for some, in a mode."""
+        names = self.names if joints is None else joints
+        self.simulation.apply(*self.simulation.parse.joint_command(names, **{mode: values}),
+                              period_s=period_s)
+
+    def within(self, start, offset):
+        """Return an offset that is turned round or shortened where it would leave the range."""
+        leaves = (start + offset > self.high) | (start + offset < self.low)
+        turned = np.where(leaves, -offset, offset)
+        return np.clip(start + turned, self.low, self.high) - start
+
+
+class Samples:
+    """
+    What the driven joints did at each physics step.
+
+    :ivar position: [rad or m], shape (steps, n)
+    :ivar velocity: [rad/s or m/s], shape (steps, n)
+    :ivar effort: of the actuators [N m or N], shape (steps, n)
+    :ivar wrench: of the right arm's sensors [N, N m], shape (steps, 6)
+    """
+
+    def __init__(self, driven):
+        self._driven = driven
+        self._rows = []
+        end = driven.simulation.end_effectors.get('right')
+        self._wrench = end and [*range(end._force, end._force + 3),
+                                *range(end._torque, end._torque + 3)]
+
+    def take(self, model, data):
+        driven = self._driven
+        wrench = np.zeros(6)
+        if self._wrench:
+            mujoco.mj_forward(model, data)
+            wrench = data.sensordata[self._wrench].copy()
+        self._rows.append((data.qpos[driven.qpos].copy(), data.qvel[driven.dofs].copy(),
+                           data.qfrc_actuator[driven.dofs].copy(), wrench))
+
+    def __getattr__(self, name):
+        names = ('position', 'velocity', 'effort', 'wrench')
+        if name not in names:
+            raise AttributeError(name)
+        return np.array([row[names.index(name)] for row in self._rows])
+
+
+@contextmanager
+def sampled(driven) -> Iterator[Samples]:
+    """Record every physics step of a simulation meanwhile."""
+    samples, step = Samples(driven), mujoco.mj_step
+
+    def single_steps(model, data, nstep=1):
+        for _ in range(nstep):
+            step(model, data)
+            samples.take(model, data)
+
+    mujoco.mj_step = single_steps
+    try:
+        yield samples
+    finally:
+        mujoco.mj_step = step
