@@ -26,22 +26,22 @@ class ArmDict(OrderedDict[str, T]):
     """
     An ordered dictionary by arm that is also asked by end effector body.
 
-    :param arm_of_body: arm by prefixed end effector body
+    :ivar arm_of_body: arm by prefixed end effector body
     """
 
     def __init__(self, arm_of_body: Mapping[str, str]) -> None:
         super().__init__()
-        self._arm_of_body = dict(arm_of_body)
+        self.arm_of_body = dict(arm_of_body)
 
     def __missing__(self, key: str) -> T:
-        arm = self._arm_of_body.get(key)
+        arm = self.arm_of_body.get(key)
         if arm is None or arm not in self:
             raise KeyError(key)
         return self[arm]
 
     def __contains__(self, key: object) -> bool:
         return super().__contains__(key) or (
-            key in self._arm_of_body and super().__contains__(self._arm_of_body[str(key)]))
+            key in self.arm_of_body and super().__contains__(self.arm_of_body[str(key)]))
 
     def get(self, key: str, default: Any = None) -> Any:
         """Return the entry of an arm or end effector body, or the default."""
@@ -65,8 +65,7 @@ class ManipulatorModel(RobotModel):
                              f'for {", ".join(self.arms)}; it has {self._eef_name}')
         for body in self._eef_name.values():
             self._check_important('body', [body], self._bodies)
-        self._grippers: ArmDict[GripperModel] = ArmDict(
-            {body: arm for arm, body in self.eef_name.items()})
+        self._grippers: ArmDict[GripperModel] = ArmDict(self._arm_of_body())
 
     @property
     @abstractmethod
@@ -129,6 +128,27 @@ class ManipulatorModel(RobotModel):
         own = super().cameras
         return own + [camera for part in self.models for camera in part.cameras]
 
+    def set_naming_prefix(self, prefix: str) -> None:
+        """
+        Let all names of the robot, and of what is and will be mounted on it, begin with a prefix.
+
+        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
+            ``left_``; empty: each part has the prefix that its idn gives
+        :raises ModelError: if it is no such prefix, or the class of a part overrides
+            :attr:`naming_prefix`
+        """
+        super().set_naming_prefix(prefix)
+        self._grippers.arm_of_body = self._arm_of_body()
+
+    def _arm_of_body(self) -> dict[str, str]:
+        return {body: arm for arm, body in self.eef_name.items()}
+
+    def _mounted(self) -> list[tuple[MujocoXMLModel, str]]:
+        """Return the parts on the robot and what follows the robot's prefix in their names."""
+        return [*super()._mounted(), *(
+            (gripper, 'gripper_' if len(self.arms) == 1 else f'gripper_{arm}_')
+            for arm, gripper in self._grippers.items())]
+
     def add_gripper(self, gripper: GripperModel, arm_name: str | None = None) -> None:
         """
         Mount a gripper.
@@ -156,8 +176,7 @@ class ManipulatorModel(RobotModel):
             own.set_mount_pose(self.gripper_mount_pos_offset.get(arm),
                                self.gripper_mount_quat_offset.get(arm))
             self._grippers[arm] = own
-        self.update_joints()
-        self.update_actuators()
+        self._was_mounted()
 
     def _arm(self, arm_name: str) -> str:
         for arm, body in self.eef_name.items():
