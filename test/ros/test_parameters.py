@@ -3,6 +3,7 @@
 
 """Parameters at the start: what is taken, what is refused and how."""
 
+from pathlib import Path
 import re
 import signal
 
@@ -11,6 +12,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 import yaml
 
+CONFIG = Path(__file__).resolve().parents[2] / 'config'
 REFUSED = [
     ('robott:=Panda', "unknown parameter 'robott'", "did you mean 'robot'"),
     ('arm.control_mod:=effort', "unknown parameter 'arm.control_mod'", "'control_mode.arm'"),
@@ -84,6 +86,15 @@ def test_every_parameter_is_described(serve, client):
     for descriptor in response.descriptors:
         assert len(descriptor.description) > 10, descriptor.name
         assert descriptor.read_only == (descriptor.name not in live), descriptor.name
+
+
+@pytest.mark.parametrize(('file', 'joint'), [
+    ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1')])
+def test_the_files_of_the_folder_config_start_a_node(file, joint, process, client):
+    process('--ros-args', '--params-file', str(CONFIG / file))
+    assert client.state().name[0] == joint
+    assert {path.name for path in CONFIG.iterdir()} == {
+        'panda.yaml', 'topic_based_ros2_control.yaml'}
 
 
 def values_of_all_parameters(client):

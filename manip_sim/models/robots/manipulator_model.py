@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable
 from os import PathLike
 from typing import Any, TypeVar
 
@@ -26,22 +26,21 @@ class ArmDict(OrderedDict[str, T]):
     """
     An ordered dictionary by arm that is also asked by end effector body.
 
-    :ivar arm_of_body: arm by prefixed end effector body
+    :param arm_of_body: tells the arm of a prefixed end effector body, or None
     """
 
-    def __init__(self, arm_of_body: Mapping[str, str]) -> None:
+    def __init__(self, arm_of_body: Callable[[str], str | None]) -> None:
         super().__init__()
-        self.arm_of_body = dict(arm_of_body)
+        self._arm_of_body = arm_of_body
 
     def __missing__(self, key: str) -> T:
-        arm = self.arm_of_body.get(key)
+        arm = self._arm_of_body(key)
         if arm is None or arm not in self:
             raise KeyError(key)
         return self[arm]
 
     def __contains__(self, key: object) -> bool:
-        return super().__contains__(key) or (
-            key in self.arm_of_body and super().__contains__(self.arm_of_body[str(key)]))
+        return super().__contains__(key) or super().__contains__(self._arm_of_body(str(key)))
 
     def get(self, key: str, default: Any = None) -> Any:
         """Return the entry of an arm or end effector body, or the default."""
@@ -65,7 +64,7 @@ class ManipulatorModel(RobotModel):
                              f'for {", ".join(self.arms)}; it has {self._eef_name}')
         for body in self._eef_name.values():
             self._check_important('body', [body], self._bodies)
-        self._grippers: ArmDict[GripperModel] = ArmDict(self._arm_of_body())
+        self._grippers: ArmDict[GripperModel] = ArmDict(self._arm_of_body)
 
     @property
     @abstractmethod
@@ -128,20 +127,8 @@ class ManipulatorModel(RobotModel):
         own = super().cameras
         return own + [camera for part in self.models for camera in part.cameras]
 
-    def set_naming_prefix(self, prefix: str) -> None:
-        """
-        Let all names of the robot, and of what is and will be mounted on it, begin with a prefix.
-
-        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
-            ``left_``; empty: each part has the prefix that its idn gives
-        :raises ModelError: if it is no such prefix, or the class of a part overrides
-            :attr:`naming_prefix`
-        """
-        super().set_naming_prefix(prefix)
-        self._grippers.arm_of_body = self._arm_of_body()
-
-    def _arm_of_body(self) -> dict[str, str]:
-        return {body: arm for arm, body in self.eef_name.items()}
+    def _arm_of_body(self, name: str) -> str | None:
+        return next((arm for arm, body in self.eef_name.items() if body == name), None)
 
     def _mounted(self) -> list[tuple[MujocoXMLModel, str]]:
         """Return the parts on the robot and what follows the robot's prefix in their names."""
