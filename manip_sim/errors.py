@@ -19,7 +19,7 @@ _ALIKE = 0.5
 #: Of a name that was asked for; a longer one is like none of ours.
 _COMPARED_CHARACTERS = 100
 #: Room for suggestions, and for suggestions and the list of names together [characters].
-_MAX_HINT, _MAX_CHOICES = 150, 280
+_MAX_HINT, _MAX_CHOICES = 120, 240
 
 
 class ManipSimError(Exception):
@@ -64,7 +64,7 @@ class UnknownNameError(ModelError, KeyError):
 
 def describe_choices(name: object, available: Iterable[str]) -> str:
     """
-    Say which of the available names is nearest, and which there are, in less than 300 characters.
+    Say which of the available names is nearest, and which there are, in at most 240 characters.
 
     :param name: what was asked for
     :param available: the names that exist
@@ -76,7 +76,8 @@ def describe_choices(name: object, available: Iterable[str]) -> str:
     while len(near) > 1 and sum(map(len, near)) > _MAX_HINT:
         near.pop()
     hint = f"did you mean {' or '.join(near)}? " if near else ''
-    return f'{hint}available: {_listing(names, _MAX_CHOICES - len(hint))}'
+    begin = f'{hint}available: '
+    return begin + _listing(names, _MAX_CHOICES - len(begin))
 
 
 def _listing(names: list[str], room: int) -> str:

@@ -54,12 +54,19 @@ def test_names_that_look_alike_are_suggested_where_no_word_is_right():
 def test_a_message_stays_short_and_counts_what_it_leaves_out(asked, count, length):
     available = [f'{"a" * length}_joint{n}' for n in range(count)]
     message = describe_choices(asked, available)
-    assert len(message) < 300
+    assert len(message) <= 240
     listed = message.split('available: ')[1].split(', ')
     last = re.fullmatch(r'\.\.\. and (\d+) more', listed[-1])
     shown = listed[:-1] if last else listed
     assert shown == available[:len(shown)] and len(shown) >= 1
     assert len(shown) + (int(last.group(1)) if last else 0) == count
+
+
+def test_long_names_leave_room_for_one_suggestion_only():
+    available = [f'{letter * 70}_joint1' for letter in 'abc']
+    message = describe_choices('joint1', available)
+    assert suggested(message) == available[:1]
+    assert len(message) <= 240
 
 
 def test_a_short_list_is_told_as_a_whole():
