@@ -53,10 +53,9 @@ def publishing(simulation: Simulation) -> Callable[[], object] | None:
         import rclpy
     except ImportError:
         return None
-    from manip_sim.ros.messages import Names
     from manip_sim.ros.publishers import StatePublishers
     rclpy.init()
-    publishers = StatePublishers(rclpy.create_node('benchmark'), simulation, Names('', ''), True)
+    publishers = StatePublishers(rclpy.create_node('benchmark'), simulation, True)
     return lambda: publishers.publish(simulation.state())
 
 

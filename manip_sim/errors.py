@@ -11,6 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import difflib
+import itertools
+import re
+
+#: Least likeness of a name that is suggested, from 0 to 1.
+_ALIKE = 0.5
+#: Of a name that was asked for; a longer one is like none of ours.
+_COMPARED_CHARACTERS = 100
+#: Room for suggestions, and for suggestions and the list of names together [characters].
+_MAX_HINT, _MAX_CHOICES = 120, 240
 
 
 class ManipSimError(Exception):
@@ -55,16 +64,62 @@ class UnknownNameError(ModelError, KeyError):
 
 def describe_choices(name: object, available: Iterable[str]) -> str:
     """
-    Say which of the available names is nearest, and which there are.
+    Say which of the available names is nearest, and which there are, in at most 240 characters.
 
     :param name: what was asked for
     :param available: the names that exist
-    :returns: a sentence part such as ``did you mean 'Panda'? available: Panda, UR5e``
+    :returns: a sentence part such as ``did you mean 'Panda'? available: Panda, UR5e``, with
+        ``... and 3 more`` in place of the names for which there is no room
     """
     names = list(available)
-    by_lower_case = {candidate.lower(): candidate for candidate in names}
-    near = difflib.get_close_matches(str(name).lower(), by_lower_case, n=3, cutoff=0.5)
-    hint = ''
-    if near:
-        hint = 'did you mean ' + ' or '.join(f"'{by_lower_case[match]}'" for match in near) + '? '
-    return f"{hint}available: {', '.join(names) if names else 'none'}"
+    near = [f"'{candidate}'" for candidate in _nearest(str(name)[:_COMPARED_CHARACTERS], names)]
+    while len(near) > 1 and sum(map(len, near)) > _MAX_HINT:
+        near.pop()
+    hint = f"did you mean {' or '.join(near)}? " if near else ''
+    begin = f'{hint}available: '
+    return begin + _listing(names, _MAX_CHOICES - len(begin))
+
+
+def _listing(names: list[str], room: int) -> str:
+    listed = ', '.join(names) if names else 'none'
+    shown = len(names)
+    while len(listed) > room and shown:
+        shown -= 1
+        listed = ', '.join([*names[:shown], f'... and {len(names) - shown} more'])
+    return listed
+
+
+def _nearest(asked: str, names: list[str]) -> list[str]:
+    """
+    Return up to three names, the nearest first.
+
+    Names of the same words in any order go before those that end with the same words, as
+    ``robot0_joint1`` does for ``joint1``, and those before names that look alike.
+    """
+    words = {name: _words(name) for name in names}
+    ending = {name: _common_end(_words(asked), words[name]) for name in names}
+    longest = max(ending.values(), default=0)
+    near = [name for name in names if sorted(words[name]) == sorted(_words(asked))]
+    if not near and longest:
+        near = [name for name in names if ending[name] == longest]
+    likeness = {name: _likeness(asked, name) for name in near or names}
+    if not near:
+        near = [name for name in names if likeness[name] >= _ALIKE]
+    return sorted(near, key=lambda name: -likeness[name])[:3]
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r'[a-z0-9]+', name.lower())
+
+
+def _common_end(one: list[str], other: list[str]) -> int:
+    pairs = zip(reversed(one), reversed(other))
+    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def _likeness(one: str, other: str) -> float:
+    """Return how alike two names are, or their words in alphabetical order, from 0 to 1."""
+    return max(
+        difflib.SequenceMatcher(None, other.lower(), one.lower()).ratio(),
+        difflib.SequenceMatcher(None, ' '.join(sorted(_words(other))),
+                                ' '.join(sorted(_words(one)))).ratio())

@@ -90,9 +90,9 @@ class CubePicker(Node):
         if 'cube' not in bodies:
             raise PickFailed("there is no cube: start the node with '-p arena:=table'")
         cube = model.body('cube').pos
-        site = next(name for name in map(lambda i: model.site(i).name, range(model.nsite))
-                    if name.endswith('_grip_site'))
-        assert self._all is not None
+        assert self._all is not None and self._wrench is not None
+        # The sites of a gripper have the same prefix, whatever the robot's names begin with.
+        site = self._wrench.header.frame_id.removesuffix('ft_frame') + 'grip_site'
         kinematics = InverseKinematics(model, arm.name, site,
                                        dict(zip(self._all.name, self._all.position)))
         start = np.array(arm.position)

@@ -15,6 +15,7 @@ import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
+from manip_sim.models.naming import check_names_are_free, check_prefix
 from manip_sim.typing import FloatArray
 
 _MIN_MASS_KG = 1e-6
@@ -43,6 +44,7 @@ class MujocoXMLModel:
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         self.file = Path(fname)
         self.idn = idn
+        self._given_prefix = ''
         self._spec = load_spec(self.file)
         self._prepare_spec(self._spec)
         name_unnamed_elements(self._spec)
@@ -110,7 +112,27 @@ class MujocoXMLModel:
     @property
     def naming_prefix(self) -> str:
         """What stands before each name of this part in the compiled model."""
+        return self._given_prefix or self._prefix_of_idn
+
+    @property
+    def _prefix_of_idn(self) -> str:
+        """The prefix unless another is given."""
         return f'{self.idn}_'
+
+    def set_naming_prefix(self, prefix: str) -> None:
+        """
+        Let the names of this part begin with a prefix of one's own, without a number.
+
+        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
+            ``left_``; empty: the prefix that the idn gives
+        :raises ModelError: if it is no such prefix, or the class overrides :attr:`naming_prefix`
+        """
+        if prefix:
+            check_prefix(prefix)
+        self._given_prefix = prefix
+        if prefix and self.naming_prefix != prefix:
+            raise ModelError(f"{self.name} cannot have the prefix '{prefix}': its class says that "
+                             f"it is '{self.naming_prefix}'")
 
     @overload
     def correct_naming(self, names: str) -> str: ...
@@ -242,17 +264,12 @@ class MujocoXMLModel:
 
         :param spec: the ``mujoco.MjSpec`` to add to
         :param frame: the frame of that spec to hang the part on
-        :raises ModelError: if the spec has a body of the same name already
+        :raises ModelError: if the spec has one of the names already
         """
-        self._check_prefix_is_free(spec)
         self._attach_copy(spec, frame, self._spec.copy())
 
-    def _check_prefix_is_free(self, spec: Any) -> None:
-        if self._bodies and spec.body(self.correct_naming(self._bodies[0])):
-            raise ModelError(f"a part with the prefix '{self.naming_prefix}' is there already: "
-                             f'give {self.name} another idn')
-
     def _attach_copy(self, spec: Any, frame: Any, own: Any) -> None:
+        check_names_are_free(spec, own, self.naming_prefix, self.name)
         for key in list(own.keys):
             own.delete(key)
         own.option = spec.option

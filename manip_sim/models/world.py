@@ -44,7 +44,8 @@ class World:
         self.gravity_compensation = gravity_compensation
         prefixes = [robot.naming_prefix for robot in self.robots]
         if len(set(prefixes)) != len(prefixes):
-            raise ModelError(f'robots in one world need different idn, got {", ".join(prefixes)}')
+            raise ModelError('robots in one world need different idn or prefix, got '
+                             + ', '.join(prefixes))
 
     def compose(self, visual: bool = True) -> Any:
         """

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
-from manip_sim.ros.messages import nanoseconds_of, Names
+from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.runner import Runner
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command
@@ -71,15 +71,13 @@ class CommandSubscribers:
     :param node: the node
     :param simulation: whose drives validate; they are only read
     :param runner: takes the commands
-    :param names: public names
     :ivar statistics: by part, and ``joint_command`` for what is refused on the combined topic
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner, names: Names) -> None:
+    def __init__(self, node: Node, simulation: Simulation, runner: Runner) -> None:
         self._node = node
         self._simulation = simulation
         self._runner = runner
-        self._names = names
         self._throttle = _Throttle()
         self.statistics = {part: CommandStatistics() for part in simulation.drives}
         self.statistics['joint_command'] = CommandStatistics()
@@ -131,20 +129,16 @@ class CommandSubscribers:
         if self._throttle.lets_through(topic, text):
             self._node.get_logger().warning(text)
 
-    def _model_names(self, message: Any) -> list[str]:
-        names = message.name if isinstance(message, JointState) else message.joint_names
-        return self._names.model(names, self._simulation.joint_names)
-
     def _action(self, message: Float64MultiArray, drive: Drive) -> list[Command]:
         return [drive.action(message.data)]
 
     def _joint_command(self, message: JointState, drive: Drive) -> list[Command]:
-        return [drive.joint_command(self._model_names(message), message.position,
-                                    message.velocity, message.effort)]
+        return [drive.joint_command(message.name, message.position, message.velocity,
+                                    message.effort)]
 
     def _combined_joint_command(self, message: JointState, _: None) -> list[Command]:
         return list(self._simulation.split_joint_command(
-            self._model_names(message), message.position, message.velocity, message.effort))
+            message.name, message.position, message.velocity, message.effort))
 
     def _trajectory(self, message: JointTrajectory, drive: SubsystemDrive) -> list[Command]:
         points = message.points
@@ -156,7 +150,7 @@ class CommandSubscribers:
         if any(len(p.effort) for p in points):
             raise CommandError('arm: a trajectory has no use for effort, leave it empty')
         delay_s = self._delay_s(message)
-        return [drive.trajectory(self._model_names(message), [t + delay_s for t in times_s],
+        return [drive.trajectory(message.joint_names, [t + delay_s for t in times_s],
                                  fields[0] or [], fields[1], fields[2])]
 
     def _delay_s(self, message: JointTrajectory) -> float:

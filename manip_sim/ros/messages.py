@@ -1,12 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages from states: the one place that makes stamps and names joints in public."""
+"""Messages from states: the one place that makes stamps."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
@@ -16,34 +15,6 @@ from manip_sim.simulation.state import EndEffector, State, Wrench
 from manip_sim.typing import FloatArray
 
 WORLD = 'world'
-
-
-class Names:
-    """
-    Joint and frame names in messages.
-
-    :param prefix: the robot's prefix in the model, such as ``robot0_``
-    :param public_prefix: what stands in its place in messages
-    """
-
-    def __init__(self, prefix: str, public_prefix: str) -> None:
-        self._prefix = prefix
-        self._public_prefix = public_prefix
-
-    def public(self, name: str) -> str:
-        """Return the name that messages use for a name of the model."""
-        if not name.startswith(self._prefix):
-            return name
-        return self._public_prefix + name[len(self._prefix):]
-
-    def model(self, names: Sequence[str], known: Sequence[str]) -> list[str]:
-        """
-        Return the model's names for names in a message.
-
-        :param known: names of the model; a name that stands for none of them is left as it is
-        """
-        of_public = {self.public(name): name for name in known}
-        return [of_public.get(name, name) for name in names]
 
 
 def stamp_of(time_ns: int) -> Time:

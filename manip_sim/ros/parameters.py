@@ -93,8 +93,10 @@ def node_parameters() -> list[ParameterSpec]:
                       choices=tuple(arena_names())),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
                       'the table.'),
-        ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1.',
-                      minimum=0, maximum=999),
+        ParameterSpec('prefix', '', 'Beginning of all names of the robot, its base and its '
+                      'grippers: joints, frames, the model. Empty: names as in robot0_joint1.'),
+        ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1, where '
+                      'prefix is empty.', minimum=0, maximum=999),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
                       'per second of simulation time; a period is a whole number of timesteps.',
@@ -113,22 +115,20 @@ def node_parameters() -> list[ParameterSpec]:
     ]
 
 
-def robot_parameters(prefix: str, parts: Sequence[str]) -> list[ParameterSpec]:
+def robot_parameters(parts: Sequence[str]) -> list[ParameterSpec]:
     """
     Return the parameters that depend on the robot.
 
-    :param prefix: the robot's naming prefix
     :param parts: the subsystems that it has
     """
-    specs = [ParameterSpec('joint_prefix', prefix, "What stands in messages in place of the "
-                           "robot's prefix; may be empty.")]
+    specs = []
     for part in parts:
         moves = part == 'base'
         specs += [
-            ParameterSpec(f'{part}.control_mode', 'velocity' if moves else 'position',
+            ParameterSpec(f'control_mode.{part}', 'velocity' if moves else 'position',
                           f'What commands of the {part} mean; a change holds it where it is.',
                           live=True, choices=MODES),
-            ParameterSpec(f'{part}.command_timeout', 0.5 if moves else 0.0,
+            ParameterSpec(f'command_timeout.{part}', 0.5 if moves else 0.0,
                           f'Without a fresh command of the {part} for so long (simulation time), '
                           'position holds, velocity goes to zero, effort to gravity compensation; '
                           '0 is never.', 's', live=True, minimum=0.0, maximum=3600.0)]
@@ -182,13 +182,10 @@ class Parameters:
         """
         for name in self._node._parameter_overrides:
             if not (name in self._specs or name in _OF_RCLPY or name.startswith('qos_overrides.')):
-                part = name.split('.')[0]
-                known = [n for n in self._specs if '.' not in n or n.startswith(f'{part}.')]
-                missing = (f'this robot has no {part}, '
-                           if part in SUBSYSTEMS and f'{part}.control_mode' not in self._specs
-                           else '')
-                raise ParameterError(f"unknown parameter '{name}': {missing}"
-                                     f'{describe_choices(name, known)}')
+                missing = [f'this robot has no {part}, ' for part in name.split('.')
+                           if part in SUBSYSTEMS and f'control_mode.{part}' not in self._specs]
+                raise ParameterError(f"unknown parameter '{name}': {''.join(missing)}"
+                                     f'{describe_choices(name, self._specs)}')
 
     def value(self, name: str) -> Any:
         """Return the present value of a declared parameter."""

@@ -17,7 +17,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from manip_sim.ros import messages
-from manip_sim.ros.messages import Names
 from manip_sim.simulation import Simulation, State
 
 
@@ -27,24 +26,22 @@ class StatePublishers:
 
     :param node: the node
     :param simulation: tells the parts and their joints
-    :param names: public names
     :param publish_clock: whether ``/clock`` is published
     """
 
-    def __init__(self, node: Node, simulation: Simulation, names: Names,
-                 publish_clock: bool) -> None:
+    def __init__(self, node: Node, simulation: Simulation, publish_clock: bool) -> None:
         self._node = node
-        public = [names.public(joint) for joint in simulation.joint_names]
-        everything = slice(0, len(public))
+        joints = list(simulation.joint_names)
+        everything = slice(0, len(joints))
         self._joint_states = [
-            (self._publisher(JointState, topic), public[part], part)
+            (self._publisher(JointState, topic), joints[part], part)
             for topic, part in [('joint_states', everything), *(
                 (f'{name}/joint_states', part) for name, part in simulation.slice_of.items()
                 if part.stop > part.start)]]
         self._arms = []
         for arm, reader in simulation.end_effectors.items():
             self._arms.append((
-                arm, names.public(reader.ft_frame),
+                arm, reader.ft_frame,
                 self._publisher(WrenchStamped, f'{arm}/wrench'),
                 self._publisher(WrenchStamped, f'{arm}/external_wrench'),
                 self._publisher(PoseStamped, f'{arm}/eef_pose'),

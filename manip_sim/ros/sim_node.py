@@ -18,7 +18,6 @@ from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.world import World
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.messages import Names
 from manip_sim.ros.parameters import (
     node_parameters, Parameters, robot_parameters, steps_per_period)
 from manip_sim.ros.publishers import publish_mjcf, StatePublishers
@@ -56,29 +55,28 @@ class SimNode(Node):
         self.simulation = Simulation(world)
         subsystems = {name: drive for name, drive in self.simulation.drives.items()
                       if isinstance(drive, SubsystemDrive)}
-        self._declared.declare(robot_parameters(robot.naming_prefix, list(subsystems)))
+        self._declared.declare(robot_parameters(list(subsystems)))
         self._declared.check_names()
-        names = Names(robot.naming_prefix, value('joint_prefix'))
-        publishers = StatePublishers(self, self.simulation, names, value('publish_clock'))
+        publishers = StatePublishers(self, self.simulation, value('publish_clock'))
         self.runner = Runner(
             self.simulation, publishers.publish, steps, value('stepping'),
             value('real_time_factor'), self._lockstep_parts(), value('start_paused'))
         for name, drive in subsystems.items():
-            self.simulation.set_control_mode(name, value(f'{name}.control_mode'))
-            drive.command_timeout_s = value(f'{name}.command_timeout')
-        self.commands = CommandSubscribers(self, self.simulation, self.runner, names)
+            self.simulation.set_control_mode(name, value(f'control_mode.{name}'))
+            drive.command_timeout_s = value(f'command_timeout.{name}')
+        self.commands = CommandSubscribers(self, self.simulation, self.runner)
         SimulationServices(self, self.simulation, self.runner)
-        offer_simulation_interfaces(self, self.simulation, self.runner, names)
+        offer_simulation_interfaces(self, self.simulation, self.runner)
         Diagnostics(self, self.simulation, self.runner, self.commands)
         publish_mjcf(self, world.to_xml())
         self.add_post_set_parameters_callback(self._parameters_changed)
-        self._introduce(names)
+        self._introduce()
         if self.get_parameter('use_sim_time').value:
             self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 
     def _robot(self) -> RobotModel:
         value = self._declared.value
-        robot = create_robot(value('robot'), idn=value('idn'))
+        robot = create_robot(value('robot'), idn=value('idn'), prefix=value('prefix'))
         base = robot.default_base if value('base') == 'default' else value('base')
         if base is not None and base != 'none':
             robot.add_base(create_base(base, idn=value('idn')))
@@ -109,7 +107,7 @@ class SimNode(Node):
 
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
         for parameter in parameters:
-            part, _, name = parameter.name.rpartition('.')
+            name, _, part = parameter.name.partition('.')
             if parameter.name == 'real_time_factor':
                 self.runner.set_real_time_factor(parameter.value)
             elif name == 'control_mode':
@@ -117,15 +115,14 @@ class SimNode(Node):
             elif name == 'command_timeout':
                 self.runner.set_command_timeout(part, parameter.value)
 
-    def _introduce(self, names: Names) -> None:
+    def _introduce(self) -> None:
         value = self._declared.value
         lines = [f'{value("robot")} in arena {value("arena")}, {value("stepping")}, '
                  f'{value("publish_rate"):g} Hz, timestep {self.simulation.timestep_s:g} s']
         for name, drive in self.simulation.drives.items():
             if not drive.part.joints:
                 continue
-            joints = [names.public(joint) for joint in drive.part.joints]
-            lines.append(f'  {name}: {drive.mode} mode, joints {", ".join(joints)}')
+            lines.append(f'  {name}: {drive.mode} mode, joints {", ".join(drive.part.joints)}')
             if isinstance(drive, SubsystemDrive):
                 unit = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
                 limits = ' '.join(f'[{low:g}, {high:g}]' for low, high in drive.limits())

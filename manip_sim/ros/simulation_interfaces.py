@@ -15,7 +15,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
-from manip_sim.ros.messages import Names, stamp_of, WORLD
+from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.runner import Runner
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.entities import Entities, Pose, Twist
@@ -65,18 +65,16 @@ class _Others:
         yield
 
 
-def offer_simulation_interfaces(node: Node, simulation: Simulation, runner: Runner,
-                                names: Names) -> None:
+def offer_simulation_interfaces(node: Node, simulation: Simulation, runner: Runner) -> None:
     """
     Offer the standard's services under ``~/`` if their package is installed, else do nothing.
 
     :param node: the node
     :param simulation: what is controlled
     :param runner: runs it
-    :param names: public names
     """
     if AVAILABLE:
-        SimulationInterfaces(node, simulation, runner, names)
+        SimulationInterfaces(node, simulation, runner)
 
 
 class SimulationInterfaces:
@@ -89,17 +87,15 @@ class SimulationInterfaces:
     :param node: the node
     :param simulation: what is controlled
     :param runner: runs it
-    :param names: public names
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner, names: Names) -> None:
+    def __init__(self, node: Node, simulation: Simulation, runner: Runner) -> None:
         self._node = node
         self._simulation = simulation
         self._runner = runner
         robot = simulation.robot
         frame = robot.base.root_body if robot.base and robot.base.joints else robot.root_body
         self._entities = Entities(simulation.model, robot.root_body, frame)
-        self._of_public = {names.public(name): name for name in self._entities.names}
         self._stopped = False
         node.create_service(GetSimulatorFeatures, '~/get_simulator_features', self._features)
         self._offer(GetSimulationState, 'get_simulation_state', self._get_state)
@@ -200,20 +196,15 @@ class SimulationInterfaces:
             raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
         wanted = {category.category for category in filters.categories}
         response.entities = _matching(filters.filter, [
-            public for public, name in self._of_public.items()
+            name for name in self._entities.names
             if not wanted or self._category(name) in wanted])
 
     def _category(self, name: str) -> int:
         return int(EntityCategory.CATEGORY_OBJECT if self._entities.is_free(name)
                    else EntityCategory.CATEGORY_ROBOT)
 
-    def _entity(self, public: str) -> str:
-        if public not in self._of_public:
-            raise UnknownNameError('entity', public, self._of_public)
-        return self._of_public[public]
-
     async def _get_entity_state(self, request: Any, response: Any) -> None:
-        name, simulation = self._entity(request.entity), self._simulation
+        name, simulation = request.entity, self._simulation
         time_ns, state = self._runner.call(
             lambda: (simulation.time_ns, self._entities.read(simulation.data, name)))
         message = response.state
@@ -226,7 +217,7 @@ class SimulationInterfaces:
         message.acceleration.angular = _filled(Vector3(), state.angular_acceleration)
 
     async def _set_entity_state(self, request: Any, response: Any) -> None:
-        name = self._entity(request.entity)
+        name = request.entity
         if not self._entities.is_free(name):
             raise _Refusal(Result.RESULT_OPERATION_FAILED,
                            f"'{request.entity}' cannot be moved, only free bodies can")

@@ -86,16 +86,16 @@ def test_a_robot_that_was_placed_stays_there_and_another_goes_with_the_arena(pan
 
 
 def test_two_robots_of_one_idn_are_refused(panda):
-    with pytest.raises(ModelError, match=r'^robots in one world need different idn, got robot0_, '
-                                         r'robot0_$'):
+    with pytest.raises(ModelError, match=r'^robots in one world need different idn or prefix, got '
+                                         r'robot0_, robot0_$'):
         World([panda, Panda()])
 
 
 def test_two_grippers_of_one_idn_in_a_world_are_refused(panda):
     other = Panda(idn=1)
     other.add_gripper(PandaGripper(idn='0_right'))
-    with pytest.raises(ModelError, match=r"^a part with the prefix 'gripper0_right_' is there "
-                                         r'already: give PandaGripper0_right another idn$'):
+    with pytest.raises(ModelError, match=r"^body 'gripper0_right_right_gripper' is there "
+                                         r'already, PandaGripper0_right cannot bring another'):
         World([panda, other]).compile()
 
 

@@ -49,6 +49,7 @@ REFUSED = {
     'arm/joint_command': [
         (joints([]), 'no joint is named'),
         (joints(['elbow'], [0.0]), "no joint 'elbow'"),
+        (joints(['joint2'], [0.0]), "did you mean 'robot0_joint2'? available: robot0_joint1, "),
         (joints([FINGER], [0.0]), 'that can be commanded'),
         (joints([J1, J1], [0.0, 0.1]), 'named twice'),
         (joints([J1], [0.0, 0.1]), 'must have 1 numbers, got'),

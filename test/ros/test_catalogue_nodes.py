@@ -36,7 +36,7 @@ def test_a_robot_is_served_with_the_topics_of_its_parts(name, serve, client):
 
 
 def test_a_mobile_base_drives_along_its_own_axes(serve, client):
-    node = serve(robot='PandaOmron', base__command_timeout=0.0)
+    node = serve(robot='PandaOmron', command_timeout__base=0.0)
     turn = Twist()
     turn.angular.z = 1.0
     client.publish('base/cmd_vel', turn)

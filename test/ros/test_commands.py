@@ -119,13 +119,13 @@ def test_a_position_past_its_limit_is_clamped_and_told(serve, client):
 
 
 def test_effort_and_velocity_modes_take_their_own_fields(serve, client):
-    serve(arm__control_mode='velocity')
+    serve(control_mode__arm='velocity')
     client.publish('arm/joint_command', JointState(name=['robot0_joint1'], velocity=[0.2]))
     client.spin_until(lambda: abs(client.state().velocity[0] - 0.2) < 0.004)
 
 
 def test_without_fresh_commands_velocity_goes_to_zero_and_comes_back(serve, client):
-    serve(arm__control_mode='velocity', arm__command_timeout=0.3)
+    serve(control_mode__arm='velocity', command_timeout__arm=0.3)
     command = JointState(name=['robot0_joint1'], velocity=[0.3])
     for _ in range(2):
         client.publish('arm/joint_command', command)

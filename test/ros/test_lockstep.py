@@ -49,7 +49,7 @@ def drive_by_effort(client, cycles):
 
 
 def run(sim_process, client_factory):
-    node = sim_process('stepping:=lockstep', 'arm.control_mode:=effort', 'publish_rate:=500')
+    node = sim_process('stepping:=lockstep', 'control_mode.arm:=effort', 'publish_rate:=500')
     client = client_factory()
     try:
         return drive_by_effort(client, CYCLES)

@@ -79,7 +79,7 @@ def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process,
 def test_two_robots_live_in_two_namespaces_of_one_domain(process, client):
     for side, clock in (('left', 'true'), ('right', 'false')):
         process('--ros-args', '-r', f'__ns:=/{side}', '-p', f'publish_clock:={clock}',
-                '-p', f'joint_prefix:={side}_', '-p', 'gripper:=none')
+                '-p', f'prefix:={side}_', '-p', 'gripper:=none')
     for side in ('left', 'right'):
         client.publish(f'/{side}/joint_command', JointState(
             name=[f'{side}_joint1'], position=[0.3 if side == 'left' else -0.3]))

@@ -3,15 +3,28 @@
 
 """Parameters at the start: what is taken, what is refused and how."""
 
+from pathlib import Path
 import re
+import signal
 
 import pytest
-from rcl_interfaces.srv import DescribeParameters, ListParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rclpy.parameter import parameter_value_to_python
+import yaml
 
+CONFIG = Path(__file__).resolve().parents[2] / 'config'
 REFUSED = [
     ('robott:=Panda', "unknown parameter 'robott'", "did you mean 'robot'"),
-    ('arm.control_mod:=effort', "unknown parameter 'arm.control_mod'", "'arm.control_mode'"),
-    ('head.control_mode:=position', "unknown parameter 'head.control_mode'", 'has no head'),
+    ('arm.control_mod:=effort', "unknown parameter 'arm.control_mod'", "'control_mode.arm'"),
+    ('arm.control_mode:=effort', "unknown parameter 'arm.control_mode'",
+     "did you mean 'control_mode.arm'?"),
+    ('arm.command_timeout:=1.0', "unknown parameter 'arm.command_timeout'",
+     "did you mean 'command_timeout.arm'?"),
+    ('base.command_timeout:=1.0', "unknown parameter 'base.command_timeout'", 'has no base'),
+    ('joint_prefix:=left_', "unknown parameter 'joint_prefix'", "did you mean 'prefix'?"),
+    ('prefix:=left/', "prefix 'left/'", 'a letter, then at most 63 letters, digits and under'),
+    ('prefix:="left arm_"', "prefix 'left arm_'", 'cannot begin the names of joints and frames'),
+    ('control_mode.head:=position', "unknown parameter 'control_mode.head'", 'has no head'),
     ('robot:=Pnda', "parameter 'robot'", "did you mean 'Panda'"),
     ('gripper:=PandaGriper', "parameter 'gripper'", "did you mean 'PandaGripper'"),
     ('base:=RethinkMont', "parameter 'base'", "did you mean 'RethinkMount'"),
@@ -24,7 +37,7 @@ REFUSED = [
     ('publish_clock:=1', "parameter 'publish_clock'", 'must be of type bool'),
     ('real_time_factor:=100.0', "parameter 'real_time_factor'", 'from 0.1 to 10'),
     ('lockstep_parts:=[legs]', "parameter 'lockstep_parts'", 'arm, right/gripper'),
-    ('arm.command_timeout:=-1.0', "parameter 'arm.command_timeout'", 'from 0'),
+    ('command_timeout.arm:=-1.0', "parameter 'command_timeout.arm'", 'from 0'),
 ]
 
 
@@ -66,13 +79,53 @@ def test_every_parameter_is_described(serve, client):
     serve()
     names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
     ours = [name for name in names if not re.match('qos_overrides|use_sim_time|start_type', name)]
-    assert {'robot', 'gripper', 'base', 'arena', 'joint_prefix', 'arm.control_mode'} <= set(ours)
+    assert {'robot', 'gripper', 'base', 'arena', 'prefix', 'control_mode.arm'} <= set(ours)
     response = client.call(DescribeParameters, 'manip_sim/describe_parameters',
                            DescribeParameters.Request(names=ours))
-    live = {'real_time_factor', 'arm.control_mode', 'arm.command_timeout'}
+    live = {'real_time_factor', 'control_mode.arm', 'command_timeout.arm'}
     for descriptor in response.descriptors:
         assert len(descriptor.description) > 10, descriptor.name
         assert descriptor.read_only == (descriptor.name not in live), descriptor.name
+
+
+@pytest.mark.parametrize(('file', 'joint'), [
+    ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1')])
+def test_the_files_of_the_folder_config_start_a_node(file, joint, process, client):
+    process('--ros-args', '--params-file', str(CONFIG / file))
+    assert client.state().name[0] == joint
+    assert {path.name for path in CONFIG.iterdir()} == {
+        'panda.yaml', 'topic_based_ros2_control.yaml'}
+
+
+def values_of_all_parameters(client):
+    names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
+    values = client.call(GetParameters, 'manip_sim/get_parameters',
+                         GetParameters.Request(names=names)).values
+    return {name: parameter_value_to_python(value) for name, value in zip(names, values)}
+
+
+def test_a_dump_of_all_parameters_starts_an_equal_node(sim_process, process, client, tmp_path):
+    first = sim_process('robot:=PandaOmron', 'publish_rate:=50', 'control_mode.arm:=effort',
+                        'command_timeout.base:=0.25', 'lockstep_parts:=[arm, base]')
+    client.state()
+    dumped = values_of_all_parameters(client)
+    assert dumped['control_mode.base'] == 'velocity' and dumped['command_timeout.base'] == 0.25
+    tree = {}
+    for name, value in dumped.items():  # Dots are levels, as in the files of ros2 param dump.
+        *groups, leaf = name.split('.')
+        level = tree
+        for group in groups:
+            level = level.setdefault(group, {})
+        assert leaf not in level, f'{name} is a parameter and a group of parameters'
+        level[leaf] = list(value) if isinstance(value, (list, tuple)) else value
+    file = tmp_path / 'dump.yaml'
+    file.write_text(yaml.safe_dump({'/manip_sim': {'ros__parameters': tree}}))
+    first.send_signal(signal.SIGTERM)
+    first.wait(timeout=10.0)
+    client.spin_until(lambda: not client.node.count_publishers('joint_states'))
+    process('--ros-args', '--params-file', str(file))
+    client.state()
+    assert values_of_all_parameters(client) == dumped
 
 
 def test_use_sim_time_is_answered_with_a_warning(serve, client):

@@ -44,6 +44,16 @@ def test_every_other_single_arm_picks_it_up_too(name, sim_process, process, clie
     assert controller.returncode == 0, output + errors
 
 
+def test_it_works_in_a_namespace_with_any_names(process, client):
+    namespace = ('--ros-args', '-r', '__ns:=/cell/left')
+    process(*namespace, '-p', 'arena:=table', '-p', 'real_time_factor:=3.0', '-p', 'prefix:=left_')
+    assert client.state('/cell/left/joint_states').name[0] == 'left_joint1'
+    controller = process(*namespace, module='manip_sim.examples.pick_cube')
+    output, errors = controller.communicate(timeout=60.0)
+    assert controller.returncode == 0, output + errors
+    assert 'in left_gripper_ft_frame: ' in output
+
+
 def test_without_a_node_the_example_says_how_to_start_one(process):
     controller = process(module='manip_sim.examples.pick_cube')
     _, errors = controller.communicate(timeout=30.0)

@@ -99,7 +99,7 @@ def test_a_flood_of_commands_does_not_slow_the_simulation(sim_process, client):
 
 def test_a_dead_publisher_leaves_the_arm_at_rest_and_a_new_one_takes_over(sim_process, client,
                                                                           tmp_path):
-    sim_process('arm.control_mode:=velocity', 'arm.command_timeout:=0.3')
+    sim_process('control_mode.arm:=velocity', 'command_timeout.arm:=0.3')
     client.state()
     script = tmp_path / 'publish_velocity.py'
     script.write_text(PUBLISH_VELOCITY)

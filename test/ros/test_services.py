@@ -178,11 +178,11 @@ def test_parameters_change_while_the_node_runs(serve, client):
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()])
         return client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
-    assert set_parameter('arm.control_mode', 'effort').successful
+    assert set_parameter('control_mode.arm', 'effort').successful
     client.spin_until(lambda: node.simulation.drives['arm'].mode == 'effort')
     np.testing.assert_allclose(client.state().position, state.position, atol=1e-3)
     assert set_parameter('real_time_factor', 2).successful
-    wrong = set_parameter('arm.control_mode', 'torque')
+    wrong = set_parameter('control_mode.arm', 'torque')
     assert not wrong.successful and 'effort' in wrong.reason
     fixed = set_parameter('robot', 'Panda')
     assert not fixed.successful

@@ -259,8 +259,10 @@ def test_a_simulation_that_diverged_can_be_reset_only(serve, client):
 
 
 def test_entities_are_the_robot_and_what_moves_freely(serve, client):
-    serve(arena='table', joint_prefix='left_')
+    serve(arena='table', prefix='left_')
     assert entities(client).entities == ['left_base', 'cube']
+    assert entity_state(client, 'left_base').result.result == OK
+    assert entity_state(client, 'robot0_base').result.result == NOT_FOUND
 
 
 @pytest.mark.parametrize('pattern, expected', [

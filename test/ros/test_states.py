@@ -107,16 +107,54 @@ def test_qos_can_be_overridden_by_parameters(serve, client):
     assert qos.reliability == QoSReliabilityPolicy.BEST_EFFORT
 
 
-def test_the_joint_prefix_is_replaced_in_states_and_commands(serve, client):
-    serve(joint_prefix='left_panda_')
-    assert client.state().name[0] == 'left_panda_joint1'
-    client.publish('joint_command', JointState(name=['left_panda_joint1'], position=[0.2]))
+def test_a_prefix_begins_the_names_in_states_frames_model_log_and_errors(serve, client):
+    log = client.log()
+    serve(prefix='left_')
+    names = [f'left_joint{n}' for n in range(1, 8)] + [
+        'left_gripper_finger_joint1', 'left_gripper_finger_joint2']
+    assert list(client.state().name) == names
+    assert list(client.state('arm/joint_states').name) == names[:7]
+    assert list(client.state('right/gripper/joint_states').name) == names[7:]
+    for topic in ('right/wrench', 'right/external_wrench'):
+        wrenches = client.listen(WrenchStamped, topic)
+        client.spin_until(lambda heard=wrenches: bool(heard))
+        assert wrenches[-1].header.frame_id == 'left_gripper_ft_frame'
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    xml = client.listen(String, '/manip_sim/mjcf', latched)
+    client.spin_until(lambda: bool(xml))
+    model = mujoco.MjModel.from_xml_string(xml[0].data)
+    assert [model.joint(i).name for i in range(model.njnt)] == names
+    bodies = {model.body(i).name for i in range(1, model.nbody)}
+    assert {'left_base', 'left_right_hand', 'left_base_pedestal', 'left_gripper_eef'} <= bodies
+    assert all(body.startswith('left_') for body in bodies)
+    client.publish('joint_command', JointState(name=['joint1'], position=[0.2]))
+    client.spin_until(lambda: any("did you mean 'left_joint1' or" in line for line in log))
+    client.spin_until(lambda: any('  arm: position mode, joints left_joint1, ' in line
+                                  for line in log))
+    assert not any(old in line for line in log for old in ('robot0_', 'gripper0_'))
+
+
+def test_commands_name_joints_as_the_states_do(serve, client):
+    serve(prefix='left_')
+    client.publish('joint_command', JointState(
+        name=['left_joint1', *(f'left_gripper_finger_joint{n}' for n in (1, 2))],
+        position=[0.2, 0.03, -0.03]))
     client.spin_until(lambda: abs(client.state().position[0] - 0.2) < 1e-3)
+    client.spin_until(lambda: abs(client.state().position[7] - 0.03) < 1e-3)
 
 
-def test_an_empty_joint_prefix_leaves_bare_names(serve, client):
-    serve(joint_prefix='')
-    assert list(client.state('arm/joint_states').name) == [f'joint{n}' for n in range(1, 8)]
+def test_a_prefix_tells_the_hands_of_two_arms_apart_and_names_the_base(serve, client):
+    serve(robot='Baxter', prefix='b_')
+    names = list(client.state().name)
+    assert names[0] == 'b_right_s0'
+    assert list(client.state('left/gripper/joint_states').name) == [
+        'b_gripper_left_l_finger_joint', 'b_gripper_left_r_finger_joint']
+
+
+def test_the_joints_of_a_mobile_base_bear_the_prefix(serve, client):
+    serve(robot='PandaOmron', prefix='m_')
+    assert all(name.startswith('m_base_joint_mobile') for name in
+               client.state('base/joint_states').name)
 
 
 def test_idn_numbers_the_names(serve, client):

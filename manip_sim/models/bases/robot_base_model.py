@@ -46,8 +46,8 @@ class MountModel(RobotBaseModel, registered=False):
     """
 
     @property
-    def naming_prefix(self) -> str:
-        """What stands before each name of this base in the compiled model."""
+    def _prefix_of_idn(self) -> str:
+        """The prefix unless another is given."""
         return f'fixed_mount{self.idn}_'
 
 
@@ -62,6 +62,6 @@ class MobileBaseModel(RobotBaseModel, registered=False):
     support_body = 'support'
 
     @property
-    def naming_prefix(self) -> str:
-        """What stands before each name of this base in the compiled model."""
+    def _prefix_of_idn(self) -> str:
+        """The prefix unless another is given."""
         return f'mobilebase{self.idn}_'

@@ -87,8 +87,8 @@ class GripperModel(MujocoXMLModel, ABC):
         return self._root()
 
     @property
-    def naming_prefix(self) -> str:
-        """What stands before each name of this gripper in the compiled model."""
+    def _prefix_of_idn(self) -> str:
+        """The prefix unless another is given."""
         return f'gripper{self.idn}_'
 
     @property

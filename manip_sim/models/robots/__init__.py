@@ -17,13 +17,20 @@ def robot_names() -> list[str]:
     return ROBOTS.names()
 
 
-def create_robot(name: str, idn: int | str = 0) -> RobotModel:
+def create_robot(name: str, idn: int | str = 0, prefix: str = '') -> RobotModel:
     """
     Create a robot by its class name.
 
+    :param idn: number or word in the prefix ``robot{idn}_``
+    :param prefix: instead of that, the beginning of all names of the robot and of all that is
+        mounted on it, such as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
     :raises UnknownNameError: naming the nearest ones
+    :raises ModelError: if names cannot begin with the prefix
     """
-    return ROBOTS.get(name)(idn=idn)  # type: ignore[call-arg]
+    robot = ROBOTS.get(name)(idn=idn)  # type: ignore[call-arg]
+    if prefix:
+        robot.set_naming_prefix(prefix)
+    return robot
 
 
 def __getattr__(name: str) -> type[RobotModel]:

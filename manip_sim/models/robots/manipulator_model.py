@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable
 from os import PathLike
 from typing import Any, TypeVar
 
@@ -26,22 +26,21 @@ class ArmDict(OrderedDict[str, T]):
     """
     An ordered dictionary by arm that is also asked by end effector body.
 
-    :param arm_of_body: arm by prefixed end effector body
+    :param arm_of_body: tells the arm of a prefixed end effector body, or None
     """
 
-    def __init__(self, arm_of_body: Mapping[str, str]) -> None:
+    def __init__(self, arm_of_body: Callable[[str], str | None]) -> None:
         super().__init__()
-        self._arm_of_body = dict(arm_of_body)
+        self._arm_of_body = arm_of_body
 
     def __missing__(self, key: str) -> T:
-        arm = self._arm_of_body.get(key)
+        arm = self._arm_of_body(key)
         if arm is None or arm not in self:
             raise KeyError(key)
         return self[arm]
 
     def __contains__(self, key: object) -> bool:
-        return super().__contains__(key) or (
-            key in self._arm_of_body and super().__contains__(self._arm_of_body[str(key)]))
+        return super().__contains__(key) or super().__contains__(self._arm_of_body(str(key)))
 
     def get(self, key: str, default: Any = None) -> Any:
         """Return the entry of an arm or end effector body, or the default."""
@@ -65,8 +64,7 @@ class ManipulatorModel(RobotModel):
                              f'for {", ".join(self.arms)}; it has {self._eef_name}')
         for body in self._eef_name.values():
             self._check_important('body', [body], self._bodies)
-        self._grippers: ArmDict[GripperModel] = ArmDict(
-            {body: arm for arm, body in self.eef_name.items()})
+        self._grippers: ArmDict[GripperModel] = ArmDict(self._arm_of_body)
 
     @property
     @abstractmethod
@@ -129,6 +127,15 @@ class ManipulatorModel(RobotModel):
         own = super().cameras
         return own + [camera for part in self.models for camera in part.cameras]
 
+    def _arm_of_body(self, name: str) -> str | None:
+        return next((arm for arm, body in self.eef_name.items() if body == name), None)
+
+    def _mounted(self) -> list[tuple[MujocoXMLModel, str]]:
+        """Return the parts on the robot and what follows the robot's prefix in their names."""
+        return [*super()._mounted(), *(
+            (gripper, 'gripper_' if len(self.arms) == 1 else f'gripper_{arm}_')
+            for arm, gripper in self._grippers.items())]
+
     def add_gripper(self, gripper: GripperModel, arm_name: str | None = None) -> None:
         """
         Mount a gripper.
@@ -156,8 +163,7 @@ class ManipulatorModel(RobotModel):
             own.set_mount_pose(self.gripper_mount_pos_offset.get(arm),
                                self.gripper_mount_quat_offset.get(arm))
             self._grippers[arm] = own
-        self.update_joints()
-        self.update_actuators()
+        self._was_mounted()
 
     def _arm(self, arm_name: str) -> str:
         for arm, body in self.eef_name.items():

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.naming import check_names_are_free
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import classify, driven_joint, SUBSYSTEMS, Subsystems
@@ -32,6 +33,10 @@ Placement = Union[Position, Callable[[float], Position]]
 class RobotModel(Subsystems, MujocoXMLModel, ABC):
     """
     A robot without hands, and the base it stands on. Prefix ``robot{idn}_``.
+
+    With a prefix of its own (:meth:`set_naming_prefix`) all that is mounted on it bears it too:
+    for ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``, on two arms
+    ``left_gripper_right_`` and ``left_gripper_left_``.
 
     :param fname: path of an MJCF file with one root body
     :raises ModelError: if the file has no root body or several
@@ -60,9 +65,34 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         self.update_actuators()
 
     @property
-    def naming_prefix(self) -> str:
-        """What stands before each name of this robot in the compiled model."""
+    def _prefix_of_idn(self) -> str:
+        """The prefix unless another is given."""
         return f'robot{self.idn}_'
+
+    def set_naming_prefix(self, prefix: str) -> None:
+        """
+        Let all names of the robot, and of what is and will be mounted on it, begin with a prefix.
+
+        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
+            ``left_``; empty: each part has the prefix that its idn gives
+        :raises ModelError: if it is no such prefix, or the class of a part overrides
+            :attr:`naming_prefix`
+        """
+        super().set_naming_prefix(prefix)
+        for part, words in self._mounted():
+            part.set_naming_prefix(prefix and prefix + words)
+        self.update_joints()
+        self.update_actuators()
+
+    def _mounted(self) -> list[tuple[MujocoXMLModel, str]]:
+        """Return the parts on the robot and what follows the robot's prefix in their names."""
+        return [] if self._base is None else [(self._base, 'base_')]
+
+    def _was_mounted(self) -> None:
+        if self._given_prefix:
+            self.set_naming_prefix(self._given_prefix)
+        self.update_joints()
+        self.update_actuators()
 
     @property
     @abstractmethod
@@ -118,8 +148,7 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
             raise UnknownNameError(f'body of {base.name} to mount a robot on', base.support_body,
                                    [body.name for body in base.spec.bodies[1:]])
         self._base = base
-        self.update_joints()
-        self.update_actuators()
+        self._was_mounted()
 
     @property
     def foot_offset(self) -> FloatArray:
@@ -261,6 +290,7 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
 
         :param spec: the ``mujoco.MjSpec`` to add to
         :param frame: the frame of that spec to hang the robot on
+        :raises ModelError: if the spec, the robot's base or a gripper has one of the names already
         """
         base = self._base
         if isinstance(base, MobileBaseModel):
@@ -275,9 +305,12 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
             pos=self.foot_offset - base.top_offset - base.base_offset))
 
     def _attach_on_mobile_base(self, spec: Any, frame: Any, base: MobileBaseModel) -> None:
-        self._check_prefix_is_free(spec)
         own = self._spec.copy()
+        check_names_are_free(spec, own, self.naming_prefix, self.name)
         mount = own.body(self._root().name)
+        if own.body(MANIPULATOR_MOUNT) is not None:
+            raise ModelError(f"{self.name} cannot stand on a mobile base: it has a body "
+                             f"'{MANIPULATOR_MOUNT}' of its own")
         root = frame.parent.add_body(name=self.root_body, pos=mount.pos, quat=mount.quat)
         root.set_frame(frame)
         rename_body(own, mount, MANIPULATOR_MOUNT)

@@ -1,0 +1,68 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names of parts in a composition: what a prefix may be, and that no name is there twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import re
+from typing import Any
+
+from manip_sim.errors import ModelError
+
+#: What joints, frames and the topics named after cameras and objects may all begin with.
+_PREFIX = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
+_LISTS = {
+    'body': 'bodies', 'joint': 'joints', 'geom': 'geoms', 'site': 'sites', 'camera': 'cameras',
+    'light': 'lights', 'actuator': 'actuators', 'sensor': 'sensors', 'tendon': 'tendons',
+    'equality': 'equalities', 'exclude': 'excludes', 'pair': 'pairs', 'mesh': 'meshes',
+    'material': 'materials', 'texture': 'textures', 'hfield': 'hfields', 'flex': 'flexes',
+    'skin': 'skins', 'numeric': 'numerics', 'text': 'texts', 'tuple': 'tuples',
+    'plugin': 'plugins'}
+_WITH_DEFAULTS = ('joints', 'geoms', 'sites', 'cameras', 'lights', 'actuators', 'equalities',
+                  'pairs', 'meshes', 'materials')
+
+
+def check_prefix(prefix: str) -> None:
+    """
+    Refuse a prefix that names in ROS cannot begin with.
+
+    :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
+    """
+    if not _PREFIX.fullmatch(prefix):
+        raise ModelError(f'prefix {prefix[:64]!r} cannot begin the names of joints and frames: '
+                         'it needs a letter, then at most 63 letters, digits and underscores')
+
+
+def check_names_are_free(spec: Any, own: Any, prefix: str, part: str) -> None:
+    """
+    Refuse to attach a spec to another that has one of its names already.
+
+    MuJoCo would compile neither, or write an XML that it cannot read again.
+
+    :param spec: the ``mujoco.MjSpec`` to attach to
+    :param own: the ``mujoco.MjSpec`` to be attached
+    :param prefix: what its names will begin with
+    :param part: what it is, for the message
+    :raises ModelError: naming the element
+    """
+    for kind, elements in _LISTS.items():
+        taken = {element.name for element in getattr(spec, elements) if element.name}
+        for element in getattr(own, elements):
+            if prefix + element.name in taken and element.name not in ('', 'world'):
+                raise _taken(kind, prefix + element.name, part)
+    for name in sorted(set(_default_classes(own))):
+        if spec.find_default(prefix + name) is not None:
+            raise _taken('default class', prefix + name, part)
+
+
+def _default_classes(spec: Any) -> Iterator[str]:
+    for elements in _WITH_DEFAULTS:
+        for element in getattr(spec, elements):
+            yield element.classname.name
+
+
+def _taken(kind: str, name: str, part: str) -> ModelError:
+    return ModelError(f"{kind} '{name}' is there already, {part} cannot bring another: change "
+                      f'the idn or prefix of {part}, or the name in its file')
