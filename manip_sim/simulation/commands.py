@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands after validation, with numbers that are finite and in range, and what became of them."""
+"""Commands after validation, with numbers in range, and what became of them."""
 
 from __future__ import annotations
 
@@ -123,6 +123,13 @@ class JointTrajectory(Command):
         """Return the command with a trajectory of its joints alone."""
         return replace(self, trajectory=self.trajectory.of(self.columns),
                        columns=np.arange(len(self.columns)))
+
+    def as_setpoint(self) -> JointSetpoint:
+        """Return the command to come to the last point."""
+        return JointSetpoint(
+            parts=self.parts, indices=self.indices, clamped=self.clamped, handle=self.handle,
+            modes=('position',) * len(self.indices),
+            values=self.trajectory.positions[-1, self.columns])
 
     def _only(self, kept: BoolArray) -> JointTrajectory:
         return replace(self, indices=self.indices[kept], columns=self.columns[kept])

@@ -346,6 +346,9 @@ class JointController:
             self._waiting.remove(command)
             self._release(command.indices, Status.REPLACED)
             own = command.own_trajectory()
+            if own.trajectory.end_s <= now_s - start_s:
+                self._come_to(own.as_setpoint())
+                continue
             try:
                 own.trajectory.begin_at(self._setpoints.position[own.indices],
                                         self._setpoints.velocity[own.indices], now_s - start_s)
@@ -353,6 +356,10 @@ class JointController:
                 command.handle.end(Status.ABORTED, str(error))
                 continue
             self._running.append(replace(own, start_ns=round(start_s * 1e9)))
+
+    def _come_to(self, command: JointSetpoint) -> None:
+        self._setpoints.come_back(command.indices, command.values)
+        self._running.append(command)
 
     def _follow_trajectories(self, data: Any, end_s: float) -> None:
         for command in list(self._running):
