@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-import re
+from dataclasses import dataclass
 import time
 from typing import Any
 
@@ -21,14 +20,12 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
+from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of, Names
 from manip_sim.ros.runner import Runner
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command
 from manip_sim.simulation.drives import Drive, SubsystemDrive
-
-_WARN_PERIOD_S = 1.0
-_DETAIL = re.compile(r"'[^']*'|\[[^]]*\]|-?\b(nan|inf)\b|-?\d[\d.e+-]*")
 
 
 @dataclass
@@ -48,22 +45,6 @@ class CommandStatistics:
     last_s: float | None = None
 
 
-@dataclass
-class _Throttle:
-    """Says which messages may be logged: each text once a second, numbers and names aside."""
-
-    _last: dict[str, float] = field(default_factory=dict)
-
-    def lets_through(self, topic: str, text: str) -> bool:
-        now = time.monotonic()
-        self._last = {k: t for k, t in self._last.items() if now - t < _WARN_PERIOD_S}
-        reason = f'{topic} {_DETAIL.sub("", text)}'
-        if reason in self._last:
-            return False
-        self._last[reason] = now
-        return True
-
-
 class CommandSubscribers:
     """
     Subscriptions to the command topics of all parts.
@@ -80,7 +61,7 @@ class CommandSubscribers:
         self._simulation = simulation
         self._runner = runner
         self._names = names
-        self._throttle = _Throttle()
+        self._log: RejectionLog = node.rejections
         self.statistics = {part: CommandStatistics() for part in simulation.drives}
         self.statistics['joint_command'] = CommandStatistics()
         for part, drive in simulation.drives.items():
@@ -111,7 +92,7 @@ class CommandSubscribers:
                 self._runner.submit(commands, answers)
             except CommandError as error:
                 statistics.refused += 1
-                self._warn(topic, f'refused a message on {topic}: {error}')
+                self._log.warn(topic, kind_of(error), f'refused a message on {topic}: {error}')
                 return
             for command in commands:
                 self._count(topic, self.statistics[command.part], command.clamped)
@@ -125,11 +106,8 @@ class CommandSubscribers:
         statistics.last_s = time.monotonic()
         if clamped:
             statistics.clamped += clamped
-            self._warn(topic, f'clamped {clamped} numbers of a message on {topic} to their limits')
-
-    def _warn(self, topic: str, text: str) -> None:
-        if self._throttle.lets_through(topic, text):
-            self._node.get_logger().warning(text)
+            self._log.warn(topic, 'clamped', f'clamped {clamped} numbers of a message on {topic} '
+                           'to their limits')
 
     def _model_names(self, message: Any) -> list[str]:
         names = message.name if isinstance(message, JointState) else message.joint_names

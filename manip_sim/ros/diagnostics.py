@@ -68,7 +68,8 @@ class Diagnostics:
         status = _status(name, 'running', {
             'state': 'paused' if self._runner.paused else self._runner.stepping,
             'real_time_factor': f'{factor:.4f}', 'missed_deadlines': progress.missed,
-            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings})
+            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings,
+            **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
         if missed:
             status.level = DiagnosticStatus.WARN
             status.message = f'{missed} control periods were dropped: the machine is too slow'

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import contextlib
 import select
 import signal
 import socket
@@ -15,10 +14,10 @@ import threading
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
+from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
 
 #: How often the main thread looks whether the other threads are well [s].
@@ -77,9 +76,9 @@ def run(arguments: Sequence[str]) -> int:
 
 def _serve(asked_to_end: EndSignals) -> int:
     node = SimNode()
-    executor = SingleThreadedExecutor()
+    executor = GuardedExecutor(node.rejections)
     executor.add_node(node)
-    spinner = threading.Thread(target=_spin, args=(executor,), name='executor')
+    spinner = threading.Thread(target=executor.spin, name='executor')
     try:
         node.start()
         spinner.start()
@@ -91,16 +90,12 @@ def _serve(asked_to_end: EndSignals) -> int:
         return 0
     finally:
         # Callbacks that wait for the simulation are answered before it ends.
-        executor.shutdown()
+        executor.end()
         if spinner.is_alive():
             spinner.join()
+        executor.shutdown()
         node.stop()
         node.destroy_node()
-
-
-def _spin(executor: SingleThreadedExecutor) -> None:
-    with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
 
 
 def _fail(message: str) -> int:

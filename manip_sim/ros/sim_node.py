@@ -18,6 +18,7 @@ from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.world import World
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import Names
 from manip_sim.ros.parameters import (
     node_parameters, Parameters, robot_parameters, steps_per_period)
@@ -40,6 +41,7 @@ class SimNode(Node):
 
     def __init__(self, **arguments: Any) -> None:
         super().__init__('manip_sim', **arguments)
+        self.rejections = RejectionLog(self.get_logger())
         try:
             self._build()
         except ManipSimError:
