@@ -199,6 +199,9 @@ class Parameters:
         if (spec is not None and isinstance(spec.default, float)
                 and parameter.type_ is Parameter.Type.INTEGER):
             return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+        if spec is not None and isinstance(spec.default, list) and not parameter.value:
+            # ROS reads [] as no value, and rclpy an empty list as one of bytes.
+            return Parameter(parameter.name, Parameter.Type.STRING_ARRAY, [''])
         return parameter
 
     def _integers_to_doubles(self, parameters: list[Parameter]) -> list[Parameter]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -20,6 +22,7 @@ from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import Names
+from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import (
     node_parameters, Parameters, robot_parameters, steps_per_period)
 from manip_sim.ros.publishers import publish_mjcf, StatePublishers
@@ -40,7 +43,12 @@ class SimNode(Node):
     """
 
     def __init__(self, **arguments: Any) -> None:
-        super().__init__('manip_sim', **arguments)
+        try:
+            super().__init__('manip_sim', **arguments)
+        except InvalidParameterTypeException as error:
+            raise ParameterError(str(error).rpartition(': ')[0]) from error
+        except RCLError as error:
+            raise ManipSimError(without_source(error)) from error
         self.rejections = RejectionLog(self.get_logger())
         try:
             self._build()
@@ -49,6 +57,7 @@ class SimNode(Node):
             raise
 
     def _build(self) -> None:
+        check_qos_values(self)
         self._declared = Parameters(self)
         self._declared.declare(node_parameters())
         value = self._declared.value
@@ -73,6 +82,7 @@ class SimNode(Node):
         offer_simulation_interfaces(self, self.simulation, self.runner, names)
         Diagnostics(self, self.simulation, self.runner, self.commands)
         publish_mjcf(self, world.to_xml())
+        check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._introduce(names)
         if self.get_parameter('use_sim_time').value:
@@ -99,7 +109,8 @@ class SimNode(Node):
                      gravity_compensation=value('gravity_compensation'))
 
     def _lockstep_parts(self) -> list[str]:
-        parts: list[str] = list(self._declared.value('lockstep_parts'))
+        # An empty list of strings is a list with an empty string in ROS.
+        parts: list[str] = [part for part in self._declared.value('lockstep_parts') if part]
         for part in parts:
             if part not in self.simulation.drives:
                 raise ParameterError(
