@@ -16,7 +16,6 @@ from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.runner import Progress, Runner
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.drives import SubsystemDrive
 
 _PERIOD_S = 1.0
 
@@ -68,7 +67,8 @@ class Diagnostics:
         status = _status(name, 'running', {
             'state': 'paused' if self._runner.paused else self._runner.stepping,
             'real_time_factor': f'{factor:.4f}', 'missed_deadlines': progress.missed,
-            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings})
+            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings,
+            **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
         if missed:
             status.level = DiagnosticStatus.WARN
             status.message = f'{missed} control periods were dropped: the machine is too slow'
@@ -94,12 +94,16 @@ class Diagnostics:
             'rate': f'{came / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0',
             'age': 'never' if statistics.last_s is None else f'{now_s - statistics.last_s:.3f}',
             'accepted': statistics.accepted, 'dropped': statistics.refused,
-            'clamped': statistics.clamped}
-        drive = self._simulation.drives.get(part)
-        if drive is not None:
-            values['control_mode'] = drive.mode
-        if isinstance(drive, SubsystemDrive):
-            values['timeouts'] = drive.timeouts
+            'clamped': statistics.clamped, 'slowed': statistics.slowed}
+        if part in self._simulation.grippers:
+            values['control_mode'] = 'position'
+        elif part in self._simulation.parts:
+            joints = self._simulation.joints
+            modes = dict.fromkeys(joints.modes_of(joints.indices_of(part)))
+            values['control_mode'] = ' and '.join(modes)
+            values['timeouts'] = sum(
+                joints.timeouts[atomic] for atomic in self._simulation.parts[part].atomic)
+            values['limited'] = joints.limited(part)
         return _status(name, 'commands', values)
 
 

@@ -17,7 +17,7 @@ from manip_sim.simulation.commands import (
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
-from manip_sim.simulation.state import JointReference
+from manip_sim.simulation.state import ControllerState, JointReference
 from manip_sim.simulation.trajectory import Trajectory
 from manip_sim.typing import FloatArray, IntArray
 
@@ -142,13 +142,29 @@ class JointController:
                                f'{speeds[worst]:g} per second, its limit is {limit[worst]:g}')
         return trajectory.slowed(factor, elapsed_s), factor
 
-    def reference(self, indices: IntArray) -> JointReference:
-        """Return where joints shall be, copies; for joints in effort mode what they give."""
+    def limited(self, part: str) -> int:
+        """
+        Return how often goals of a part came faster than its joints may move.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        return int(self._setpoints.limited[self.indices_of(part)].sum())
+
+    def controller_state(self, part: str, data: Any) -> ControllerState:
+        """
+        Return what is wanted of a part's joints and what they do, copies.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        indices, setpoints = self.indices_of(part), self._setpoints
         gives = self._servos.gives_effort(indices)
-        return JointReference(
-            position=self._setpoints.position[indices], velocity=self._setpoints.velocity[indices],
-            acceleration=self._setpoints.acceleration[indices],
-            effort=np.where(gives, self._effort[indices], 0.0), gives_effort=gives)
+        reference = JointReference(
+            setpoints.position[indices], setpoints.velocity[indices],
+            setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0), gives)
+        dofs = self._servos.dofs[indices]
+        return ControllerState(
+            tuple(self.names[i] for i in indices), reference,
+            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], data.qfrc_actuator[dofs])
 
     @property
     def moving(self) -> bool:

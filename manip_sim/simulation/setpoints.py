@@ -33,6 +33,7 @@ class SetpointGenerator:
     :ivar position: setpoint at the end of the last interval [rad or m], shape (n,)
     :ivar velocity: its velocity there [rad/s or m/s], shape (n,)
     :ivar acceleration: its acceleration there [rad/s^2 or m/s^2], shape (n,)
+    :ivar limited: how often a streamed goal asked for more than the velocity limit, shape (n,)
     :ivar now_s: simulation time, set from outside [s]
     :ivar moving: whether any setpoint moves or is about to
     """
@@ -48,6 +49,7 @@ class SetpointGenerator:
             return np.zeros(count)
 
         self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
+        self.limited = np.zeros(count, dtype=np.int64)
         self.moving = False
         self._seeks = np.zeros(count, dtype=bool)
         self._goal = zeros()
@@ -112,7 +114,9 @@ class SetpointGenerator:
         expected = np.clip(step, np.minimum(0.0, 2.0 * before) - slack,
                            np.maximum(0.0, 2.0 * before) + slack)
         top = self._velocity_limit[indices]
-        velocity = np.clip(expected / elapsed_s, -top, top)
+        wanted = expected / elapsed_s
+        velocity = np.clip(wanted, -top, top)
+        self.limited[indices] += velocity != wanted
         self._stream_goal[indices] = velocity
         self._ramp[indices] = np.maximum(
             np.abs(velocity - self._stream[indices]) / interval_s, 1e-9)

@@ -18,8 +18,9 @@ from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.servos import add_setpoint_activation
-from manip_sim.simulation.state import State
+from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
+from manip_sim.typing import FloatArray
 
 #: A generalised velocity that no robot has: the physics has diverged [rad/s or m/s].
 _ABSURD_VELOCITY = 1e4
@@ -152,6 +153,14 @@ class Simulation:
             else:
                 self.joints.apply(command, self.data, self.time_s, self._period_s)
 
+    def limits(self, part: str) -> FloatArray:
+        """
+        Return the range of each driven joint's goal in its present mode, shape (n, 2), a copy.
+
+        :raises UnknownNameError: if there are no such joints
+        """
+        return self.joints.ranges(self.joints.indices_of(part))
+
     def set_control_mode(self, part: str, mode: str) -> None:
         """
         Change how a part is controlled; it comes to rest.
@@ -267,3 +276,11 @@ class Simulation:
             velocity=data.qvel[self._dof_addresses],
             effort=data.qfrc_actuator[self._dof_addresses],
             end_effectors={arm: reader.read(data) for arm, reader in self.end_effectors.items()})
+
+    def controller_state(self, part: str) -> ControllerState:
+        """
+        Return what the controllers of a part's driven joints want and get, copies.
+
+        :raises UnknownNameError: if there are no such joints
+        """
+        return self.joints.controller_state(part, self.data)

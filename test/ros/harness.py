@@ -91,21 +91,23 @@ class Served:
     """A node that runs in this process, with an executor thread of its own."""
 
     def __init__(self, parameters: dict[str, Any]) -> None:
+        from manip_sim.ros.executor import GuardedExecutor
         from manip_sim.ros.sim_node import SimNode
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
         self.node = SimNode(context=self.context, parameter_overrides=[
             Parameter(name, value=value) for name, value in parameters.items()])
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor = GuardedExecutor(self.node.rejections, context=self.context)
         self.executor.add_node(self.node)
         self.thread = threading.Thread(target=self.executor.spin)
         self.thread.start()
         self.node.start()
 
     def close(self) -> None:
-        self.node.stop()
-        self.executor.shutdown()
+        self.executor.end()
         self.thread.join(timeout=10.0)
+        self.executor.shutdown()
+        self.node.stop()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
         assert self.node.runner.error is None

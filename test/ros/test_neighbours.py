@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import Client
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -22,6 +23,21 @@ rclpy.init()
 node = rclpy.create_node('never_reads')
 node.create_subscription(JointState, 'joint_states', print, 1000)
 time.sleep(30.0)
+"""
+
+NEVER_ACKNOWLEDGES = """
+import sys
+import rclpy
+from rclpy.qos import HistoryPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = rclpy.create_node('never_acknowledges')
+node.create_subscription(JointState, 'joint_states', print,
+                         QoSProfile(history=HistoryPolicy.KEEP_ALL))
+sys.stdin.read()
+node.destroy_node()
+rclpy.shutdown()
 """
 
 
@@ -71,6 +87,35 @@ def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process,
             if errors[-1] < 0.01:
                 break
         assert min(errors) < 0.01
+    finally:
+        idle.kill()
+        idle.wait()
+
+
+def test_a_reader_that_never_acknowledges_costs_messages_and_no_real_time(sim_process, client):
+    sim_process('publish_rate:=1000', 'timestep:=0.001',
+                'qos_overrides./joint_states.publisher.history:=keep_all')
+    client.spin_until(lambda: client.node.count_publishers('joint_states') > 0)
+    idle = subprocess.Popen([sys.executable, '-c', NEVER_ACKNOWLEDGES], stdin=subprocess.PIPE)
+    try:
+        arrays = client.listen(DiagnosticArray, '/diagnostics')
+
+        def values():
+            return {v.key: v.value for v in arrays[-1].status[0].values}
+        client.spin_until(lambda: bool(arrays) and int(values()['failed_publications']) > 0,
+                          timeout_s=40.0)
+        dropped = int(values()['failed_publications'])
+        factors = []
+        # Another process may slow the machine for a while; a publisher that waits would always.
+        while not any(factor > 0.98 for factor in factors):
+            assert len(factors) < 10, factors
+            seen = len(arrays)
+            client.spin_until(lambda n=seen: len(arrays) > n)
+            factors.append(float(values()['real_time_factor']))
+        assert int(values()['failed_publications']) > dropped
+        idle.communicate(timeout=20.0)
+        states = client.listen(JointState, 'joint_states', 10)
+        client.spin_until(lambda: len(states) > 100)
     finally:
         idle.kill()
         idle.wait()
