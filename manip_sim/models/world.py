@@ -46,8 +46,24 @@ class World:
         if len(set(prefixes)) != len(prefixes):
             raise ModelError(f'robots in one world need different idn, got {", ".join(prefixes)}')
 
-    def compose(self) -> Any:
-        """Return a new ``mujoco.MjSpec`` of the whole world."""
+    @property
+    def name(self) -> str:
+        """The names of the robots, for messages."""
+        return ' and '.join(robot.name for robot in self.robots)
+
+    @property
+    def gripper_actuators(self) -> list[str]:
+        """The actuators of all grippers."""
+        return [actuator for robot in self.robots if isinstance(robot, ManipulatorModel)
+                for gripper in robot.grippers.values() for actuator in gripper.actuators]
+
+    def compose(self, visual: bool = True) -> Any:
+        """
+        Return a new ``mujoco.MjSpec`` of the whole world.
+
+        :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
+            a step costs less and gives the same states
+        """
         spec = self.arena.compose()
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
         spec.option.timestep = self.timestep_s
@@ -61,6 +77,7 @@ class World:
             robot.attach_to(spec, spec.worldbody.add_frame())
         if self.gravity_compensation:
             self._compensate_gravity(spec)
+        spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
         return spec
 
     def _compensate_gravity(self, spec: Any) -> None:
@@ -78,14 +95,11 @@ class World:
         """
         Compile the world.
 
-        :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
-            a step costs less and gives the same states
+        :param visual: with the shapes that cannot collide
         :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
-        spec = self.compose()
-        spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
-        return compile_spec(spec, ' and '.join(r.name for r in self.robots))
+        return compile_spec(self.compose(visual), self.name)
 
     def to_xml(self) -> str:
         """Return the MJCF of the world."""
@@ -115,4 +129,6 @@ def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:
     if values.shape != (len(part.joints),):
         raise ModelError(f'init_qpos of {part.name} must have {len(part.joints)} values, one for '
                          f'each joint, got shape {values.shape}')
+    if not np.isfinite(values).all():
+        raise ModelError(f'init_qpos of {part.name} must be finite, got {values.tolist()}')
     return dict(zip(part.joints, values.tolist()))

@@ -23,7 +23,7 @@ class Goal:
     New goals for some actuators of a part.
 
     :ivar mode: the control mode that the values are meant for
-    :ivar indices: which of the part's actuators
+    :ivar indices: which of the part's actuators; of a gripper, which of its controller's joints
     :ivar values: at the joints, in SI units, shape of ``indices``
     :ivar clamped: how many numbers had to be brought into their range
     """

@@ -12,12 +12,13 @@ import numpy as np
 
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.simulation.commands import Goal
-from manip_sim.simulation.gripper_drive import GRIPPER_RATE_HZ, GripperDrive
+from manip_sim.simulation.gripper_controller import GRIPPER_RATE_HZ, GripperController
 from manip_sim.simulation.subsystem_drive import SubsystemDrive
 
-Drive = Union[SubsystemDrive, GripperDrive]
+Drive = Union[SubsystemDrive, GripperController]
 
-__all__ = ['Drive', 'GRIPPER_RATE_HZ', 'GripperDrive', 'split_joint_command', 'SubsystemDrive']
+__all__ = [
+    'Drive', 'GRIPPER_RATE_HZ', 'GripperController', 'split_joint_command', 'SubsystemDrive']
 
 
 def split_joint_command(drives: Mapping[str, Drive], names: list[str], position: Any,
@@ -32,7 +33,7 @@ def split_joint_command(drives: Mapping[str, Drive], names: list[str], position:
     :raises CommandError: if a joint is not there, or the numbers do not fit
     """
     part_of = {joint: drive.part.name for drive in drives.values()
-               for joint in drive.part.driven_joints if joint is not None}
+               for joint in _driven_joints(drive)}
     if not names:
         raise CommandError('joint_command: no joint is named')
     for name in names:
@@ -53,6 +54,12 @@ def split_joint_command(drives: Mapping[str, Drive], names: list[str], position:
             raise CommandError(f'joint_command: no part of it is in {field} mode, leave the '
                                f'field {field} empty')
     return [_goal(drives[part], names, indices, fields) for part, indices in wanted.items()]
+
+
+def _driven_joints(drive: Drive) -> list[str]:
+    driven = [joint for joint in drive.part.driven_joints if joint is not None]
+    # A tendon can drive joints, too.
+    return driven + (list(drive.joint_names) if isinstance(drive, GripperController) else [])
 
 
 def _goal(drive: Drive, names: list[str], indices: list[int], fields: dict[str, Any]) -> Goal:

@@ -12,11 +12,14 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
+from manip_sim.simulation.activation import (
+    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.commands import Command, Goal
 from manip_sim.simulation.drives import (
-    Drive, GripperDrive, split_joint_command, SubsystemDrive)
+    Drive, GripperController, split_joint_command, SubsystemDrive)
 from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.state import State
 from manip_sim.simulation.wrench import EndEffectorReader
@@ -25,6 +28,8 @@ from manip_sim.simulation.wrench import EndEffectorReader
 _ABSURD_VELOCITY = 1e4
 #: How long the coupled joints of grippers may take to find their start [s].
 _SETTLE_S = 0.5
+#: How often controllers that move something are called [s].
+_TICK_S = 0.01
 
 
 class Simulation:
@@ -47,7 +52,10 @@ class Simulation:
 
     def __init__(self, world: World, visual: bool = False) -> None:
         self.robot = world.robots[0]
-        self.model: Any = world.compile(visual)
+        spec = world.compose(visual)
+        servos = position_servos_without_dynamics(spec, world.gripper_actuators)
+        add_setpoint_activation(spec, servos)
+        self.model: Any = compile_spec(spec, world.name)
         # A physics that went wrong shall be seen, not be set back by MuJoCo behind our back.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data: Any = mujoco.MjData(self.model)
@@ -62,7 +70,7 @@ class Simulation:
         self._bystanders = [self._drive(part, robot) for robot in world.robots[1:]
                             for part in find_parts(self.model, robot)]
         self._subsystems = [d for d in self.drives.values() if isinstance(d, SubsystemDrive)]
-        self._grippers = [d for d in self.drives.values() if isinstance(d, GripperDrive)]
+        self._grippers = [d for d in self.drives.values() if isinstance(d, GripperController)]
         self.end_effectors = {
             name.split('/')[0]: EndEffectorReader(self.model, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
@@ -91,7 +99,7 @@ class Simulation:
 
     def _drive(self, part: Part, robot: RobotModel) -> Drive:
         if part.gripper is not None:
-            return GripperDrive(self.model, part, self.timestep_s)
+            return GripperController(self.model, part, self.timestep_s)
         return SubsystemDrive(self.model, part, robot)
 
     def _index_joints(self) -> None:
@@ -188,8 +196,6 @@ class Simulation:
             return
         for subsystem in self._subsystems:
             subsystem.update(self.data, self.step_count, self.timestep_s, steps)
-        for gripper in self._grippers:
-            gripper.update(self.data, steps * self.timestep_s)
         mujoco.mj_getState(self.model, self.data, self._good,
                            mujoco.mjtState.mjSTATE_INTEGRATION)
         warnings = self._bad_numbers()
@@ -201,12 +207,14 @@ class Simulation:
     def _step(self, steps: int) -> None:
         end = self.step_count + steps
         while self.step_count < end:
-            calls = [g.steps_to_call(self.step_count) for g in self._grippers]
-            chunk = min([end - self.step_count, *(c for c in calls if c is not None)])
+            chunk = end - self.step_count
+            moving = [gripper for gripper in self._grippers if gripper.moving]
+            if moving:
+                chunk = min(chunk, max(1, round(_TICK_S / self.timestep_s)))
+            for gripper in moving:
+                gripper.tick(self.data, chunk * self.timestep_s)
             mujoco.mj_step(self.model, self.data, chunk)
             self.step_count += chunk
-            for gripper in self._grippers:
-                gripper.call_if_due(self.data, self.step_count)
 
     def _bad_numbers(self) -> int:
         warning, kinds = self.data.warning, mujoco.mjtWarning
