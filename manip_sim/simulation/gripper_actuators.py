@@ -84,6 +84,12 @@ class GripperActuators:
         """Return the setpoints at which the servos would rest where they are, shape (n,)."""
         return self.rest(data.actuator_length[self.ids])
 
+    def speed_of_place(self, data: Any) -> FloatArray:
+        """Return how fast :meth:`place` changes [1/s], shape (n,)."""
+        gain = np.where(self.is_servo, self._gain, 1.0)
+        speed: FloatArray = -self._bias[:, 1] / gain * data.actuator_velocity[self.ids]
+        return np.where(self.is_servo, speed, 0.0)
+
     def setpoints(self, data: Any) -> FloatArray:
         """Return the present setpoints, and the controls of actuators without, a copy."""
         present: FloatArray = data.ctrl[self.ids].copy()

@@ -23,7 +23,11 @@ from manip_sim.typing import FloatArray
 #: Rate at which the reference calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0
 #: A finger has come to the end of its range if it is nearer than this part of the range.
-_AT_END = 0.01
+_AT_END = 0.015
+#: A finger has stopped if it would take longer than this for its range [s].
+_STOPPED_S = 20.0
+#: How long a finger that was stopped takes to press with its full force [s].
+_PRESS_S = 0.05
 #: What two setpoints may differ by and yet be the same, as part of the range.
 _SAME = 1e-9
 
@@ -34,8 +38,8 @@ class GripperController:
 
     An action lasts until the next one, so one message closes fully, and how often it is repeated
     does not matter. Actions and joint commands set goals; the setpoints approach them no faster
-    than the fingers may move. Where an action asks for an end of the range and something stops
-    the finger before it, the setpoint runs on until the actuator has its full force.
+    than the fingers may move. Where an action asks for an end of the range and something has
+    stopped the finger before it, the setpoint runs on until the actuator has its full force.
 
     :param model: the compiled ``mujoco.MjModel``, whose position servos have a setpoint activation
     :param part: the gripper
@@ -66,8 +70,9 @@ class GripperController:
         # Whether the state of ``format_action`` belongs to the goal.
         self._in_step = False
         self._goal = np.zeros(count)
-        # Which servos, asked for an end of their range, shall press where they are stopped.
-        self._pressing = np.zeros((count, 2), dtype=bool)
+        # Which servos are asked for an end of their range, and were stopped before it.
+        self._to_end = np.zeros((count, 2), dtype=bool)
+        self._pressing = np.zeros(count, dtype=bool)
         self._pace = np.full(count, np.inf)
         self._turned = False
         self._moving = False
@@ -152,18 +157,18 @@ class GripperController:
             positions = {self._joints[i]: float(v)
                          for i, v in zip(command.indices, command.values)}
             goal = self._actuators.rest(self._actuators.lengths_at(data, positions))
-            self._set_goal(np.where(np.isnan(goal), self._goal, goal), pressing=False)
+            self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=False)
             self._pace[:] = np.inf
         else:
             return
         self._moving = True
 
-    def _set_goal(self, goal: FloatArray, pressing: bool) -> None:
+    def _set_goal(self, goal: FloatArray, to_end: bool) -> None:
         low, high = self._actuators.ranges.T
         self._goal = np.clip(goal, low, high)
-        span = high - low
-        ends = np.stack([self._goal - low < _SAME * span, high - self._goal < _SAME * span], 1)
-        self._pressing = ends & pressing
+        ends = np.stack([self._goal - low, high - self._goal], axis=1) <= self._tolerance[:, None]
+        self._to_end = ends & to_end & (self._actuators.overtravel > 0.0)
+        self._pressing &= self._to_end.any(axis=1)
         self._turned = True
 
     def tick(self, data: Any, duration_s: float) -> None:
@@ -174,8 +179,8 @@ class GripperController:
         """
         self._call_if_due(data)
         actuators = self._actuators
-        place, target = actuators.place(data), self._target(data)
-        start = actuators.setpoints(data)
+        place, start = actuators.place(data), actuators.setpoints(data)
+        target = self._target(data, place, start)
         if self._turned:
             # What presses the other way lets go at once; else a finger would first have to wait
             # until the setpoint has come back to it.
@@ -184,20 +189,26 @@ class GripperController:
         setpoints = start + self._stride(target - start, duration_s)
         actuators.approach(data, setpoints, duration_s)
         there = np.abs(setpoints - actuators.setpoints(data)) <= self._tolerance
-        self._moving = self._action is not None or not there.all()
+        waits = self._to_end.any(axis=1) & ~self._pressing
+        self._moving = self._action is not None or not there.all() or bool(waits.any())
 
-    def _target(self, data: Any) -> FloatArray:
+    def _target(self, data: Any, place: FloatArray, setpoints: FloatArray) -> FloatArray:
         """Return the goals, beyond the end of the range where the full force is asked for."""
-        low, high = self._actuators.ranges.T
-        near = np.abs(self._actuators.place(data) - self._goal) < _AT_END * (high - low)
-        self._pressing[near] = False
-        below, above = (self._actuators.overtravel * self._pressing).T
+        span = np.ptp(self._actuators.ranges, axis=1)
+        self._to_end[np.abs(place - self._goal) < _AT_END * span] = False
+        arrived = np.abs(setpoints - self._goal) <= self._tolerance
+        stopped = np.abs(self._actuators.speed_of_place(data)) < span / _STOPPED_S
+        self._pressing |= arrived & stopped
+        self._pressing &= self._to_end.any(axis=1)
+        below, above = (self._actuators.overtravel * self._to_end * self._pressing[:, None]).T
         target: FloatArray = self._goal - below + above
         return target
 
     def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
         """Return how far setpoints move; those of coupled joints arrive together."""
-        reach = np.minimum(self._actuators.speeds, self._pace) * duration_s
+        speeds = np.minimum(self._actuators.speeds, self._pace)
+        press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
+        reach = np.where(self._pressing, press, speeds) * duration_s
         far = np.abs(distance) > reach
         shares = np.ones(len(distance))
         shares[far] = reach[far] / np.abs(distance[far])
@@ -224,7 +235,7 @@ class GripperController:
             goal = goal if again is None else again
         if (np.abs(goal - self._goal) <= self._tolerance).all():
             self._action = None
-        self._set_goal(goal, pressing=True)
+        self._set_goal(goal, to_end=True)
         # The next call comes in a while: until then the setpoints move evenly, not in jumps.
         self._pace = (np.full(len(goal), np.inf) if self._action is None else
                       np.abs(goal - self._actuators.setpoints(data)) / period_s)
