@@ -34,6 +34,17 @@ def cube(edge_m, x_m=0.0, y_m=0.0, yaw=0.0):
     return add
 
 
+def plate(width_m, position_m, yaw):
+    """Return a part in the air without weight, 2 cm high and deep."""
+    def add(spec):
+        body = spec.worldbody.add_body(name='part', pos=position_m, gravcomp=1.0,
+                                       quat=[np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)])
+        body.add_freejoint()
+        body.add_geom(name='part', type=mujoco.mjtGeom.mjGEOM_BOX, mass=PART_MASS_KG,
+                      size=[width_m / 2.0, 0.01, 0.01], friction=FRICTION)
+    return add
+
+
 def cylinder(diameter_m, length_m, position_m, axis):
     """Return a part in the air, a cylinder."""
     def add(spec):
@@ -82,9 +93,9 @@ class GripperRig:
         self.fingers = self.simulation.drive('right/gripper')
         self.height_m, self.action = PARK_HEIGHT_M, None
 
-    def advance(self, action, duration_s):
+    def apply(self, action):
         """
-        Let an action last for some time; one message starts it.
+        Start an action, if it is not the present one.
 
         :param action: one number for all fingers, or one for each of the gripper's dof
         """
@@ -92,6 +103,20 @@ class GripperRig:
             self.action = np.array(action)
             self.simulation.apply(self.fingers.action(
                 np.broadcast_to(self.action, (self.gripper.dof,))))
+
+    def command(self, positions):
+        """Command finger joints, by name [rad or m]."""
+        self.action = None
+        self.simulation.apply(self.fingers.joint_command(
+            list(positions), list(positions.values()), [], []))
+
+    def advance(self, action, duration_s):
+        """Let an action last for some time."""
+        self.apply(action)
+        self.wait(duration_s)
+
+    def wait(self, duration_s):
+        """Let time go by."""
         for _ in range(round(duration_s / PERIOD_S)):
             self.simulation.advance(round(PERIOD_S / self.simulation.timestep_s))
 
@@ -115,6 +140,12 @@ class GripperRig:
     def carriage_height(self):
         """Return how high the carriage is [m]."""
         return self.data.joint('robot0_carriage').qpos[0]
+
+    def deepest_contact(self):
+        """Return how deep the gripper and something else are in each other at the most [m]."""
+        bodies = {self.model.body(name).id for name in self.gripper.bodies}
+        return max([-contact.dist for contact in self.data.contact
+                    if bodies & set(self.model.geom_bodyid[contact.geom])], default=0.0)
 
     def geoms(self, role):
         """Return the ids of the gripper's geoms of a role, such as ``left_fingerpad``."""
