@@ -35,6 +35,7 @@ class Formatter:
         state = {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
                  for name, value in vars(gripper).items()}
         fault = self._fault(np.zeros(self.dof))[1]
+        vars(gripper).clear()
         vars(gripper).update(state)
         if fault is not None:
             raise ModelError(f'format_action of {type(gripper).__name__} must return {count} '

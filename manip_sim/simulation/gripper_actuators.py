@@ -22,6 +22,7 @@ from manip_sim.typing import FloatArray, IntArray
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -57,6 +58,7 @@ class GripperActuators:
         self.is_servo = fixed & affine & (self._gain > 0.0) & (self._bias[:, 1] < 0.0)
         dynamics = model.actuator_dyntype[self.ids]
         self._integrates = self.is_servo & (dynamics == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
+        self._settles = self._integrates | (self.is_servo & np.isin(dynamics, _FILTERS))
         self._act = model.actuator_actadr[self.ids]
         self.terms = [self._length_terms(i) for i in range(len(self.ids))]
         self._check_shared()
@@ -97,8 +99,8 @@ class GripperActuators:
         return present
 
     def hold(self, data: Any, setpoints: FloatArray) -> None:
-        """Put setpoints and controls somewhere else at once."""
-        data.act[self._act[self._integrates]] = setpoints[self._integrates]
+        """Put setpoints and controls somewhere else at once, as if they had long been there."""
+        data.act[self._act[self._settles]] = setpoints[self._settles]
         data.ctrl[self.ids] = np.where(self._integrates, 0.0, setpoints)
 
     def approach(self, data: Any, setpoints: FloatArray, duration_s: float) -> None:

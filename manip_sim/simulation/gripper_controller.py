@@ -187,8 +187,10 @@ class GripperController:
             against = actuators.is_servo & ((target - place) * (start - place) < 0.0)
             start, self._turned = np.where(against, place, start), False
         setpoints = start + self._stride(target - start, duration_s)
-        actuators.approach(data, setpoints, duration_s)
-        there = np.abs(setpoints - actuators.setpoints(data)) <= self._tolerance
+        present = actuators.setpoints(data)
+        there = np.abs(setpoints - present) <= self._tolerance
+        actuators.approach(data, np.where(there & actuators.is_servo, present, setpoints),
+                           duration_s)
         waits = self._to_end.any(axis=1) & ~self._pressing
         self._moving = self._action is not None or not there.all() or bool(waits.any())
 
