@@ -47,6 +47,17 @@ class World:
             raise ModelError('robots in one world need different idn or prefix, got '
                              + ', '.join(prefixes))
 
+    @property
+    def name(self) -> str:
+        """The names of the robots, for messages."""
+        return ' and '.join(robot.name for robot in self.robots)
+
+    @property
+    def gripper_actuators(self) -> list[str]:
+        """The actuators of all grippers."""
+        return [actuator for robot in self.robots if isinstance(robot, ManipulatorModel)
+                for gripper in robot.grippers.values() for actuator in gripper.actuators]
+
     def compose(self, visual: bool = True) -> Any:
         """
         Return a new ``mujoco.MjSpec`` of the whole world.
@@ -89,16 +100,7 @@ class World:
         :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
-        return self.compile_spec(self.compose(visual))
-
-    def compile_spec(self, spec: Any) -> Any:
-        """
-        Compile a spec that was composed of this world and edited.
-
-        :returns: a new ``mujoco.MjModel``
-        :raises ModelError: with what MuJoCo says
-        """
-        return compile_spec(spec, ' and '.join(r.name for r in self.robots))
+        return compile_spec(self.compose(visual), self.name)
 
     def to_xml(self) -> str:
         """Return the MJCF of the world."""
@@ -128,4 +130,6 @@ def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:
     if values.shape != (len(part.joints),):
         raise ModelError(f'init_qpos of {part.name} must have {len(part.joints)} values, one for '
                          f'each joint, got shape {values.shape}')
+    if not np.isfinite(values).all():
+        raise ModelError(f'init_qpos of {part.name} must be finite, got {values.tolist()}')
     return dict(zip(part.joints, values.tolist()))

@@ -95,6 +95,8 @@ class CommandParser:
         """
         what = part or 'joint_command'
         available = self._commanded_joints(part)
+        for gripper in self._grippers.values():
+            gripper.check_takes_positions(names)
         check_names(names, available, what)
         modes = [self._mode(name) for name in names]
         fields = {'position': position, 'velocity': velocity, 'effort': effort}

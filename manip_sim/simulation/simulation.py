@@ -11,13 +11,15 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError
+from manip_sim.models.loading import compile_spec
 from manip_sim.models.world import World
+from manip_sim.simulation.activation import (
+    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
-from manip_sim.simulation.servos import add_setpoint_activation
 from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
 from manip_sim.typing import FloatArray
@@ -55,8 +57,9 @@ class Simulation:
         self.robot = world.robots[0]
         spec = world.compose(visual)
         add_setpoint_activation(spec, [
-            name for robot in world.robots for name in robot.all_actuators])
-        self.model: Any = world.compile_spec(spec)
+            *(name for robot in world.robots for name in robot.all_actuators),
+            *position_servos_without_dynamics(spec, world.gripper_actuators)])
+        self.model: Any = compile_spec(spec, world.name)
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data: Any = mujoco.MjData(self.model)
@@ -149,7 +152,7 @@ class Simulation:
         for command in commands:
             if isinstance(command, (GripperAction, GripperSetpoint)):
                 (part,) = command.parts
-                self.grippers[part].apply(command, self.data, self.step_count)
+                self.grippers[part].apply(command, self.data)
             else:
                 self.joints.apply(command, self.data, self.time_s, self._period_s)
 
@@ -218,7 +221,8 @@ class Simulation:
             for controller in self._joint_controllers:
                 controller.tick(self.data, self.time_s, chunk * self.timestep_s)
             for gripper in self._gripper_controllers:
-                gripper.tick(self.data, self.step_count, chunk * self.timestep_s)
+                if gripper.moving:
+                    gripper.tick(self.data, chunk * self.timestep_s)
             mujoco.mj_step(self.model, self.data, chunk)
             self.step_count += chunk
             left -= chunk

@@ -9,7 +9,7 @@ import pytest
 from manip_sim.errors import CommandError
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.drives import GripperDrive
+from manip_sim.simulation.drives import GripperController
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'
 
@@ -170,7 +170,7 @@ def test_parts_in_different_modes_each_take_their_field(panda_sim):
     finger = 'gripper0_right_finger_joint1'
     arm, gripper = panda_sim.split_joint_command([J1, finger], [np.nan, 0.01], [0.3, np.nan], [])
     np.testing.assert_allclose(arm.values, [0.3])
-    np.testing.assert_allclose(gripper.values, [0.01])
+    np.testing.assert_allclose(gripper.values, [0.01, -0.01])  # The other finger follows.
 
 
 @pytest.mark.parametrize('joint', range(7))
@@ -185,4 +185,4 @@ def test_step_command_does_not_exceed_the_velocity_limit_by_much(panda_sim, arm,
 
 def test_drive_of_a_gripper_needs_a_gripper(panda_sim):
     with pytest.raises(ValueError, match=r'^arm is not a gripper$'):
-        GripperDrive(panda_sim.model, panda_sim.parts['arm'], 0.002)
+        GripperController(panda_sim.model, panda_sim.parts['arm'], 0.002)
