@@ -84,7 +84,7 @@ class CommandParser:
 
         The field that counts is that of the joint's control mode. NaN is no command for a joint.
         A field may also have numbers for those joints alone whose mode uses it, in the order of
-        their names; finger joints that follow one named before them need none.
+        their names; finger joints at the end, or that follow one named before them, need none.
 
         :param names: joints
         :param position: goals of the joints in position mode [rad or m]
@@ -112,8 +112,8 @@ class CommandParser:
                     f'the field {field}: leave it empty, or NaN for this joint')
             values[uses] = placed[uses]
         if np.isnan(values).all():
-            raise CommandError(f'{what}: no joint has a number in the field of its control mode '
-                               f'({", ".join(sorted(set(modes)))})')
+            raise CommandError(f'{what}: no joint is commanded: each number in the field of the '
+                               f'control mode ({", ".join(sorted(set(modes)))}) is NaN or missing')
         commanded = ~np.isnan(values)
         return list(self._setpoints([n for n, c in zip(names, commanded) if c],
                                     values[commanded]))
@@ -132,10 +132,11 @@ class CommandParser:
         if np.isnan(given).all():
             return placed
         takers = self._takers(field, names, modes)
-        if given.size != len(takers):
-            raise CommandError(f'{what}: {field} must have {len(names)} numbers, one for each '
-                               f'joint, got {given.size}')
-        placed[takers] = given
+        observed = [i for i in takers[given.size:] if names[i] not in self._gripper_of]
+        if given.size > len(takers) or observed:
+            raise CommandError(f'{what}: {field} must have {len(names)} numbers, got '
+                               f'{given.size}: one for each joint')
+        placed[takers[:given.size]] = given
         return placed
 
     def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:
@@ -197,11 +198,12 @@ class CommandParser:
         """
         joints = self._joints
         available = self._commanded_joints(part)
-        if not len(times_s):
-            indices = joints.find(names) if names else joints.indices_of(part)
-            return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
+        if not len(times_s) and not len(names):
+            names = available
         check_names(names, available, part)
         indices = joints.find(names)
+        if not len(times_s):
+            return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
         self._check_position_mode(part, names)
         if len(times_s) > MAX_POINTS:
             raise CommandError(f'{part}: a trajectory may have {MAX_POINTS} points, got '

@@ -77,10 +77,11 @@ class Command:
 
     def without(self: C, indices: IntArray) -> C | None:
         """Return the command for the joints that are not among some, or None if none is left."""
-        kept = ~np.isin(self.indices, indices)
-        if kept.all():
+        taken = set(indices.tolist())
+        kept = [index not in taken for index in self.indices.tolist()]
+        if all(kept):
             return self
-        return self._only(kept) if kept.any() else None
+        return self._only(np.array(kept)) if any(kept) else None
 
     def _only(self: C, kept: BoolArray) -> C:
         return replace(self, indices=self.indices[kept])

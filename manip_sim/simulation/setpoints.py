@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from manip_sim.typing import BoolArray, FloatArray, IntArray
@@ -51,6 +53,8 @@ class SetpointGenerator:
         self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
         self.limited = np.zeros(count, dtype=np.int64)
         self.moving = False
+        # Whether the catch-up part has something to do.
+        self._catches = False
         self._seeks = np.zeros(count, dtype=bool)
         self._goal = zeros()
         # The catch-up part: velocity before and behind each low-pass stage.
@@ -66,7 +70,11 @@ class SetpointGenerator:
 
     def at_rest(self, indices: IntArray) -> bool:
         """Tell whether some setpoints have come to where they shall be."""
-        return not self.moving or bool(np.all(self._resting()[indices]))
+        if not self.moving:
+            return True
+        if self._stream[indices].any():
+            return False
+        return bool(self._resting()[indices].all())
 
     def place(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
@@ -92,7 +100,7 @@ class SetpointGenerator:
         self._ramp[indices] = self._acceleration_limit[indices]
         self._until_s[indices] = np.inf
         self._last_s[indices] = -np.inf
-        self.moving = True
+        self.moving = self._catches = True
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float) -> None:
         """
@@ -126,7 +134,7 @@ class SetpointGenerator:
         self._last_step[indices] = step
         self._last_s[indices] = self.now_s
         self._seeks[indices] = True
-        self.moving = True
+        self.moving = self._catches = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -144,19 +152,26 @@ class SetpointGenerator:
 
         :param duration_s: length of the interval [s]
         """
-        before = self.position.copy()
         self._end_streams()
-        travel = self._advance_catch_up(duration_s) + self._advance_stream(duration_s)
-        np.clip(before + travel, self._low, self._high, out=self.position)
+        # What is missing is seen before anything moves.
+        missing = self._missing() if self._catches else None
+        travel = self._advance_stream(duration_s)
+        if missing is not None:
+            travel += self._advance_catch_up(missing, duration_s)
+        self.position = np.minimum(np.maximum(self.position + travel, self._low), self._high)
         self.velocity = self._stream + self._stage2
         self.now_s += duration_s
-        resting = self._resting()
-        if resting.all():
+        if not (self._catches or self._stream.any() or self._stream_goal.any()):
+            self._arrive()
+
+    def _arrive(self) -> None:
+        if self._resting().all():
             self.moving = False
             self.position[self._seeks] = self._goal[self._seeks]
-            for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
-                         self.acceleration):
+            for part in (self._raw, self._stage1, self._stage2, self.velocity, self.acceleration):
                 part[:] = 0.0
+        else:
+            self._catches = True
 
     def follow(self, indices: IntArray, position: FloatArray, velocity: FloatArray,
                acceleration: FloatArray) -> None:
@@ -177,10 +192,10 @@ class SetpointGenerator:
         :param measured: where the joints are [rad or m], shape (n,)
         :param lead: how far a setpoint may be from there [rad or m], shape (n,)
         """
-        near = np.clip(self.position, measured - lead, measured + lead)
+        near = np.minimum(np.maximum(self.position, measured - lead), measured + lead)
         held = near != self.position
         if held.any():
-            self.position = near
+            self.position, self._catches = near, True
             for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
                          self.acceleration):
                 part[held] = 0.0
@@ -193,8 +208,8 @@ class SetpointGenerator:
         return np.maximum(pace, away) < _ARRIVED
 
     def _end_streams(self) -> None:
-        ended = self._until_s <= self.now_s + 1e-9
-        if ended.any():
+        if self._until_s.min(initial=np.inf) <= self.now_s + 1e-9:
+            ended = self._until_s <= self.now_s + 1e-9
             self._stream_goal[ended] = 0.0
             self._ramp[ended] = np.maximum(
                 np.abs(self._stream[ended]) / self._interval_s[ended], 1e-9)
@@ -213,20 +228,28 @@ class SetpointGenerator:
         stream += np.where(streaming, self._stream_goal * self._interval_s / 2.0, 0.0)
         return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
 
-    def _advance_catch_up(self, duration_s: float) -> FloatArray:
+    def _missing(self) -> FloatArray:
+        return np.where(self._seeks, self._goal - self.position - self._still_to_come(), 0.0)
+
+    def _advance_catch_up(self, missing: FloatArray, duration_s: float) -> FloatArray:
         limit, top = self._acceleration_limit, self._velocity_limit
-        missing = np.where(self._seeks, self._goal - self.position - self._still_to_come(), 0.0)
         raw = braking_velocity(missing, limit, duration_s)
-        np.clip(raw, self._raw - limit * duration_s, self._raw + limit * duration_s, out=raw)
-        np.clip(raw, -top - self._stream_goal, top - self._stream_goal, out=raw)
-        self._raw = raw
+        change = limit * duration_s
+        raw = np.minimum(np.maximum(raw, self._raw - change), self._raw + change)
+        self._raw = np.minimum(np.maximum(raw, -top - self._stream_goal), top - self._stream_goal)
         # Two first-order stages whose input is constant meanwhile.
         ratio = duration_s / _SMOOTHING_S
-        decay = np.exp(-ratio)
-        stage1, stage2 = self._stage1, self._stage2
+        decay = math.exp(-ratio)
+        raw, stage1, stage2 = self._raw, self._stage1, self._stage2
         off1, off2 = (stage1 - raw) * decay, (stage2 - raw) * decay
         self._stage1, self._stage2 = raw + off1, raw + off2 + off1 * ratio
-        self.acceleration = (self._stage1 - self._stage2) / _SMOOTHING_S
+        self.acceleration += (self._stage1 - self._stage2) / _SMOOTHING_S
+        pace = np.maximum(np.maximum(np.abs(missing), np.abs(raw)),
+                          np.maximum(np.abs(self._stage1), np.abs(self._stage2)))
+        self._catches = bool(pace.max(initial=0.0) >= _ARRIVED)
+        if not self._catches:
+            for part in (self._raw, self._stage1, self._stage2):
+                part[:] = 0.0
         return np.asarray(raw * duration_s + _SMOOTHING_S * (
             stage1 + stage2 - self._stage1 - self._stage2))
 
@@ -235,10 +258,11 @@ class SetpointGenerator:
         free = ~self._seeks & (goal != 0.0)
         if free.any():
             goal = self._before_the_range_ends(goal, duration_s)
-        ramp_s = np.minimum(np.abs(goal - begin) / self._ramp, duration_s)
-        end = begin + np.sign(goal - begin) * self._ramp * ramp_s
+        change = goal - begin
+        ramp_s = np.minimum(np.abs(change) / self._ramp, duration_s)
+        end = begin + np.copysign(self._ramp * ramp_s, change)
         self._stream = end
-        self.acceleration += (end - begin) / duration_s
+        self.acceleration = (end - begin) / duration_s
         return np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
 
     def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:

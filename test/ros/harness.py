@@ -41,6 +41,15 @@ class Client:
             assert time.monotonic() < end, 'timed out'
             self.executor.spin_once(timeout_sec=0.05)
 
+    def settled(self, value: Callable[[], Any], rounds: int = 30) -> Any:
+        """Return a value that has not changed while the node published many states."""
+        states = self.listen(JointState, 'joint_states')
+        while True:
+            before, count = value(), len(states)
+            self.spin_until(lambda n=count: len(states) > n + rounds)  # type: ignore[misc]
+            if value() == before:
+                return before
+
     def listen(self, message_type: Any, topic: str, qos: Any = 1000) -> list[Any]:
         """Return a list that is filled with the messages of a topic, the first one included."""
         messages: list[Any] = []

@@ -91,7 +91,7 @@ def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
     after = client.state()
     assert nanoseconds(after) > nanoseconds(start)
     np.testing.assert_allclose(after.position, start.position, atol=1e-3)
-    assert node.simulation.drives['right/gripper'].steps_to_call(0) is None
+    assert not node.simulation.grippers['right/gripper'].moving
 
 
 def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
@@ -179,7 +179,7 @@ def test_parameters_change_while_the_node_runs(serve, client):
             parameters=[Parameter(name, value=value).to_parameter_msg()])
         return client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
     assert set_parameter('control_mode.arm', 'effort').successful
-    client.spin_until(lambda: node.simulation.drives['arm'].mode == 'effort')
+    client.spin_until(lambda: node.simulation.joints.mode_of('robot0_joint1') == 'effort')
     np.testing.assert_allclose(client.state().position, state.position, atol=1e-3)
     assert set_parameter('real_time_factor', 2).successful
     wrong = set_parameter('control_mode.arm', 'torque')

@@ -297,6 +297,7 @@ def test_a_moving_command_is_followed_at_the_rate_of_the_hardware(serve, client,
         goal = min(0.4 * (stamp(states[-1]) - begin), 0.4)
         hardware.claim('position', {ARM[0]: start + goal})
         return hardware.states[ARM[0], 'position'] > start + 0.398
+    follow()  # Without a goal the first message would be refused.
     until(hardware, follow)
     moved = np.array([(stamp(m), m.velocity[list(m.name).index(ARM[0])]) for m in states])
     middle = (moved[:, 0] > begin + 0.3) & (moved[:, 0] < begin + 0.8)
