@@ -53,7 +53,8 @@ class CommandSubscribers:
     :param simulation: whose drives validate; they are only read
     :param runner: takes the commands
     :param names: public names
-    :ivar statistics: by part, and ``joint_command`` for what is refused on the combined topic
+    :ivar statistics: by part, and for the combined topic ``joint_command``, whose commands count
+        for their parts too
     """
 
     def __init__(self, node: Node, simulation: Simulation, runner: Runner, names: Names) -> None:
@@ -96,6 +97,10 @@ class CommandSubscribers:
                 return
             for command in commands:
                 self._count(topic, self.statistics[command.part], command.clamped)
+            if drive is None:
+                statistics.accepted += 1
+                statistics.clamped += sum(command.clamped for command in commands)
+                statistics.last_s = time.monotonic()
 
         self._node.create_subscription(
             message_type, topic, take, QoSProfile(depth=1),
