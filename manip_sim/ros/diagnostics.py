@@ -15,6 +15,7 @@ from rclpy.node import Node
 
 from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.neighbours import Neighbours
 from manip_sim.ros.runner import Runner
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.drives import SubsystemDrive
@@ -81,7 +82,7 @@ class Pace:
 
 class Diagnostics:
     """
-    Publishes one status for the simulation and one for the commands of each part.
+    Publishes a status for the simulation, for the commands of each part and for other nodes.
 
     :param node: the node
     :param simulation: only looked at
@@ -96,6 +97,7 @@ class Diagnostics:
         self._runner = runner
         self._commands = commands
         self._pace = Pace(runner)
+        self._neighbours = Neighbours(node)
         self._last_accepted = {part: 0 for part in commands.statistics}
         self._last_s = time.monotonic()
         self._told: str | None = None
@@ -109,7 +111,8 @@ class Diagnostics:
         message = DiagnosticArray(status=[
             self._physics(f'{name}: simulation'),
             *(self._part(f'{name}: {part}', part, statistics, now_s, elapsed_s)
-              for part, statistics in self._commands.statistics.items())])
+              for part, statistics in self._commands.statistics.items()),
+            self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._runner.progress.time_ns)
         self._publisher.publish(message)
 
@@ -131,6 +134,13 @@ class Diagnostics:
         if self._simulation.diverged is not None:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)
+        return status
+
+    def _others(self, name: str) -> DiagnosticStatus:
+        conflicts = self._neighbours.conflicts()
+        status = _status(name, '; '.join(conflicts) or 'no conflict', {})
+        if conflicts:
+            status.level = DiagnosticStatus.WARN
         return status
 
     def _tell(self, status: DiagnosticStatus) -> None:
