@@ -170,7 +170,7 @@ def test_a_second_clock_is_told_and_separate_robots_are_not(process, client):
     client.spin_until(lambda: len(arrays) > 5)
     assert set(conflicts_of(arrays).values()) == {'no conflict'}
     clock = client.node.create_publisher(Clock, '/clock', 1)
-    client.spin_until(lambda: '/clock is also published by \'/client\'' in conflicts_of(
+    client.spin_until(lambda: "/clock is also published by '/client'" in conflicts_of(
         arrays[-4:])['left/manip_sim: other nodes'])
     client.node.destroy_publisher(clock)
     assert 'publish_clock:=false' in ended(left)
