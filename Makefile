@@ -6,10 +6,14 @@
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
 # site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix.
 
+# The node and its clients talk within this machine, unless the environment says otherwise:
+# ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/security.md)
+
 PYTHON ?= python3
 VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
 PYTEST_ARGS ?=
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_ARGS = --system-site-packages

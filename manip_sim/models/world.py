@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any
 
 import mujoco
@@ -31,7 +32,7 @@ class World:
     :param robots: robots with all that is mounted on them; one that was not
         placed by ``set_base_xpos`` is placed by its ``base_xpos_offset`` for the arena
     :param arena: the arena, :class:`EmptyArena` by default
-    :param timestep_s: of the physics [s]
+    :param timestep_s: of the physics [s], a whole number of nanoseconds
     :param gravity_compensation: let the joints' actuators carry the weight of all links and
         grippers, as the controller of a real arm does; it counts as actuator force
     """
@@ -40,7 +41,7 @@ class World:
                  timestep_s: float = 0.002, gravity_compensation: bool = True) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
-        self.timestep_s = timestep_s
+        self.timestep_s = _whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
         prefixes = [robot.naming_prefix for robot in self.robots]
         if len(set(prefixes)) != len(prefixes):
@@ -121,6 +122,21 @@ class World:
             for part, qpos in starts:
                 start.update(_by_joint(part, qpos))
         return start
+
+
+def _whole_nanoseconds(timestep_s: float) -> float:
+    """
+    Return a timestep; stamps count in nanoseconds, and would drift from the physics otherwise.
+
+    :raises ModelError: naming the nearest timestep that can be used
+    """
+    if not 1e-9 <= timestep_s < math.inf:
+        raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')
+    nanoseconds = timestep_s * 1e9
+    if abs(nanoseconds - round(nanoseconds)) > 1e-5:
+        raise ModelError('a timestep must be a whole number of nanoseconds, got '
+                         f'{timestep_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
+    return timestep_s
 
 
 def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:

@@ -31,11 +31,13 @@ class Progress:
     :ivar wall_s: monotonic wall time of the last control period [s]
     :ivar time_ns: simulation time then [ns]
     :ivar missed: control periods that were dropped because the machine could not keep up
+    :ivar lost_s: simulation time that was lost with them [s]
     """
 
     wall_s: float
     time_ns: int
-    missed: int
+    missed: int = 0
+    lost_s: float = 0.0
 
 
 class Runner:
@@ -75,7 +77,7 @@ class Runner:
         self._repeat_at = 0.0
         #: The state that commands may answer; none while they are being used.
         self._present_ns: int | None = simulation.time_ns
-        self.progress = Progress(time.monotonic(), simulation.time_ns, 0)
+        self.progress = Progress(time.monotonic(), simulation.time_ns)
         self.at_start = True
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
@@ -104,6 +106,16 @@ class Runner:
     def stepping(self) -> str:
         """``realtime``, ``free`` or ``lockstep``."""
         return self._stepping
+
+    @property
+    def period_s(self) -> float:
+        """Length of a control period in simulation time [s]."""
+        return self._steps * self._simulation.timestep_s
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulation time per wall time that is asked for in ``realtime``."""
+        return self._pacer.real_time_factor
 
     @property
     def paused(self) -> bool:
@@ -279,7 +291,7 @@ class Runner:
         with self._wake:
             self._present_ns = state.time_ns
         now = time.monotonic()
-        self.progress = Progress(now, state.time_ns, self._pacer.missed)
+        self.progress = Progress(now, state.time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S
         self._publish(state)
 

@@ -11,6 +11,7 @@ import threading
 import time
 from typing import Any
 
+from domains import reserve_domain
 from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -18,8 +19,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
+
 #: Nobody else's domain; for this process and those that it starts.
-DOMAIN = 1 + os.getpid() % 100
+DOMAIN, _reserved = reserve_domain()
 os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 

@@ -3,6 +3,7 @@
 
 """Other nodes in the same domain: many clients, idle ones, and a second robot."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -131,3 +132,46 @@ def test_two_robots_live_in_two_namespaces_of_one_domain(process, client):
     client.spin_until(lambda: client.state('/left/joint_states').position[0] > 0.29)
     client.spin_until(lambda: client.state('/right/joint_states').position[0] < -0.29)
     assert client.node.count_publishers('/clock') == 1
+
+
+def conflicts_of(arrays):
+    """Return what each node says of others, by the name of its status."""
+    return {status.name: status.message for array in arrays for status in array.status
+            if status.name.endswith('other nodes')}
+
+
+def ended(node):
+    node.send_signal(signal.SIGINT)
+    _, errors = node.communicate(timeout=20.0)
+    return errors
+
+
+def test_two_nodes_of_one_name_each_say_so_once(sim_process, client):
+    nodes = [sim_process(), sim_process()]
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: client.node.count_publishers('/clock') == 2)
+    client.spin_until(lambda: len(arrays) > 10)
+    message = conflicts_of(arrays[-4:])['manip_sim: other nodes']
+    for text in ('2 nodes are named /manip_sim', "/clock is also published by '/manip_sim'",
+                 "/joint_states is also published by '/manip_sim'"):
+        assert text in message
+    for node in nodes:
+        errors = ended(node)
+        for text in ('nodes are named', '/clock is also', '/joint_states is also'):
+            assert errors.count(text) == 1
+
+
+def test_a_second_clock_is_told_and_separate_robots_are_not(process, client):
+    left = process('--ros-args', '-r', '__ns:=/left')
+    right = process('--ros-args', '-r', '__ns:=/right', '-p', 'publish_clock:=false')
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: len(conflicts_of(arrays)) == 2)
+    arrays.clear()
+    client.spin_until(lambda: len(arrays) > 5)
+    assert set(conflicts_of(arrays).values()) == {'no conflict'}
+    clock = client.node.create_publisher(Clock, '/clock', 1)
+    client.spin_until(lambda: "/clock is also published by '/client'" in conflicts_of(
+        arrays[-4:])['left/manip_sim: other nodes'])
+    client.node.destroy_publisher(clock)
+    assert 'publish_clock:=false' in ended(left)
+    assert '[WARN]' not in ended(right)

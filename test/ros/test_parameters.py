@@ -36,7 +36,7 @@ REFUSED = [
     ('publish_rate:=fast', "parameter 'publish_rate'", 'must be of type double'),
     ('publish_clock:=1', "parameter 'publish_clock'", 'must be of type bool'),
     ('real_time_factor:=100.0', "parameter 'real_time_factor'", 'from 0.1 to 10'),
-    ('lockstep_parts:=[legs]', "parameter 'lockstep_parts'", 'arm, right/gripper'),
+    ('lockstep_parts:=[legs]', "parameter 'lockstep_parts'", 'arm, right, right/gripper'),
     ('command_timeout.arm:=-1.0', "parameter 'command_timeout.arm'", 'from 0'),
 ]
 
