@@ -53,11 +53,11 @@ class JointCouplings:
         Return where joints have to be that are tied to others.
 
         :param positions: of some joints [rad or m]; of two that are tied to the same one, the
-            later one counts
+            first one counts
         :returns: the positions given, and those of the joints that follow from them
         """
         known = dict(positions)
-        waiting = list(reversed(known))
+        waiting = list(known)
         while waiting:
             joint = waiting.pop(0)
             for other, polynomial, inverse in self._neighbours[joint]:

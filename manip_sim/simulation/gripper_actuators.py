@@ -35,11 +35,10 @@ class GripperActuators:
     :ivar ids: of the actuators
     :ivar is_servo: whether the actuator has a setpoint
     :ivar ranges: of setpoints, and of the controls of the others, shape (n, 2)
-    :ivar speeds: of the setpoints, so that no joint exceeds its velocity limit [1/s]; infinite
-        where none is declared
+    :ivar speeds: of the setpoints, so that no joint and none that is coupled to it exceeds its
+        velocity limit [1/s]; infinite where none is declared
     :ivar overtravel: how far below and above a place of rest a setpoint brings the full force,
         zero where the force is not limited, shape (n, 2)
-    :ivar groups: equal numbers for the actuators whose joints move together
     :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
         where the length is no sum of joint positions
     :ivar couplings: among the joints of the gripper
@@ -66,7 +65,6 @@ class GripperActuators:
         self.speeds = np.array([self._speed(i) for i in range(len(self.ids))])
         self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
                                    ).reshape(-1, 2)
-        self.groups = self._group_numbers()
 
     def name(self, index: int) -> str:
         """Return the name of an actuator."""
@@ -192,10 +190,7 @@ class GripperActuators:
                           for other, ratio in ratios.items() if ratio]
                 fastest = min([fastest, *(limit * length_rate for limit in limits)])
         per_length = -self._bias[index, 1] / self._gain[index]
-        speed = fastest * abs(model.actuator_gear[actuator, 0]) * per_length
-        if self._integrates[index] and model.actuator_ctrllimited[actuator]:
-            speed = min(speed, float(np.abs(model.actuator_ctrlrange[actuator]).min()))
-        return float(speed)
+        return float(fastest * abs(model.actuator_gear[actuator, 0]) * per_length)
 
     def _velocity_limit(self, joint: int) -> float:
         declared = float(self._model.jnt_user[joint, 0]) if self._model.nuser_jnt else 0.0
@@ -216,11 +211,3 @@ class GripperActuators:
         low, high = np.max(limits, axis=0)[0], np.min(limits, axis=0)[1]
         return (float(max(-low, 0.0) / self._gain[index]),
                 float(max(high, 0.0) / self._gain[index]))
-
-    def _group_numbers(self) -> IntArray:
-        numbers: dict[frozenset[int], int] = {}
-        found = []
-        for index, terms in enumerate(self.terms):
-            key = self.couplings.group(terms[0][0]) if terms else frozenset([-1 - index])
-            found.append(numbers.setdefault(key, len(numbers)))
-        return np.array(found, dtype=np.int64)

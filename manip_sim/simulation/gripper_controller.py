@@ -214,21 +214,16 @@ class GripperController:
         return target
 
     def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
-        """Return how far setpoints move; those of coupled joints arrive together."""
+        """Return how far setpoints move."""
         speeds = np.minimum(self._actuators.speeds, self._pace)
         press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
         reach = np.where(self._pressing, press, speeds) * duration_s
-        far = np.abs(distance) > reach
-        shares = np.ones(len(distance))
-        shares[far] = reach[far] / np.abs(distance[far])
-        together = np.ones(len(distance))
-        np.minimum.at(together, self._actuators.groups, shares)
-        return distance * together[self._actuators.groups]
+        stride: FloatArray = np.clip(distance, -reach, reach)
+        return stride
 
     def _call_if_due(self, data: Any) -> None:
         """Call the gripper's ``format_action`` if its time has come."""
         now, period_s = data.time, 1.0 / GRIPPER_RATE_HZ
-        self._next_call_s = min(self._next_call_s, now + period_s)  # A reset sets the time back.
         if self._action is None or now < self._next_call_s - self._timestep_s / 2.0:
             return
         late = now - self._next_call_s

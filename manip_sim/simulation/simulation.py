@@ -108,10 +108,12 @@ class Simulation:
         self.reset()
         if not self.model.neq + self.model.ntendon:
             return
-        gravity = self.model.opt.gravity.copy()
+        gravity, flags = self.model.opt.gravity.copy(), self.model.opt.disableflags
         self.model.opt.gravity[:] = 0.0
+        # Only the couplings count here, not what a hand is inside of.
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
-        self.model.opt.gravity[:] = gravity
+        self.model.opt.gravity[:], self.model.opt.disableflags = gravity, flags
         for gripper in self._gripper_controllers:
             part = gripper.part
             self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))

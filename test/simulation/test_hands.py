@@ -130,6 +130,50 @@ def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(hand_sim, run,
     np.testing.assert_allclose(fingers(simulation), [0.03, 0.03], atol=2e-4)
 
 
+def test_coupled_setpoints_keep_their_ratio_on_the_way(hand_sim, hand_class):
+    hand_class.init_qpos = [0.02, 0.01]
+    simulation = hand_sim(SERVOS, '<equality><joint joint1="right" joint2="left" '
+                          'polycoef="0 0.5 0 0 0"/></equality>', coupled=False)
+    command(simulation, right=0.02)
+    for _ in range(100):
+        simulation.advance(5)
+        left, right = simulation.data.act
+        assert right == pytest.approx(0.5 * left, abs=1e-4)
+    assert right == pytest.approx(0.02)
+
+
+def test_coupling_that_is_switched_off_does_not_count(hand_sim, run):
+    simulation = hand_sim(SERVOS, '<equality><joint joint1="right" joint2="left" '
+                          'active="false"/></equality>', coupled=False)
+    command(simulation, left=0.035)
+    run(simulation, 1.5)
+    np.testing.assert_allclose(fingers(simulation), [0.035, 0.02], atol=1e-4)
+
+
+def test_coupling_counts_from_where_the_joints_are_in_the_file(hand_sim, hand_class, run):
+    def refer(gripper):
+        gripper.spec.joint('left').ref = 0.01
+
+    # The left finger is at 0.01 where the right one is at 0.
+    hand_class.init_qpos = [0.03, 0.02]
+    simulation = hand_sim(SERVOS, before=refer)
+    for named, expected in (({'left': 0.035}, [0.035, 0.025]), ({'right': 0.005}, [0.015, 0.005])):
+        command(simulation, **named)
+        run(simulation, 1.5)
+        np.testing.assert_allclose(fingers(simulation), expected, atol=1e-4)
+
+
+def test_slow_actions_move_evenly_and_a_joint_command_after_them_at_full_speed(
+        hand_sim, hand_class, run):
+    # 0.05 of a range of 2 is 1 mm of 0.04 m: at 20 Hz 0.02 m/s.
+    hand_class.speed = 0.05
+    simulation = hand_sim(SERVOS)
+    act(simulation, -1.0)
+    assert speeds_during(simulation, run, 0.7) == pytest.approx(0.02, rel=0.02)
+    command(simulation, left=0.0)
+    assert speeds_during(simulation, run, 0.3) == pytest.approx(0.05, rel=0.02)
+
+
 def test_fingers_on_a_tendon_follow_actions_at_their_speed(hand_sim, run):
     simulation = hand_sim(TENDON_SERVO, TENDON)
     act(simulation, -1.0)
@@ -212,7 +256,7 @@ def test_two_motors_on_one_joint_are_driven_one_by_one(hand_sim, run):
 def test_servo_with_a_velocity_as_control_goes_to_positions(hand_sim, run):
     simulation = hand_sim(''.join(
         f'<intvelocity name="{side}" joint="{side}" kp="1000" kv="20" actrange="0 0.04" '
-        'ctrlrange="-0.03 0.03"/>' for side in ('left', 'right')))
+        'forcerange="-20 20" ctrlrange="-0.03 0.03"/>' for side in ('left', 'right')))
     run(simulation, 0.5)
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
     act(simulation, -1.0)
@@ -221,6 +265,10 @@ def test_servo_with_a_velocity_as_control_goes_to_positions(hand_sim, run):
     command(simulation, right=0.01)
     run(simulation, 2.0)
     np.testing.assert_allclose(fingers(simulation), [0.01, 0.01], atol=1e-3)
+    block(simulation, 0.015)
+    act(simulation, 1.0)
+    run(simulation, 3.0)
+    assert not simulation.drive(GRIPPER).moving
 
 
 def test_servo_with_a_filter_of_its_own_keeps_it(hand_sim, run):
@@ -285,6 +333,21 @@ def test_fingers_that_are_stopped_press_with_the_full_force_of_their_side(
     run(simulation, 0.1)
     # 0.05 m/s after the lag of the servo, 0.03 s.
     assert (fingers(simulation) - before > 0.0025).all()
+
+
+def test_force_limit_of_the_joint_counts_as_well(hand_sim, run):
+    def limit(gripper):
+        for side in ('left', 'right'):
+            gripper.spec.joint(side).actfrcrange = [-8.0, 30.0]
+            gripper.spec.joint(side).actfrclimited = 1
+
+    simulation = hand_sim(SERVOS, before=limit)
+    block(simulation, 0.02)
+    act(simulation, 1.0)
+    run(simulation, 1.5)
+    np.testing.assert_allclose(simulation.state().effort[-2:], [-8.0, -8.0], rtol=1e-3)
+    lead = fingers(simulation) - simulation.data.act
+    np.testing.assert_allclose(lead, 8e-3 + fingers(simulation), rtol=1e-3)
 
 
 def test_joint_command_presses_no_more_than_its_error_asks_for(hand_sim, run):
