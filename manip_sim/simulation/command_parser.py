@@ -194,12 +194,12 @@ class CommandParser:
             past or the numbers do not fit; or if a joint is not in position mode
         """
         joints = self._joints
-        available = self._commanded_joints(part)
+        indices = joints.indices_of(part)
+        if len(names) or len(times_s):
+            check_names(names, [joints.names[i] for i in indices], part)
+            indices = joints.find(names)
         if not len(times_s):
-            indices = joints.find(names) if names else joints.indices_of(part)
             return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
-        check_names(names, available, part)
-        indices = joints.find(names)
         self._check_position_mode(part, names)
         if len(times_s) > MAX_POINTS:
             raise CommandError(f'{part}: a trajectory may have {MAX_POINTS} points, got '
