@@ -88,6 +88,8 @@ class SimNode(Node):
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._introduce()
+        for defect in self.simulation.start_defects:
+            self.get_logger().warning(f'start: {defect}')
         if self.get_parameter('use_sim_time').value:
             self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from manip_sim.simulation.commands import (
-    Command, GripperAction, GripperSetpoint, JointTrajectory, Status)
+    Command, GripperAction, GripperSetpoint, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 
 class CommandBuffer:
@@ -27,13 +27,15 @@ class CommandBuffer:
         Keep a command; the newest wins, joint by joint.
 
         Joints that it names are taken from older commands; one that loses all of them is replaced.
-        A trajectory that begins later takes joints from other trajectories only.
+        A trajectory that begins later takes joints from other trajectories only, and a stop ends
+        nothing but trajectories.
         """
         kept = []
+        stop = isinstance(command, TrajectoryStop)
         for older in self._waiting:
             rest = older.without(command.indices) if _rivals(older, command) else older
             if rest is None:
-                older.handle.end(Status.REPLACED)
+                older.handle.end(*(STOPPED if stop else (Status.REPLACED,)))
             else:
                 kept.append(rest)
         self._waiting = [*kept, command]
@@ -68,6 +70,7 @@ def _rivals(older: Command, newer: Command) -> bool:
         return isinstance(older, (GripperAction, GripperSetpoint)) and older.parts == newer.parts
     if isinstance(older, (GripperAction, GripperSetpoint)):
         return False
-    if isinstance(newer, JointTrajectory) and newer.start_ns:
+    if isinstance(newer, TrajectoryStop) or (isinstance(newer, JointTrajectory)
+                                             and newer.start_ns):
         return isinstance(older, JointTrajectory)
     return True

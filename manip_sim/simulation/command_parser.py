@@ -197,11 +197,10 @@ class CommandParser:
             past or the numbers do not fit; or if a joint is not in position mode
         """
         joints = self._joints
-        available = self._commanded_joints(part)
-        if not len(times_s) and not len(names):
-            names = available
-        check_names(names, available, part)
-        indices = joints.find(names)
+        indices = joints.indices_of(part)
+        if len(names) or len(times_s):
+            check_names(names, [joints.names[i] for i in indices], part)
+            indices = joints.find(names)
         if not len(times_s):
             return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
         self._check_position_mode(part, names)

@@ -29,6 +29,10 @@ class Status(Enum):
     ABORTED = 'aborted'
 
 
+#: What an empty trajectory makes of others.
+STOPPED = (Status.ABORTED, 'ended by an empty trajectory')
+
+
 @dataclass
 class CommandHandle:
     """

@@ -13,7 +13,8 @@ import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation.commands import (
-    BaseTwist, Command, JointSetpoint, JointTrajectory, MODES, Status, TrajectoryStop)
+    BaseTwist, Command, JointSetpoint, JointTrajectory, MODES, Status, STOPPED,
+    TrajectoryStop)
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
@@ -292,11 +293,10 @@ class JointController:
                 self._setpoints.moving = True
 
     def _stop_trajectories(self, stop: TrajectoryStop) -> None:
-        reason = 'ended by an empty trajectory'
-        self._waiting = list(_without(self._waiting, stop.indices, Status.ABORTED, reason))
+        self._waiting = list(_without(self._waiting, stop.indices, *STOPPED))
         for followed in [c.indices for c in self._running if isinstance(c, JointTrajectory)]:
             named = np.intersect1d(stop.indices, followed)
-            self._release(named, Status.ABORTED, reason)
+            self._release(named, *STOPPED)
             self._setpoints.set_velocity(named, np.zeros(len(named)))
         stop.handle.end(Status.DONE)
 

@@ -20,6 +20,7 @@ from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoin
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
+from manip_sim.simulation.start_check import check_start
 from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
 from manip_sim.typing import FloatArray
@@ -50,6 +51,7 @@ class Simulation:
     :ivar grippers: its grippers, by part
     :ivar parse: makes commands for it
     :ivar step_count: physics steps since construction; a reset does not change it
+    :ivar start_defects: what starts inside something, blocked or outside its range
     :ivar diverged: why the physics is held, or None
     """
 
@@ -87,6 +89,8 @@ class Simulation:
         self._settle_linkages()
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
         self.reset()
+        self.start_defects = check_start(
+            self.model, self.data, [robot.root_body for robot in world.robots])
 
     def _joint_controller(self, parts: dict[str, Part]) -> JointController:
         joint_parts = {name: part for name, part in parts.items() if part.gripper is None}

@@ -82,7 +82,8 @@ def test_every_parameter_is_described(serve, client):
     assert {'robot', 'gripper', 'base', 'arena', 'prefix', 'control_mode.arm'} <= set(ours)
     response = client.call(DescribeParameters, 'manip_sim/describe_parameters',
                            DescribeParameters.Request(names=ours))
-    live = {'real_time_factor', 'control_mode.arm', 'command_timeout.arm'}
+    live = {'real_time_factor', 'control_mode.arm', 'command_timeout.arm', 'control_mode.right',
+            'command_timeout.right'}
     for descriptor in response.descriptors:
         assert len(descriptor.description) > 10, descriptor.name
         assert descriptor.read_only == (descriptor.name not in live), descriptor.name

@@ -4,101 +4,211 @@
 """Tests of commands that wait for the next control period."""
 
 import numpy as np
+import pytest
 
-from manip_sim.simulation.commands import Goal, GripperAction, TrajectoryPoints
-from manip_sim.simulation.staging import Staging
+from manip_sim.simulation.command_buffer import CommandBuffer
+from manip_sim.simulation.commands import (
+    BaseTwist, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory, Status,
+    TrajectoryStop)
+from manip_sim.simulation.trajectory import Trajectory
+
+RIGHT, BOTH = frozenset(['right']), frozenset(['right', 'left'])
 
 
-def goal(values, part='arm', mode='position'):
-    """Return a goal for some actuators, from a dictionary of index and value."""
-    return Goal(part, mode, np.array(list(values)), np.array(list(values.values())))
+def setpoint(values, parts=RIGHT, mode='position'):
+    """Return goals for some joints, from a dictionary of index and value."""
+    return JointSetpoint(parts=parts, modes=(mode,) * len(values), indices=np.array(list(values)),
+                         values=np.array(list(values.values())))
 
 
-def trajectory(part='arm'):
-    return TrajectoryPoints(part, np.array([0]), np.array([1.0]), np.array([[0.5]]))
+def trajectory(*indices, parts=RIGHT, start_ns=0):
+    count = len(indices)
+    return JointTrajectory(parts=parts, indices=np.array(indices), columns=np.arange(count),
+                           trajectory=Trajectory(np.ones(1), np.zeros((1, count))),
+                           start_ns=start_ns)
+
+
+def gripper_action(value=1.0, part='right/gripper'):
+    return GripperAction(parts=frozenset([part]), indices=np.array([0]), action=np.array([value]))
+
+
+def finger_setpoint(index):
+    return GripperSetpoint(parts=frozenset(['right/gripper']), indices=np.array([index]),
+                           joints=(f'finger{index}',), values=np.array([0.01]))
 
 
 def as_dictionary(command):
     return dict(zip(command.indices.tolist(), command.values.tolist()))
 
 
+def statuses(*commands):
+    return [command.handle.status for command in commands]
+
+
 def test_commands_are_taken_once():
-    staging = Staging()
-    command = GripperAction('right/gripper', np.ones(1))
-    staging.add(command)
-    assert staging.take() == [command]
-    assert staging.take() == []
+    buffer, command = CommandBuffer(), gripper_action()
+    buffer.add(command)
+    assert buffer.take() == [command]
+    assert buffer.take() == []
+    assert statuses(command) == [Status.WAITING]
 
 
 def test_newer_goal_wins_joint_by_joint():
-    staging = Staging()
-    staging.add(goal({0: 1.0, 1: 2.0}))
-    staging.add(goal({1: 3.0, 2: 4.0}))
-    (merged,) = staging.take()
-    assert as_dictionary(merged) == {0: 1.0, 1: 3.0, 2: 4.0}
-    assert (merged.part, merged.mode) == ('arm', 'position')
+    buffer, older, newer = CommandBuffer(), setpoint({0: 1.0, 1: 2.0}), setpoint({1: 3.0, 2: 4.0})
+    buffer.add(older)
+    buffer.add(newer)
+    first, second = buffer.take()
+    assert (as_dictionary(first), as_dictionary(second)) == ({0: 1.0}, {1: 3.0, 2: 4.0})
+    assert statuses(older, newer) == [Status.WAITING] * 2
+    assert first.handle is older.handle
 
 
-def test_many_commands_do_not_pile_up():
-    staging = Staging()
-    for n in range(1000):
-        staging.add(goal({0: float(n)}))
-        staging.add(GripperAction('right/gripper', np.array([n / 1000.0])))
-        staging.add(trajectory())
-    commands = staging.take()
-    assert len(commands) == 3
-    assert as_dictionary(commands[0]) == {0: 999.0}
-    assert commands[1].action[0] == 0.999
-
-
-def test_goals_of_different_modes_are_not_mixed():
-    staging = Staging()
-    staging.add(goal({0: 1.0}))
-    staging.add(goal({1: 2.0}, mode='velocity'))
-    (kept,) = staging.take()
-    assert (kept.mode, as_dictionary(kept)) == ('velocity', {1: 2.0})
-
-
-def test_goals_of_different_parts_are_kept_apart_in_the_order_of_arrival():
-    staging = Staging()
-    staging.add(goal({0: 1.0}, part='torso'))
-    staging.add(goal({0: 2.0}, part='arm'))
-    staging.add(goal({0: 3.0}, part='torso'))
-    assert [(c.part, as_dictionary(c)) for c in staging.take()] == [
-        ('arm', {0: 2.0}), ('torso', {0: 3.0})]
-
-
-def test_goal_after_a_trajectory_comes_after_it():
-    staging = Staging()
-    staging.add(goal({0: 1.0}))
-    staging.add(trajectory())
-    staging.add(goal({0: 2.0}))
-    assert [type(c) for c in staging.take()] == [TrajectoryPoints, Goal]
-
-
-def test_lockstep_is_complete_when_every_part_has_a_command():
-    staging = Staging(['arm', 'right/gripper'])
-    assert not staging.complete
-    staging.add(goal({0: 1.0}))
-    staging.add(goal({0: 1.0}, part='head'))
-    assert not staging.complete
-    staging.add(GripperAction('right/gripper', np.ones(1)))
-    assert staging.complete
-    staging.take()
-    assert not staging.complete
-
-
-def test_cleared_commands_are_gone():
-    staging = Staging(['arm'])
-    staging.add(goal({0: 1.0}))
-    staging.clear()
-    assert not staging.complete
-    assert staging.take() == []
+def test_command_that_loses_all_of_its_joints_is_replaced():
+    buffer, older = CommandBuffer(), setpoint({0: 1.0, 1: 2.0})
+    buffer.add(older)
+    buffer.add(setpoint({1: 3.0}))
+    assert statuses(older) == [Status.WAITING]
+    buffer.add(setpoint({0: 3.0}))
+    assert statuses(older) == [Status.REPLACED]
+    assert len(buffer.take()) == 2
 
 
 def test_merging_leaves_the_commands_that_were_given():
-    staging, older, newer = Staging(), goal({0: 1.0, 1: 2.0}), goal({1: 3.0})
-    staging.add(older)
-    staging.add(newer)
+    buffer, older, newer = CommandBuffer(), setpoint({0: 1.0, 1: 2.0}), setpoint({1: 3.0})
+    buffer.add(older)
+    buffer.add(newer)
     assert as_dictionary(older) == {0: 1.0, 1: 2.0}
     assert as_dictionary(newer) == {1: 3.0}
+
+
+def test_many_commands_do_not_pile_up():
+    buffer = CommandBuffer()
+    for n in range(1000):
+        buffer.add(setpoint({0: float(n)}))
+        buffer.add(gripper_action(n / 1000.0))
+        buffer.add(trajectory(1))
+    goal, action, _ = buffer.take()
+    assert as_dictionary(goal) == {0: 999.0}
+    assert action.action[0] == 0.999
+
+
+def test_modes_of_goals_stay_with_their_joints():
+    buffer = CommandBuffer()
+    buffer.add(JointSetpoint(parts=RIGHT, indices=np.array([3, 5]), values=np.array([1.0, 2.0]),
+                             modes=('velocity', 'effort')))
+    buffer.add(setpoint({3: 0.0}))
+    rest, _ = buffer.take()
+    assert (rest.modes, as_dictionary(rest)) == (('effort',), {5: 2.0})
+
+
+def test_commands_are_taken_in_the_order_of_their_arrival():
+    buffer = CommandBuffer()
+    commands = [setpoint({0: 1.0}), gripper_action(), trajectory(4, 5), setpoint({7: 1.0})]
+    for command in commands:
+        buffer.add(command)
+    assert buffer.take() == commands
+
+
+def test_columns_of_a_trajectory_stay_with_their_joints():
+    buffer = CommandBuffer()
+    buffer.add(trajectory(4, 5, 6))
+    buffer.add(setpoint({5: 0.0}))
+    rest, _ = buffer.take()
+    assert (list(rest.indices), list(rest.columns)) == ([4, 6], [0, 2])
+
+
+def test_goals_that_wait_go_before_a_trajectory_that_starts_later():
+    buffer, goal, earlier = CommandBuffer(), setpoint({0: 1.0}), trajectory(0, start_ns=10**9)
+    buffer.add(goal)
+    buffer.add(earlier)
+    later = trajectory(0, start_ns=2 * 10**9)
+    buffer.add(later)
+    assert buffer.take() == [goal, later]
+    assert statuses(goal, earlier) == [Status.WAITING, Status.REPLACED]
+
+
+@pytest.mark.parametrize('newer', [setpoint({0: 2.0}), trajectory(0), BaseTwist(
+    parts=RIGHT, indices=np.array([0]), twist=np.zeros(3))])
+def test_command_that_begins_at_once_replaces_those_of_every_kind(newer):
+    for older in (setpoint({0: 1.0}), trajectory(0), trajectory(0, start_ns=10**9)):
+        buffer = CommandBuffer()
+        buffer.add(older)
+        buffer.add(newer)
+        assert buffer.take() == [newer]
+        assert statuses(older) == [Status.REPLACED]
+
+
+def test_stop_ends_trajectories_that_wait_and_leaves_goals():
+    buffer, goal, motion, later = (CommandBuffer(), setpoint({0: 1.0}), trajectory(1),
+                                   trajectory(2, start_ns=10**9))
+    stop = TrajectoryStop(parts=RIGHT, indices=np.array([0, 1, 2]))
+    for command in (goal, motion, later, stop):
+        buffer.add(command)
+    assert buffer.take() == [goal, stop]
+    assert statuses(goal, motion, later) == [Status.WAITING, Status.ABORTED, Status.ABORTED]
+    assert motion.handle.reason == 'ended by an empty trajectory'
+
+
+def test_indices_of_grippers_are_not_those_of_joints():
+    buffer = CommandBuffer()
+    commands = [setpoint({0: 1.0}), gripper_action(part='right/gripper'),
+                gripper_action(part='left/gripper')]
+    for command in [*commands, *commands[:1]]:
+        buffer.add(command)
+    assert len(buffer.take()) == 3
+    for command in commands[1:] + commands[:1]:
+        buffer.add(command)
+    assert len(buffer.take()) == 3
+
+
+def test_fingers_of_a_gripper_are_commanded_one_by_one():
+    buffer, action = CommandBuffer(), gripper_action()
+    buffer.add(action)
+    buffer.add(finger_setpoint(0))
+    buffer.add(finger_setpoint(1))
+    assert [command.joints for command in buffer.take()] == [('finger0',), ('finger1',)]
+    assert statuses(action) == [Status.REPLACED]
+
+
+def test_lockstep_is_ready_when_every_part_has_a_command():
+    buffer = CommandBuffer(['right', 'right/gripper'])
+    assert not buffer.ready()
+    buffer.add(setpoint({0: 1.0}))
+    buffer.add(setpoint({20: 1.0}, parts=frozenset(['head'])))
+    assert not buffer.ready()
+    buffer.add(gripper_action())
+    assert buffer.ready()
+    buffer.take()
+    assert not buffer.ready()
+
+
+def test_lockstep_of_two_arms_waits_for_both():
+    buffer = CommandBuffer(['right', 'left'])
+    buffer.add(setpoint({0: 1.0}))
+    assert not buffer.ready()
+    buffer.add(setpoint({7: 1.0}, parts=frozenset(['left'])))
+    assert buffer.ready()
+    buffer.take()
+    buffer.add(setpoint({0: 1.0, 7: 1.0}, parts=BOTH))
+    assert buffer.ready()
+
+
+def test_part_that_follows_a_trajectory_needs_no_command_in_lockstep():
+    buffer = CommandBuffer(['right', 'left'])
+    buffer.add(setpoint({0: 1.0}))
+    assert not buffer.ready(['right'])
+    assert buffer.ready(['left'])
+
+
+def test_without_lockstep_parts_it_is_ready_at_once():
+    assert CommandBuffer().ready()
+
+
+def test_cleared_commands_are_aborted_with_the_reason():
+    buffer, command = CommandBuffer(['right']), setpoint({0: 1.0})
+    buffer.add(command)
+    buffer.clear('the simulation was reset')
+    assert not buffer.ready()
+    assert buffer.take() == []
+    assert (command.handle.status, command.handle.reason) == (
+        Status.ABORTED, 'the simulation was reset')

@@ -34,8 +34,8 @@ def numbers_of(state):
 
 def move(simulation):
     """Disturb everything that a reset has to restore."""
-    simulation.apply(simulation.drive('arm').action([0.3, 0.9, 0.2, 0.1, 0.5, -0.4, 0.2]))
-    simulation.apply(simulation.drive('right/gripper').action([1.0]))
+    simulation.apply(simulation.parse.action('arm', [0.3, 0.9, 0.2, 0.1, 0.5, -0.4, 0.2]))
+    simulation.apply(simulation.parse.action('right/gripper', [1.0]))
     simulation.data.joint('cube_joint').qvel[:3] = [0.5, 0.2, 0.1]
     for _ in range(30):
         simulation.advance(5)
@@ -50,10 +50,10 @@ def test_start_pose_is_held_for_ten_seconds(panda_sim, run):
 
 
 def test_state_is_that_of_one_instant(panda_sim, run):
-    panda_sim.apply(panda_sim.drive('arm').action([0.3] * 7))
+    panda_sim.apply(panda_sim.parse.action('arm', [0.3] * 7))
     run(panda_sim, 0.1)
     fresh = mujoco.MjData(panda_sim.model)
-    for field in ('qpos', 'qvel', 'ctrl'):
+    for field in ('qpos', 'qvel', 'act', 'ctrl'):
         getattr(fresh, field)[:] = getattr(panda_sim.data, field)
     mujoco.mj_forward(panda_sim.model, fresh)
     state = panda_sim.state()
@@ -68,7 +68,7 @@ def test_state_is_that_of_one_instant(panda_sim, run):
 
 
 def test_state_is_a_copy(panda_sim, run):
-    panda_sim.apply(panda_sim.drive('arm').action([0.3] * 7))
+    panda_sim.apply(panda_sim.parse.action('arm', [0.3] * 7))
     run(panda_sim, 0.05)
     state = panda_sim.state()
     before = numbers_of(state).copy()
@@ -79,7 +79,8 @@ def test_state_is_a_copy(panda_sim, run):
 
 def test_joints_are_listed_by_part_with_positions_in_the_same_order(panda_sim, reference):
     assert list(panda_sim.joint_names) == reference['joint_order_in_model']
-    assert panda_sim.slice_of == {'arm': slice(0, 7), 'right/gripper': slice(7, 9)}
+    assert {part: list(indices) for part, indices in panda_sim.indices_of.items()} == {
+        'arm': list(range(7)), 'right': list(range(7)), 'right/gripper': [7, 8]}
     for name, position in zip(panda_sim.joint_names, panda_sim.state().position):
         assert panda_sim.data.joint(name).qpos[0] == position
 
@@ -109,8 +110,8 @@ def test_what_follows_a_reset_is_what_followed_the_start(cube_sim):
 
 def test_reset_drops_commands(panda_sim, run):
     start = panda_sim.state().position
-    panda_sim.apply(panda_sim.drive('arm').action([0.3] * 7))
-    panda_sim.apply(panda_sim.drive('right/gripper').action([1.0]))
+    panda_sim.apply(panda_sim.parse.action('arm', [0.3] * 7))
+    panda_sim.apply(panda_sim.parse.action('right/gripper', [1.0]))
     panda_sim.reset()
     run(panda_sim, 0.5)
     np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
@@ -146,7 +147,7 @@ def test_other_robots_hold_where_they_start(panda, run):
     run(simulation, 1.0)
     positions = [simulation.data.joint(name).qpos[0] for name in other.joints]
     np.testing.assert_allclose(positions, other.init_qpos, atol=1e-3)
-    assert set(simulation.parts) == {'arm', 'right/gripper'}
+    assert set(simulation.parts) == {'arm', 'right', 'right/gripper'}
 
 
 def make_velocity_absurd(simulation):
@@ -194,8 +195,8 @@ def test_divergence_is_mended_by_reset(panda_sim, run):
 
 def test_unknown_part_tells_what_there_is(panda_sim):
     with pytest.raises(UnknownNameError, match=r"^unknown part 'arms': did you mean 'arm'\? "
-                                               r'available: arm, right/gripper$'):
-        panda_sim.drive('arms')
+                                               r'available: arm, right$'):
+        panda_sim.joints.indices_of('arms')
 
 
 def test_mode_and_timeout_of_a_gripper_cannot_be_set(panda_sim):

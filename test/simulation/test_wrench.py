@@ -38,8 +38,9 @@ def take_pose(simulation, qpos):
     """Put the arm at rest at a pose and hold it there."""
     simulation.reset()
     simulation.data.qpos[:7] = qpos
-    for drive in simulation.drives.values():
-        drive.reset(simulation.data)
+    simulation.joints.reset(simulation.data)
+    for gripper in simulation.grippers.values():
+        gripper.reset(simulation.data)
     for _ in range(20):
         simulation.advance(5)
     return simulation.state().end_effectors['right']
@@ -111,9 +112,9 @@ def test_push_on_a_link_before_the_sensor_does_not_count(panda_sim):
 def test_push_is_read_within_five_percent_while_the_arm_moves(panda_sim, run):
     take_pose(panda_sim, POSES[0])
     panda_sim.set_control_mode('arm', 'velocity')
-    arm, force = panda_sim.drive('arm'), np.array([0.0, 0.0, 5.0])
-    panda_sim.apply(arm.joint_command(list(panda_sim.joint_names[:7]), [],
-                                      [0.5, -0.3, 0.4, 0.5, -0.8, 0.5, 1.0], []))
+    force = np.array([0.0, 0.0, 5.0])
+    panda_sim.apply(*panda_sim.parse.joint_command(
+        panda_sim.joint_names[:7], velocity=[0.5, -0.3, 0.4, 0.5, -0.8, 0.5, 1.0]))
     panda_sim.data.body(EEF).xfrc_applied[:3] = force
     errors, speeds = [], []
 
@@ -129,7 +130,7 @@ def test_push_is_read_within_five_percent_while_the_arm_moves(panda_sim, run):
 
 
 def test_fingers_that_press_on_each_other_are_no_external_force(panda_sim, run):
-    panda_sim.apply(panda_sim.drive('right/gripper').action([1.0]))
+    panda_sim.apply(panda_sim.parse.action('right/gripper', [1.0]))
     run(panda_sim, 1.0)
     assert panda_sim.data.ncon > 0 or np.abs(panda_sim.state().position[7:]).max() < 1e-3
     force = panda_sim.state().end_effectors['right'].external_wrench.force
@@ -170,10 +171,9 @@ def test_tare_zeroes_the_present_wrench_and_reset_forgets_it(panda_sim):
 
 
 def test_velocity_and_pose_agree_with_finite_differences(panda_sim, run):
-    arm = panda_sim.drive('arm')
     panda_sim.set_control_mode('arm', 'velocity')
-    panda_sim.apply(arm.joint_command(list(panda_sim.joint_names[:7]), [],
-                                      [0.5, -0.3, 0.4, 0.3, -0.8, 0.5, 1.0], []))
+    panda_sim.apply(*panda_sim.parse.joint_command(
+        panda_sim.joint_names[:7], velocity=[0.5, -0.3, 0.4, 0.3, -0.8, 0.5, 1.0]))
     run(panda_sim, 0.3)
     ends = []
     for _ in range(3):

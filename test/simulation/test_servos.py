@@ -34,8 +34,7 @@ def sim_of(one_joint_arm):
 
 def command(simulation, mode, joint, value):
     """Apply a goal for one joint in a mode."""
-    fields = {m: [value] if m == mode else [] for m in ('position', 'velocity', 'effort')}
-    simulation.apply(simulation.drive('arm').joint_command([joint], **fields))
+    simulation.apply(*simulation.parse.joint_command([joint], **{mode: [value]}))
 
 
 @pytest.mark.parametrize('joint', range(7))
@@ -73,7 +72,7 @@ def test_torque_limits_hold_in_every_mode(panda_sim, mode):
     largest = np.zeros(7)
     for k in range(80):
         sign = 1.0 if k // 20 % 2 else -1.0
-        panda_sim.apply(panda_sim.drive('arm').action(sign * np.array([1, -1, 1, -1, 1, -1, 1])))
+        panda_sim.apply(panda_sim.parse.action('arm', sign * np.array([1, -1, 1, -1, 1, -1, 1])))
         panda_sim.advance(5)
         largest = np.maximum(largest, np.abs(panda_sim.data.qfrc_actuator[:7]))
     assert (largest <= TORQUE_LIMITS_N_M + 1e-9).all()
@@ -86,7 +85,7 @@ def test_torque_limit_of_the_actuator_holds_a_blocked_joint(sim_of, actuator, mo
     simulation = sim_of(ACTUATORS[actuator])
     simulation.set_control_mode('arm', mode)
     simulation.data.xfrc_applied[simulation.model.body('robot0_link1').id, 4] = -500.0
-    simulation.apply(simulation.drive('arm').action([1.0]))
+    simulation.apply(simulation.parse.action('arm', [1.0]))
     efforts = []
     for _ in range(10):
         simulation.advance(5)
@@ -101,7 +100,7 @@ def test_mode_change_holds_the_robot_without_a_jump(panda_sim, run, first, secon
     run(panda_sim, 0.1)
     panda_sim.set_control_mode('arm', second)
     before = panda_sim.state().position
-    assert panda_sim.drive('arm').mode == second
+    assert panda_sim.joints.mode_of(panda_sim.joint_names[0]) == second
     run(panda_sim, 0.5)
     np.testing.assert_allclose(panda_sim.state().position, before, atol=1e-4)
 
@@ -121,7 +120,7 @@ def test_unknown_mode_tells_the_three(panda_sim):
     with pytest.raises(UnknownNameError, match=r"^unknown control mode 'torque': .*"
                                                r'available: position, velocity, effort$'):
         panda_sim.set_control_mode('arm', 'torque')
-    assert panda_sim.drive('arm').mode == 'position'
+    assert panda_sim.joints.mode_of(panda_sim.joint_names[0]) == 'position'
 
 
 @pytest.mark.parametrize('actuator', ACTUATORS)
@@ -181,7 +180,7 @@ def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
     simulation = sim_of(ACTUATORS[actuator])
     for mode, limit in limits.items():
         simulation.set_control_mode('arm', mode)
-        np.testing.assert_allclose(simulation.drive('arm').limits(), [[-limit, limit]])
+        np.testing.assert_allclose(simulation.joints.ranges(np.array([0])), [[-limit, limit]])
 
 
 def test_actuator_that_drives_no_joint_is_refused(one_joint_arm):

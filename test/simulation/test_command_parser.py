@@ -1,0 +1,225 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of what makes commands of numbers: validation, clamping, names, modes."""
+
+import numpy as np
+import pytest
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import GripperSetpoint, JointSetpoint, Status
+
+J1, J2 = 'robot0_joint1', 'robot0_joint2'
+FINGER = 'gripper0_right_finger_joint1'
+NAN = np.nan
+
+
+@pytest.fixture
+def parse(panda_sim):
+    """Return what makes commands for the Panda, whose arm is in position mode."""
+    return panda_sim.parse
+
+
+@pytest.mark.parametrize(('action', 'message'), [
+    ([0.0] * 6, r'^arm: an action must have 7 numbers, got 6$'),
+    ([], r'^arm: an action must have 7 numbers, got 0$'),
+    ([0.0] * 6 + [NAN], r'^arm: an action must be finite, got nan at index 6$'),
+    ([-np.inf] + [0.0] * 6, r'^arm: an action must be finite, got -inf at index 0$')])
+def test_action_that_does_not_fit_is_refused(parse, action, message):
+    with pytest.raises(CommandError, match=message):
+        parse.action('arm', action)
+
+
+def test_action_for_an_unknown_part_tells_what_there_is(parse):
+    with pytest.raises(UnknownNameError, match=r"^unknown part 'left': available: arm, right"):
+        parse.action('left', [0.0] * 7)
+
+
+@pytest.mark.parametrize('part', ['arm', 'right'])
+@pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
+def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mode, part):
+    panda_sim.set_control_mode(part, mode)
+    low, high = panda_sim.joints.ranges(np.arange(7)).T
+    goal = parse.action(part, [-1.0, 1.0, 0.0, 5.0, -9.0, 1.0, 1.0])
+    assert goal.clamped == 2
+    assert goal.modes == (mode,) * 7
+    assert goal.parts == {'arm'}
+    np.testing.assert_allclose(goal.values, [low[0], high[1], (low[2] + high[2]) / 2.0, high[3],
+                                             low[4], high[5], high[6]])
+
+
+@pytest.mark.parametrize(('names', 'fields', 'message'), [
+    ([], {}, r'^arm: no joint is named$'),
+    ([J1, 'robot0_joint9'], {'position': [0, 0]}, r"^arm has no joint 'robot0_joint9' that can be "
+     r"commanded: did you mean 'robot0_joint\d' .*available: robot0_joint1, robot0_joint2"),
+    ([J1, FINGER], {'position': [0, 0]}, r"^arm has no joint 'gripper0_right_finger_joint1'"),
+    ([J1, J1], {'position': [0, 0]}, r"^arm: joint 'robot0_joint1' is named twice$"),
+    ([J1], {'position': [0, 1]}, r'^arm: position must have 1 numbers, one for each joint, got 2'),
+    ([J1], {}, r'^arm: no joint has a number in the field of its control mode \(position\)$'),
+    ([J1, J2], {'position': [NAN, NAN]}, r'^arm: no joint has a number in the field of its '),
+    ([J1], {'position': [0], 'velocity': [1]}, r"^arm: joint 'robot0_joint1' is in position mode, "
+     r'which does not use the field velocity: leave it empty, or NaN for this joint$'),
+    ([J1], {'effort': [1]}, r'^arm: effort must have 1 numbers, one for each joint, got 1$|'
+     r"^arm: joint 'robot0_joint1' is in position mode, which does not use the field effort"),
+    ([J1, J2], {'position': [0, np.inf]}, r'^arm: position must be finite, got inf at index 1$'),
+    ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf')])
+def test_joint_command_that_does_not_fit_is_refused(parse, names, fields, message):
+    with pytest.raises(CommandError, match=message):
+        parse.joint_command(names, **fields, part='arm')
+
+
+def test_joint_command_without_a_part_is_told_as_such(parse):
+    with pytest.raises(CommandError, match=r"^joint_command has no joint 'elbow' that can be "
+                                           r'commanded: .*available: robot0_joint1'):
+        parse.joint_command(['elbow'], [0.0])
+
+
+def test_joint_command_is_clamped_and_the_clamps_are_counted(parse):
+    (goal,) = parse.joint_command([J2, J1], [-9.0, 0.5])
+    assert goal.clamped == 1
+    np.testing.assert_allclose(goal.values, [-1.7628, 0.5])
+
+
+@pytest.mark.parametrize(('mode', 'limit'), [('velocity', 2.175), ('effort', 87.0)])
+def test_velocity_and_effort_are_clamped_to_the_data_sheet(panda_sim, parse, mode, limit):
+    panda_sim.set_control_mode('arm', mode)
+    for sign in (-1.0, 1.0):
+        (goal,) = parse.joint_command([J1], **{mode: [sign * 1e9]})
+        np.testing.assert_allclose(goal.values, [sign * limit])
+        assert goal.clamped == 1
+
+
+def test_position_of_an_unlimited_joint_is_not_clamped(one_joint_arm, run):
+    robot = one_joint_arm()
+    robot.spec.joint('joint1').limited = 0
+    simulation = Simulation(World([robot]))
+    (goal,) = simulation.parse.joint_command([J1], [9.0])
+    assert (goal.clamped, list(goal.values)) == (0, [9.0])
+    simulation.apply(goal)
+    run(simulation, 4.0)
+    assert simulation.state().position[0] == pytest.approx(9.0, abs=1e-3)
+
+
+def test_nan_is_no_command_for_a_joint(panda_sim, parse, run):
+    start = panda_sim.state().position
+    (goal,) = parse.joint_command([J1, J2], [NAN, 0.3], velocity=[NAN, NAN])
+    assert list(goal.indices) == [1]
+    panda_sim.apply(goal)
+    run(panda_sim, 1.0)
+    np.testing.assert_allclose(panda_sim.state().position[:7], [start[0], 0.3, *start[2:7]],
+                               atol=1e-3)
+
+
+def test_joints_of_one_part_in_different_fields_each_take_the_one_of_their_mode(panda_sim, parse):
+    panda_sim.set_control_mode('arm', 'velocity')
+    joint, finger = parse.joint_command([J1, FINGER], [NAN, 0.01], [0.3, NAN])
+    assert (type(joint), type(finger)) == (JointSetpoint, GripperSetpoint)
+    assert joint.modes == ('velocity',)
+    np.testing.assert_allclose(joint.values, [0.3])
+    np.testing.assert_allclose(finger.values, [0.01])
+
+
+def test_field_may_have_numbers_of_the_joints_that_use_it_alone(panda_sim, parse):
+    panda_sim.set_control_mode('arm', 'velocity')
+    joint, finger = parse.joint_command([J1, FINGER, J2], [0.01], [0.3, -0.2])
+    assert joint.indices.tolist() == [0, 1]
+    np.testing.assert_allclose(joint.values, [0.3, -0.2])
+    np.testing.assert_allclose(finger.values, [0.01])
+
+
+def test_field_with_too_few_numbers_is_refused(panda_sim, parse):
+    with pytest.raises(CommandError, match=r'^joint_command: position must have 3 numbers, one '
+                                           r'for each joint, got 2$'):
+        parse.joint_command([J1, J2, 'robot0_joint3'], [0.1, 0.2])
+
+
+def test_refused_command_changes_nothing(panda_sim, parse, run):
+    start = panda_sim.state().position
+    with pytest.raises(CommandError):
+        parse.joint_command([J1, J2], [0.5, np.inf])
+    run(panda_sim, 0.3)
+    np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
+
+
+def test_command_for_some_joints_leaves_the_others(panda_sim, parse, run):
+    start = panda_sim.state().position
+    panda_sim.apply(*parse.joint_command([J2], [0.3]))
+    run(panda_sim, 0.2)
+    panda_sim.apply(*parse.joint_command([J1], [0.4]))
+    run(panda_sim, 1.0)
+    np.testing.assert_allclose(panda_sim.state().position[:7],
+                               [0.4, 0.3, *start[2:7]], atol=1e-3)
+
+
+def test_command_for_joints_of_several_parts_moves_them_all(panda_sim, parse, run):
+    goals = parse.joint_command([FINGER, J1, FINGER.replace('1', '2')], [0.01, 0.2, -0.01])
+    assert {part for goal in goals for part in goal.parts} == {'arm', 'right/gripper'}
+    panda_sim.apply(*goals)
+    run(panda_sim, 1.0)
+    assert panda_sim.data.joint(J1).qpos[0] == pytest.approx(0.2, abs=1e-3)
+    assert panda_sim.data.joint(FINGER).qpos[0] == pytest.approx(0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize('mode', ['velocity', 'effort'])
+def test_command_that_was_meant_for_another_mode_is_aborted(panda_sim, parse, run, mode):
+    (goal,) = parse.joint_command([J1], [0.5])
+    motion = parse.trajectory('arm', [J1], [0.2], [[0.5]])
+    panda_sim.set_control_mode('arm', mode)
+    panda_sim.apply(goal, motion)
+    run(panda_sim, 0.3)
+    assert abs(panda_sim.state().position[0]) < 1e-6
+    for command in (goal, motion):
+        assert command.handle.status is Status.ABORTED
+        assert command.handle.reason == 'the control mode has changed'
+
+
+def test_of_a_command_only_the_joints_whose_mode_changed_are_lost(panda_sim, parse, run):
+    start = panda_sim.state().position
+    (goal,) = parse.joint_command([J1, FINGER], [0.4, 0.01])[:1]
+    both = JointSetpoint(parts=goal.parts, indices=np.array([0, 1]), values=np.array([0.4, 0.3]),
+                         modes=('position', 'velocity'))
+    panda_sim.apply(both)
+    run(panda_sim, 1.0)
+    assert both.handle.status is Status.DONE
+    np.testing.assert_allclose(panda_sim.state().position[:2], [0.4, start[1]], atol=1e-3)
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (([J1], [-1.0], [[0.0]]), r'^time_from_start must not be negative and must increase from '
+     r'point to point, got -1 s at point 0$'),
+    (([J1], [1.0, 1.0], [[0], [0]]), r'must increase .*got 1 s at point 1 after 1 s$'),
+    (([J1], [NAN], [[0.0]]), r'^arm: time_from_start must be finite, got nan'),
+    (([J1], [1.0], [[0.0, 1.0]]), r'^arm: positions must have 1 numbers at each of 1 points$'),
+    (([J1], [1.0, 2.0], [[0.0], []]), r'^arm: positions must have 1 numbers at each of 2 points'),
+    (([J1], [1.0], [[NAN]]), r'^arm: positions must be finite$'),
+    (([J1], [1.0], [[0.0]], [[]]), r'^arm: velocities must have 1 numbers'),
+    (([J1], [1.0], [[0.0]], [[0.0]], [[np.inf]]), r'^arm: accelerations must be finite$'),
+    (([J1], [1.0], [[0.0]], None, [[0.0]]), r'^arm: accelerations need velocities$'),
+    (([], [1.0], [[]]), r'^arm: no joint is named$'),
+    (([J1, J1], [1.0], [[0.0, 0.0]]), r"^arm: joint 'robot0_joint1' is named twice$"),
+    ((['elbow'], [1.0], [[0.0]]), r"^arm has no joint 'elbow'"),
+    ((['elbow'], [], []), r"^arm has no joint 'elbow'"),
+    (([J1], np.arange(1.0, 10_002.0), np.zeros((10_001, 1))),
+     r'^arm: a trajectory may have 10000 points, got 10001$')])
+def test_trajectory_that_does_not_fit_is_refused(parse, arguments, message):
+    with pytest.raises(CommandError, match=message):
+        parse.trajectory('arm', *arguments)
+
+
+def test_gripper_takes_no_trajectory(parse):
+    with pytest.raises(UnknownNameError, match=r"^unknown part 'right/gripper': .*arm, right$"):
+        parse.trajectory('right/gripper', [FINGER], [1.0], [[0.01]])
+
+
+def test_trajectory_needs_position_mode(panda_sim, parse):
+    panda_sim.set_control_mode('arm', 'velocity')
+    with pytest.raises(CommandError, match=r'^arm follows trajectories in position mode only, '
+                                           r"joint 'robot0_joint1' is in velocity mode$"):
+        parse.trajectory('arm', [J1], [1.0], [[0.1]])
+
+
+def test_twist_is_only_for_bases(parse):
+    with pytest.raises(CommandError, match=r'^base: this robot has none that takes a twist$'):
+        parse.twist(0.0, 0.0, 0.0)
