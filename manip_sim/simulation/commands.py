@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands after validation, with numbers that are finite and in range, and what became of them."""
+"""Commands after validation, with finite numbers in range, and what has become of each."""
 
 from __future__ import annotations
 
