@@ -286,7 +286,7 @@ class JointController:
             if mode == 'position':
                 self._setpoints.go_to(indices, values, period_s)
             elif mode == 'velocity':
-                self._setpoints.set_velocity(indices, values)
+                self._setpoints.go_at(indices, values, period_s)
             else:
                 self._effort[indices] = values
                 self._servos.give_effort(indices, True)

@@ -9,12 +9,13 @@ import math
 
 import numpy as np
 
+from manip_sim.simulation.streams import RampEstimator, StreamEstimator
 from manip_sim.typing import BoolArray, FloatArray, IntArray
 
-#: Messages that come at least this often are a stream, of which a velocity can be told [s].
-STREAM_INTERVAL_S = 0.105
 #: Time constant of each of the two low-pass stages behind a step [s].
 _SMOOTHING_S = 0.02
+#: In how many intervals of a stream that jitters the lag behind it is made good.
+_SOFT_INTERVALS = 5.0
 #: What is slower and nearer than this has arrived [rad or m, and per second].
 _ARRIVED = 1e-10
 
@@ -63,9 +64,8 @@ class SetpointGenerator:
         self._stream, self._stream_goal = zeros(), zeros()
         self._ramp = acceleration_limit.copy()
         self._until_s = np.full(count, np.inf)
-        # Of the last message: its goal, when it came, how far it was from the one before.
-        self._last_goal, self._last_s = zeros(), np.full(count, -np.inf)
-        self._last_step, self._interval_s = zeros(), zeros()
+        self._estimator = StreamEstimator(count)
+        self._ramp_estimator = RampEstimator(count)
         self.now_s = 0.0
 
     def at_rest(self, indices: IntArray) -> bool:
@@ -89,17 +89,34 @@ class SetpointGenerator:
         self._stream[indices] = self.velocity[indices] = velocity
         self.set_velocity(indices, np.zeros(len(indices)))
 
+    def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float) -> None:
+        """
+        Let setpoints come to a velocity; velocities that come regularly are followed as a stream.
+
+        :param velocity: [rad/s or m/s], shape of ``indices``
+        :param period_s: length of a control period [s]
+        """
+        ramp = self._ramp_estimator.take(
+            indices, velocity, self._stream[indices], self.now_s, period_s,
+            self._acceleration_limit[indices])
+        self._come_to(indices, velocity)
+        self._ramp[indices] = ramp
+
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
         """
-        Let setpoints come to a velocity; zero holds them.
+        Let setpoints come to a velocity with the acceleration limit; zero holds them.
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
+        self._ramp_estimator.forget(indices)
+        self._come_to(indices, velocity)
+
+    def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
         self._seeks[indices] = False
         self._stream_goal[indices] = velocity
         self._ramp[indices] = self._acceleration_limit[indices]
         self._until_s[indices] = np.inf
-        self._last_s[indices] = -np.inf
+        self._estimator.forget(indices)
         self.moving = self._catches = True
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float) -> None:
@@ -109,32 +126,19 @@ class SetpointGenerator:
         :param goal: [rad or m], shape of ``indices``
         :param period_s: length of a control period [s]
         """
-        since_s = self.now_s - self._last_s[indices]
-        streams = (since_s > 0.0) & (since_s <= STREAM_INTERVAL_S)
-        elapsed_s = np.where(streams, since_s, period_s)
-        # Where messages jitter the longest interval of late counts, else the stream would stall.
-        interval_s = np.where(
-            streams, np.maximum(elapsed_s, 0.75 * self._interval_s[indices]), period_s)
-        step = np.where(streams, goal - self._last_goal[indices], 0.0)
-        before, limit = self._last_step[indices], self._acceleration_limit[indices]
-        # A jump is no stream: a step may be twice the last one, and what can be braked again.
-        slack = 2.0 * limit * elapsed_s * period_s
-        expected = np.clip(step, np.minimum(0.0, 2.0 * before) - slack,
-                           np.maximum(0.0, 2.0 * before) + slack)
-        top = self._velocity_limit[indices]
-        wanted = expected / elapsed_s
+        self._goal[indices], self._seeks[indices] = goal, True
+        self.moving = self._catches = True
+        estimator = self._estimator
+        indices = estimator.take(indices, goal, self.now_s, period_s,
+                                 self._acceleration_limit[indices])
+        top, interval_s = self._velocity_limit[indices], estimator.interval_s[indices]
+        wanted = estimator.velocity[indices]
         velocity = np.clip(wanted, -top, top)
         self.limited[indices] += velocity != wanted
         self._stream_goal[indices] = velocity
         self._ramp[indices] = np.maximum(
             np.abs(velocity - self._stream[indices]) / interval_s, 1e-9)
         self._until_s[indices] = self.now_s + interval_s
-        self._interval_s[indices] = interval_s
-        self._last_goal[indices] = self._goal[indices] = goal
-        self._last_step[indices] = step
-        self._last_s[indices] = self.now_s
-        self._seeks[indices] = True
-        self.moving = self._catches = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -212,7 +216,7 @@ class SetpointGenerator:
             ended = self._until_s <= self.now_s + 1e-9
             self._stream_goal[ended] = 0.0
             self._ramp[ended] = np.maximum(
-                np.abs(self._stream[ended]) / self._interval_s[ended], 1e-9)
+                np.abs(self._stream[ended]) / self._estimator.interval_s[ended], 1e-9)
             self._until_s[ended] = np.inf
 
     def _still_to_come(self) -> FloatArray:
@@ -225,7 +229,7 @@ class SetpointGenerator:
         stream = (self._stream + self._stream_goal) / 2.0 * ramp_s + self._stream_goal * (
             left_s - ramp_s * streaming)
         # At the end of the message interval the stream ends with the same ramp in time.
-        stream += np.where(streaming, self._stream_goal * self._interval_s / 2.0, 0.0)
+        stream += np.where(streaming, self._stream_goal * self._estimator.interval_s / 2.0, 0.0)
         return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
 
     def _missing(self) -> FloatArray:
@@ -233,7 +237,9 @@ class SetpointGenerator:
 
     def _advance_catch_up(self, missing: FloatArray, duration_s: float) -> FloatArray:
         limit, top = self._acceleration_limit, self._velocity_limit
-        raw = braking_velocity(missing, limit, duration_s)
+        soft, soft_s = self._soft(missing)
+        raw = braking_velocity(missing - soft, limit, duration_s) + soft / np.maximum(
+            soft_s, duration_s)
         change = limit * duration_s
         raw = np.minimum(np.maximum(raw, self._raw - change), self._raw + change)
         self._raw = np.minimum(np.maximum(raw, -top - self._stream_goal), top - self._stream_goal)
@@ -252,6 +258,14 @@ class SetpointGenerator:
                 part[:] = 0.0
         return np.asarray(raw * duration_s + _SMOOTHING_S * (
             stage1 + stage2 - self._stage1 - self._stage2))
+
+    def _soft(self, missing: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what may be made good slowly because messages jitter, and in which time."""
+        interval_s = self._estimator.interval_s
+        band = np.where(np.isfinite(self._until_s),
+                        self._estimator.jitter * self._stream_goal * interval_s, 0.0)
+        return (np.clip(missing, np.minimum(band, 0.0), np.maximum(band, 0.0)),
+                _SOFT_INTERVALS * interval_s)
 
     def _advance_stream(self, duration_s: float) -> FloatArray:
         begin, goal = self._stream, self._stream_goal

@@ -1,0 +1,145 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tell the velocity of goals that come as a stream, also where their messages jitter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_sim.typing import BoolArray, FloatArray, IntArray
+
+#: Messages that come at least this often are a stream, of which a velocity can be told [s].
+STREAM_INTERVAL_S = 0.105
+#: What is kept from message to message of an average velocity, and of a measure of jitter.
+_KEPT, _KEPT_JITTER = 0.7, 0.95
+#: Second difference of the velocity over the velocity: a sine of 2 Hz at 100 Hz has 0.016, a
+#: stream of which one message in fourteen comes a period late has 0.15.
+_SMOOTH, _JITTERS = 0.08, 0.16
+#: A velocity below this share of the average is a stop and no jitter.
+_STOPS = 0.2
+#: A message that is late by no more than this many mean intervals does not stall the stream.
+_PATIENCE = 2.1
+
+
+class StreamEstimator:
+    """
+    Velocity of goals from the messages that brought them.
+
+    Messages that come in step with the control periods give it exactly. Those that do not, such
+    as 90 messages a second in 100 periods, bring now one step, now two, or come a period late;
+    there an average is taken, at the price of some delay.
+
+    :param count: number of joints
+    :ivar velocity: of the goals [rad/s or m/s], shape (n,)
+    :ivar interval_s: for how long it holds after a message [s], shape (n,)
+    :ivar jitter: how much messages jitter, from 0 to 1, shape (n,)
+    """
+
+    def __init__(self, count: int) -> None:
+        def zeros() -> FloatArray:
+            return np.zeros(count)
+
+        self.velocity, self.interval_s, self.jitter = zeros(), zeros(), zeros()
+        self._goal, self._last_s = zeros(), np.full(count, -np.inf)
+        self._step, self._messages = zeros(), zeros()
+        #: Velocity of the last message and of that before.
+        self._history = np.zeros((2, count))
+        self._mean_step, self._mean_s = zeros(), zeros()
+        self._mean_speed, self._mean_bend = zeros(), zeros()
+
+    def forget(self, indices: IntArray) -> None:
+        """Let the next goals be the first of a stream."""
+        self._last_s[indices] = -np.inf
+
+    def take(self, indices: IntArray, goal: FloatArray, now_s: float, period_s: float,
+             acceleration_limit: FloatArray) -> IntArray:
+        """
+        See the goals of a message.
+
+        :param goal: [rad or m], shape of ``indices``
+        :param now_s: simulation time [s]
+        :param period_s: length of a control period [s]
+        :param acceleration_limit: of a jump [rad/s^2 or m/s^2], shape of ``indices``
+        :returns: the indices whose velocity is new
+        """
+        fresh = self._last_s[indices] != now_s
+        # Of two goals at one instant the newer counts; they tell no velocity.
+        self._goal[indices[~fresh]] = goal[~fresh]
+        indices, goal, limit = indices[fresh], goal[fresh], acceleration_limit[fresh]
+        since_s = now_s - self._last_s[indices]
+        streams = since_s <= STREAM_INTERVAL_S
+        elapsed_s = np.where(streams, since_s, period_s)
+        step = np.where(streams, goal - self._goal[indices], 0.0)
+        before = self._step[indices]
+        # A jump is no stream: a step may be twice the last one, and what can be braked again.
+        slack = 2.0 * limit * elapsed_s * period_s
+        expected = np.clip(step, np.minimum(0.0, 2.0 * before) - slack,
+                           np.maximum(0.0, 2.0 * before) + slack)
+        self._goal[indices], self._step[indices], self._last_s[indices] = goal, step, now_s
+        self._measure_jitter(indices, expected / elapsed_s, streams)
+        self._average(indices, expected, elapsed_s, streams)
+        return indices
+
+    def _measure_jitter(self, indices: IntArray, velocity: FloatArray, streams: BoolArray) -> None:
+        older, oldest = self._history[:, indices]
+        self._messages[indices] = np.where(streams, self._messages[indices] + 1.0, 0.0)
+        # How a stream starts is no jitter.
+        bend = np.where(self._messages[indices] > 3.0, velocity - 2.0 * older + oldest, 0.0)
+        self._history[:, indices] = velocity, older
+        kept = np.where(streams, _KEPT_JITTER, 0.0)
+        for mean, value in ((self._mean_bend, bend), (self._mean_speed, velocity)):
+            mean[indices] = kept * mean[indices] + (1.0 - kept) * np.abs(value)
+        ratio = self._mean_bend[indices] / np.maximum(self._mean_speed[indices], 1e-12)
+        self.jitter[indices] = np.clip((ratio - _SMOOTH) / (_JITTERS - _SMOOTH), 0.0, 1.0)
+
+    def _average(self, indices: IntArray, step: FloatArray, elapsed_s: FloatArray,
+                 streams: BoolArray) -> None:
+        velocity = step / elapsed_s
+        before = self._mean_step[indices] / np.maximum(self._mean_s[indices], 1e-12)
+        stops = velocity * np.sign(before) < _STOPS * np.abs(before)
+        kept = np.where(streams & ~stops, _KEPT, 0.0)
+        for mean, value in ((self._mean_step, step), (self._mean_s, elapsed_s)):
+            mean[indices] = kept * mean[indices] + (1.0 - kept) * value
+        average = self._mean_step[indices] / self._mean_s[indices]
+        self.velocity[indices] = velocity + self.jitter[indices] * (average - velocity)
+        # Where messages jitter the longest interval of late counts, else the stream would stall.
+        late_s = np.minimum(0.99 * self.interval_s[indices], _PATIENCE * self._mean_s[indices])
+        self.interval_s[indices] = np.maximum(elapsed_s, np.where(streams, late_s, 0.0))
+
+
+class RampEstimator:
+    """
+    How fast a velocity may change so that a stream of velocities passes, and a jump does not.
+
+    :param count: number of joints
+    """
+
+    def __init__(self, count: int) -> None:
+        self._velocity, self._change = np.zeros(count), np.zeros(count)
+        self._last_s = np.full(count, -np.inf)
+
+    def forget(self, indices: IntArray) -> None:
+        """Let the next velocities be the first of a stream."""
+        self._last_s[indices] = -np.inf
+
+    def take(self, indices: IntArray, velocity: FloatArray, present: FloatArray, now_s: float,
+             period_s: float, acceleration_limit: FloatArray) -> FloatArray:
+        """
+        See the velocities of a message; return the acceleration to use, shape of ``indices``.
+
+        :param velocity: that are wanted [rad/s or m/s], shape of ``indices``
+        :param present: that there are [rad/s or m/s], shape of ``indices``
+        :param now_s: simulation time [s]
+        :param period_s: length of a control period [s]
+        :param acceleration_limit: of a jump [rad/s^2 or m/s^2], shape of ``indices``
+        """
+        since_s = now_s - self._last_s[indices]
+        streams = (since_s > 0.0) & (since_s <= STREAM_INTERVAL_S)
+        elapsed_s = np.where(streams, since_s, period_s)
+        change = np.where(streams, np.abs(velocity - self._velocity[indices]), 0.0)
+        # As for positions: a change may be twice the last one, and what the limit allows.
+        most = np.where(streams, 2.0 * self._change[indices], 0.0) / elapsed_s + acceleration_limit
+        self._velocity[indices], self._change[indices] = velocity, change
+        self._last_s[indices] = now_s
+        return np.asarray(np.clip(np.abs(velocity - present) / elapsed_s, acceleration_limit, most))
