@@ -91,7 +91,7 @@ def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
     after = client.state()
     assert nanoseconds(after) > nanoseconds(start)
     np.testing.assert_allclose(after.position, start.position, atol=1e-3)
-    assert node.simulation.drives['right/gripper'].steps_to_call(0) is None
+    assert not node.simulation.drives['right/gripper'].moving
 
 
 def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
