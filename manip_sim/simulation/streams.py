@@ -142,4 +142,5 @@ class RampEstimator:
         most = np.where(streams, 2.0 * self._change[indices], 0.0) / elapsed_s + acceleration_limit
         self._velocity[indices], self._change[indices] = velocity, change
         self._last_s[indices] = now_s
-        return np.asarray(np.clip(np.abs(velocity - present) / elapsed_s, acceleration_limit, most))
+        wanted = np.abs(velocity - present) / elapsed_s
+        return np.asarray(np.clip(wanted, acceleration_limit, most))

@@ -45,12 +45,12 @@ def full_stroke_s(gripper):
 
 def test_grippers_close_after_one_message(simulation, run):
     for arm in simulation.end_effectors:
-        drive = simulation.drive(f'{arm}/gripper')
-        ids, goal = drive.part.actuator_ids, np.ones(len(drive.limits()))
+        gripper = simulation.grippers[f'{arm}/gripper']
+        ids, goal = gripper.part.actuator_ids, np.ones(gripper.dof)
         opened = []
         for action in (-goal, goal):
-            simulation.apply(drive.action(action))
-            run(simulation, full_stroke_s(drive.part.gripper))
+            simulation.apply(simulation.parse.action(gripper.part.name, action))
+            run(simulation, full_stroke_s(gripper.part.gripper))
             opened.append(simulation.data.act[simulation.model.actuator_actadr[ids]].copy())
         assert (np.abs(opened[1] - opened[0]) > 0.9 * np.ptp(
             simulation.model.actuator_actrange[ids], axis=1)).all()
@@ -58,13 +58,12 @@ def test_grippers_close_after_one_message(simulation, run):
 
 def test_torque_limits_hold_on_a_step_command(simulation, run):
     part = simulation.parts['arm']
-    drive = simulation.drive('arm')
     simulation.set_control_mode('arm', 'effort')
-    limit = drive.limits()[:, 1]
+    limit = simulation.limits('arm')[:, 1]
     simulation.set_control_mode('arm', 'position')
-    simulation.apply(drive.action(np.resize([0.5, -0.5], len(limit))))
+    simulation.apply(simulation.parse.action('arm', np.resize([0.5, -0.5], len(limit))))
     joints = [part.joints.index(name) for name in part.driven_joints]
     efforts = []
     run(simulation, 0.5, lambda: efforts.append(np.abs(
-        simulation.state().effort[simulation.slice_of['arm']][joints])))
+        simulation.state().effort[simulation.indices_of['arm']][joints])))
     assert (np.max(efforts, axis=0) <= limit + 1e-9).all()

@@ -33,12 +33,12 @@ def fingers(simulation):
 
 def command(simulation, **positions):
     """Command fingers by the names of their file [m]."""
-    simulation.apply(simulation.drive(GRIPPER).joint_command(
+    simulation.apply(*simulation.parse.joint_command(
         [f'gripper0_{side}' for side in positions], list(positions.values()), [], []))
 
 
 def act(simulation, action):
-    simulation.apply(simulation.drive(GRIPPER).action([action]))
+    simulation.apply(simulation.parse.action(GRIPPER, [action]))
 
 
 def speeds_during(simulation, run, seconds):
@@ -70,7 +70,7 @@ def test_unnamed_finger_follows_the_one_that_it_is_coupled_to(one_joint_arm, run
     robot = one_joint_arm()
     robot.add_gripper(create_gripper(name))
     simulation = Simulation(World([robot]))
-    simulation.apply(simulation.drive(GRIPPER).joint_command(
+    simulation.apply(*simulation.parse.joint_command(
         [f'gripper0_{joint}'], [goal], [], []))
     run(simulation, 2.0)
     for other, position in {joint: goal, **others}.items():
@@ -120,7 +120,7 @@ def test_coupled_finger_follows_any_polynomial_both_ways(hand_sim, hand_class, r
 def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(hand_sim, run, named):
     simulation = hand_sim(TENDON_SERVO, TENDON)
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
-    assert simulation.drive(GRIPPER).joint_names == (LEFT, RIGHT)
+    assert simulation.grippers[GRIPPER].commanded_joints == (LEFT, RIGHT)
     command(simulation, left=0.0)
     assert speeds_during(simulation, run, 0.3) == pytest.approx(0.05, rel=0.02)
     run(simulation, 1.0)
@@ -186,7 +186,7 @@ def test_fingers_on_a_tendon_follow_actions_at_their_speed(hand_sim, run):
 
 def test_joints_on_a_tendon_take_joint_commands_beside_those_of_other_parts(hand_sim, run):
     simulation = hand_sim(TENDON_SERVO, TENDON)
-    for goal in simulation.joint_command({LEFT: 0.03, 'robot0_joint1': 0.1}):
+    for goal in simulation.parse.joint_command([LEFT, 'robot0_joint1'], [0.03, 0.1]):
         simulation.apply(goal)
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.03, 0.03], atol=2e-4)
@@ -231,7 +231,7 @@ def test_joint_command_to_what_is_no_position_servo_is_refused(hand_sim, actuato
                                            f'{reason}: use actions$'):
         command(simulation, left=0.01)
     with pytest.raises(CommandError, match='takes no position'):
-        simulation.joint_command({LEFT: 0.01})
+        simulation.parse.joint_command([LEFT], [0.01])
 
 
 @pytest.mark.parametrize('second', [
@@ -268,7 +268,7 @@ def test_servo_with_a_velocity_as_control_goes_to_positions(hand_sim, run):
     block(simulation, 0.015)
     act(simulation, 1.0)
     run(simulation, 3.0)
-    assert not simulation.drive(GRIPPER).moving
+    assert not simulation.grippers[GRIPPER].moving
 
 
 def test_servo_with_a_filter_of_its_own_keeps_it(hand_sim, run):
@@ -327,7 +327,7 @@ def test_fingers_that_are_stopped_press_with_the_full_force_of_their_side(
     run(simulation, 1.5)
     pressing = simulation.data.actuator_force[simulation.parts[GRIPPER].actuator_ids]
     np.testing.assert_allclose(pressing, [-force, -force], rtol=1e-3)
-    assert not simulation.drive(GRIPPER).moving
+    assert not simulation.grippers[GRIPPER].moving
     before = fingers(simulation)
     act(simulation, -1.0)
     run(simulation, 0.1)
@@ -402,7 +402,7 @@ def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, 
     gripper.format_action = lambda action: bad
     run(simulation, 0.2)
     held = simulation.data.act.copy()
-    assert simulation.drive(GRIPPER).faults == 4
+    assert simulation.grippers[GRIPPER].faults == 4
     run(simulation, 0.5)
     np.testing.assert_array_equal(simulation.data.act, held)
     assert simulation.diverged is None
@@ -410,7 +410,7 @@ def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, 
     gripper.format_action = good
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.04, 0.04], atol=1e-3)
-    assert simulation.drive(GRIPPER).faults == 14
+    assert simulation.grippers[GRIPPER].faults == 14
 
 
 def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
@@ -423,9 +423,9 @@ def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
     gripper.format_action = gripper.start_at = raising
     act(simulation, -1.0)
     run(simulation, 0.5)
-    assert simulation.drive(GRIPPER).faults == 10
+    assert simulation.grippers[GRIPPER].faults == 10
     simulation.reset()
-    assert simulation.drive(GRIPPER).faults == 11
+    assert simulation.grippers[GRIPPER].faults == 11
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
 
 
@@ -437,7 +437,7 @@ def test_start_that_is_not_finite_ends_it(hand_sim, hand_class):
 
 def test_resting_fingers_need_no_ticks(hand_sim, run):
     simulation = hand_sim(SERVOS)
-    drive = simulation.drive(GRIPPER)
+    drive = simulation.grippers[GRIPPER]
     assert not drive.moving
     for action in (-1.0, 1.0):
         act(simulation, action)
