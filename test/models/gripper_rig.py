@@ -101,7 +101,8 @@ class GripperRig:
         """
         if self.action is None or not np.array_equal(action, self.action):
             self.action = np.array(action)
-            self.simulation.apply(self.simulation.parse.action('right/gripper', np.broadcast_to(self.action, (self.gripper.dof,))))
+            self.simulation.apply(self.simulation.parse.action(
+                'right/gripper', np.broadcast_to(self.action, (self.gripper.dof,))))
 
     def command(self, positions):
         """Command finger joints, by name [rad or m]."""

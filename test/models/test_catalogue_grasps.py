@@ -78,7 +78,8 @@ class Stroke:
         # Old versions of MuJoCo give a distance of zero now and then.
         self.times, self.gaps = np.array(times), running_median(np.array(gaps))
         self.pads, self.lowest = np.array(middles), np.array(lowest)
-        self.closed = {joint: rig.data.joint(joint).qpos[0] for joint in rig.fingers.commanded_joints}
+        self.closed = {joint: rig.data.joint(joint).qpos[0]
+                       for joint in rig.fingers.commanded_joints}
 
     def duration_s(self):
         """Return how long the pads took for 95 % of their way."""

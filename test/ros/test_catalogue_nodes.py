@@ -19,7 +19,8 @@ def test_a_robot_is_served_with_the_topics_of_its_parts(name, serve, client):
     serve(robot=name)
     robot = create_robot(name)
     assert isinstance(robot, ManipulatorModel)
-    expected = {'arm', *robot.arms, *OTHER_PARTS.get(name, set()), *(f'{arm}/gripper' for arm in robot.arms)}
+    expected = {'arm', *robot.arms, *OTHER_PARTS.get(name, set()),
+                *(f'{arm}/gripper' for arm in robot.arms)}
     client.state()
     topics = {topic.strip('/') for topic, _ in client.node.get_topic_names_and_types()}
     served = {topic[:-len('/joint_states')] for topic in topics
