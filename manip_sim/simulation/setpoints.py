@@ -16,6 +16,8 @@ from manip_sim.typing import BoolArray, FloatArray, IntArray
 _SMOOTHING_S = 0.02
 #: In how many intervals of a stream that jitters the lag behind it is made good.
 _SOFT_INTERVALS = 5.0
+#: What of its acceleration limit a stream may take: its sender knows what it asks for.
+_STREAM_ACCELERATION = 4.0
 #: What is slower and nearer than this has arrived [rad or m, and per second].
 _ARRIVED = 1e-10
 
@@ -56,7 +58,7 @@ class SetpointGenerator:
         self.moving = False
         # Whether the catch-up part has something to do.
         self._catches = False
-        self._seeks = np.zeros(count, dtype=bool)
+        self._seeks, self._brakes = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         self._goal = zeros()
         # The catch-up part: velocity before and behind each low-pass stage.
         self._raw, self._stage1, self._stage2 = zeros(), zeros(), zeros()
@@ -84,9 +86,7 @@ class SetpointGenerator:
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
         self.position[indices] = np.clip(position, self._low[indices], self._high[indices])
-        for part in (self._raw, self._stage1, self._stage2, self.acceleration):
-            part[indices] = 0.0
-        self._stream[indices] = self.velocity[indices] = velocity
+        self.velocity[indices], self.acceleration[indices] = velocity, 0.0
         self.set_velocity(indices, np.zeros(len(indices)))
 
     def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float) -> None:
@@ -97,7 +97,7 @@ class SetpointGenerator:
         :param period_s: length of a control period [s]
         """
         ramp = self._ramp_estimator.take(
-            indices, velocity, self._stream[indices], self.now_s, period_s,
+            indices, velocity, self.velocity[indices], self.now_s, period_s,
             self._acceleration_limit[indices])
         self._come_to(indices, velocity)
         self._ramp[indices] = ramp
@@ -112,7 +112,11 @@ class SetpointGenerator:
         self._come_to(indices, velocity)
 
     def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
-        self._seeks[indices] = False
+        # One part alone moves, else both together could exceed the acceleration limit.
+        self._stream[indices] = self.velocity[indices]
+        for stage in (self._raw, self._stage1, self._stage2):
+            stage[indices] = 0.0
+        self._seeks[indices] = self._brakes[indices] = False
         self._stream_goal[indices] = velocity
         self._ramp[indices] = self._acceleration_limit[indices]
         self._until_s[indices] = np.inf
@@ -126,9 +130,13 @@ class SetpointGenerator:
         :param goal: [rad or m], shape of ``indices``
         :param period_s: length of a control period [s]
         """
+        estimator = self._estimator
+        first = indices[~estimator.streams(indices, self.now_s)]
+        for stage in (self._raw, self._stage1, self._stage2):
+            stage[first] += self._stream[first]
+        self._stream[first], self._brakes[indices] = 0.0, False
         self._goal[indices], self._seeks[indices] = goal, True
         self.moving = self._catches = True
-        estimator = self._estimator
         indices = estimator.take(indices, goal, self.now_s, period_s,
                                  self._acceleration_limit[indices])
         top, interval_s = self._velocity_limit[indices], estimator.interval_s[indices]
@@ -136,8 +144,10 @@ class SetpointGenerator:
         velocity = np.clip(wanted, -top, top)
         self.limited[indices] += velocity != wanted
         self._stream_goal[indices] = velocity
-        self._ramp[indices] = np.maximum(
-            np.abs(velocity - self._stream[indices]) / interval_s, 1e-9)
+        stream = self._stream[indices]
+        highest = np.where(np.abs(velocity) > np.abs(stream),
+                           _STREAM_ACCELERATION * self._acceleration_limit[indices], np.inf)
+        self._ramp[indices] = np.clip(np.abs(velocity - stream) / interval_s, 1e-9, highest)
         self._until_s[indices] = self.now_s + interval_s
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
@@ -148,7 +158,7 @@ class SetpointGenerator:
         """
         self.set_velocity(indices, np.zeros(len(indices)))
         self._goal[indices] = goal
-        self._seeks[indices] = True
+        self._seeks[indices] = self._brakes[indices] = True
 
     def advance(self, duration_s: float) -> None:
         """
@@ -224,16 +234,19 @@ class SetpointGenerator:
         left_s = self._until_s - self.now_s
         streaming = np.isfinite(left_s)
         left_s = np.where(streaming, left_s, 0.0)
-        ramp_s = np.abs(self._stream_goal - self._stream) / self._ramp
+        change = self._stream_goal - self._stream
+        ramp_s = np.abs(change) / self._ramp
         ramp_s = np.where(streaming, np.minimum(ramp_s, left_s), ramp_s)
-        stream = (self._stream + self._stream_goal) / 2.0 * ramp_s + self._stream_goal * (
-            left_s - ramp_s * streaming)
+        reached = self._stream + np.sign(change) * self._ramp * ramp_s
+        stream = (self._stream + reached) / 2.0 * ramp_s + reached * (left_s - ramp_s) * streaming
         # At the end of the message interval the stream ends with the same ramp in time.
-        stream += np.where(streaming, self._stream_goal * self._estimator.interval_s / 2.0, 0.0)
+        stream += np.where(streaming, reached * self._estimator.interval_s / 2.0, 0.0)
         return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
 
     def _missing(self) -> FloatArray:
-        return np.where(self._seeks, self._goal - self.position - self._still_to_come(), 0.0)
+        self._brakes &= self._stream != 0.0
+        return np.where(self._seeks & ~self._brakes,
+                        self._goal - self.position - self._still_to_come(), 0.0)
 
     def _advance_catch_up(self, missing: FloatArray, duration_s: float) -> FloatArray:
         limit, top = self._acceleration_limit, self._velocity_limit
@@ -252,7 +265,7 @@ class SetpointGenerator:
         self.acceleration += (self._stage1 - self._stage2) / _SMOOTHING_S
         pace = np.maximum(np.maximum(np.abs(missing), np.abs(raw)),
                           np.maximum(np.abs(self._stage1), np.abs(self._stage2)))
-        self._catches = bool(pace.max(initial=0.0) >= _ARRIVED)
+        self._catches = bool(pace.max(initial=0.0) >= _ARRIVED or self._brakes.any())
         if not self._catches:
             for part in (self._raw, self._stage1, self._stage2):
                 part[:] = 0.0
@@ -294,15 +307,14 @@ def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float)
     """
     Return the highest velocity in the next interval that can still be braked before the goal.
 
-    The velocity is constant in each interval and falls by at most ``limit`` times the interval
-    from one to the next: with n full steps to come the distance is that of an arithmetic series.
+    What is left of the way after the interval is that of a constant deceleration, v^2 / (2 a), so
+    the intervals that follow may be of any length.
 
     :param distance: to the goal, with sign [rad or m], shape (n,)
     :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
     :param interval_s: [s]
     """
-    size = np.minimum(np.abs(distance), 1e6)
-    step = limit * interval_s
-    steps = np.maximum(np.ceil(np.sqrt(0.25 + 2.0 * size / (step * interval_s)) - 0.5) - 1.0, 0.0)
-    return np.asarray(np.sign(distance) * (
-        size / ((steps + 1.0) * interval_s) + step * steps / 2.0))
+    size, bend = np.minimum(np.abs(distance), 1e6), limit * interval_s
+    # The root of v^2 + 2 bend v = 2 limit size, written so that it is exact for small sizes.
+    return np.asarray(np.sign(distance) * 2.0 * limit * size / (
+        bend + np.sqrt(bend**2 + 2.0 * limit * size)))

@@ -16,6 +16,10 @@ _KEPT, _KEPT_JITTER = 0.7, 0.95
 #: Second difference of the velocity over the velocity: a sine of 2 Hz at 100 Hz has 0.016, a
 #: stream of which one message in fourteen comes a period late has 0.15.
 _SMOOTH, _JITTERS = 0.08, 0.16
+#: How fast the measure of jitter rises, by message.
+_ATTACK = 0.3
+#: A step above so many times the last one is none of the same velocity.
+_JUMP = 1.5
 #: A velocity below this share of the average is a stop and no jitter.
 _STOPS = 0.2
 #: A message that is late by no more than this many mean intervals does not stall the stream.
@@ -46,11 +50,15 @@ class StreamEstimator:
         #: Velocity of the last message and of that before.
         self._history = np.zeros((2, count))
         self._mean_step, self._mean_s = zeros(), zeros()
-        self._mean_speed, self._mean_bend = zeros(), zeros()
+        self._mean_speed, self._worst_bend = zeros(), zeros()
 
     def forget(self, indices: IntArray) -> None:
         """Let the next goals be the first of a stream."""
         self._last_s[indices] = -np.inf
+
+    def streams(self, indices: IntArray, now_s: float) -> BoolArray:
+        """Tell which goals are no first ones if they come now."""
+        return np.asarray(now_s - self._last_s[indices] <= STREAM_INTERVAL_S)
 
     def take(self, indices: IntArray, goal: FloatArray, now_s: float, period_s: float,
              acceleration_limit: FloatArray) -> IntArray:
@@ -68,16 +76,22 @@ class StreamEstimator:
         self._goal[indices[~fresh]] = goal[~fresh]
         indices, goal, limit = indices[fresh], goal[fresh], acceleration_limit[fresh]
         since_s = now_s - self._last_s[indices]
-        streams = since_s <= STREAM_INTERVAL_S
+        streams = self.streams(indices, now_s)
         elapsed_s = np.where(streams, since_s, period_s)
         step = np.where(streams, goal - self._goal[indices], 0.0)
         before = self._step[indices]
-        # A jump is no stream: a step may be twice the last one, and what can be braked again.
         slack = 2.0 * limit * elapsed_s * period_s
-        expected = np.clip(step, np.minimum(0.0, 2.0 * before) - slack,
-                           np.maximum(0.0, 2.0 * before) + slack)
+
+        def usual(factor: FloatArray | float) -> FloatArray:
+            return np.asarray(np.clip(step, np.minimum(0.0, factor * before) - slack,
+                                      np.maximum(0.0, factor * before) + slack))
+
+        # A jump is no stream, two messages in one period are no doubled velocity.
+        kept = np.where(streams, self.velocity[indices] * elapsed_s, 0.0)
+        jump = _JUMP + 0.5 * self.jitter[indices]
+        expected = np.where(usual(jump) == step, step, kept)
         self._goal[indices], self._step[indices], self._last_s[indices] = goal, step, now_s
-        self._measure_jitter(indices, expected / elapsed_s, streams)
+        self._measure_jitter(indices, usual(2.0) / elapsed_s, streams)
         self._average(indices, expected, elapsed_s, streams)
         return indices
 
@@ -85,12 +99,15 @@ class StreamEstimator:
         older, oldest = self._history[:, indices]
         self._messages[indices] = np.where(streams, self._messages[indices] + 1.0, 0.0)
         # How a stream starts is no jitter.
-        bend = np.where(self._messages[indices] > 3.0, velocity - 2.0 * older + oldest, 0.0)
+        bend = np.abs(np.where(self._messages[indices] > 3.0,
+                               velocity - 2.0 * older + oldest, 0.0))
         self._history[:, indices] = velocity, older
         kept = np.where(streams, _KEPT_JITTER, 0.0)
-        for mean, value in ((self._mean_bend, bend), (self._mean_speed, velocity)):
-            mean[indices] = kept * mean[indices] + (1.0 - kept) * np.abs(value)
-        ratio = self._mean_bend[indices] / np.maximum(self._mean_speed[indices], 1e-12)
+        mean = kept * self._mean_speed[indices] + (1.0 - kept) * np.abs(velocity)
+        self._mean_speed[indices] = mean
+        worst = self._worst_bend[indices]
+        self._worst_bend[indices] = np.maximum(kept * worst, worst + _ATTACK * (bend - worst))
+        ratio = self._worst_bend[indices] / np.maximum(mean, 1e-12)
         self.jitter[indices] = np.clip((ratio - _SMOOTH) / (_JITTERS - _SMOOTH), 0.0, 1.0)
 
     def _average(self, indices: IntArray, step: FloatArray, elapsed_s: FloatArray,
