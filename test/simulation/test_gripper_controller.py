@@ -162,9 +162,9 @@ def test_action_that_does_not_fit_is_refused(panda_sim, action, message):
     ([], ([], [], []), r'^right/gripper: no joint is named$'),
     (['robot0_joint1'], ([0], [], []), r"^right/gripper has no joint 'robot0_joint1' that can be "
      r'commanded: .*available: gripper0_right_finger_joint1, gripper0_right_finger_joint2$'),
-    ([LEFT], ([0, 0], [], []), r'^right/gripper: position must have 1 numbers, got 2: one for each joint$'),
-    ([LEFT], ([], [0], []), r"^right/gripper: joint 'gripper0_right_finger_joint1' is in position mode, which does "
-     r'not use the field velocity')])
+    ([LEFT], ([0, 0], [], []), r'^right/gripper: position must have 1 numbers, got 2: one for '),
+    ([LEFT], ([], [0], []), r"^right/gripper: joint 'gripper0_right_finger_joint1' is in position "
+     r'mode, which does not use the field velocity')])
 def test_joint_command_that_does_not_fit_is_refused(panda_sim, names, fields, message):
     with pytest.raises(CommandError, match=message):
         panda_sim.parse.joint_command(names, *fields, part=GRIPPER)
