@@ -131,8 +131,8 @@ def test_field_may_have_numbers_of_the_joints_that_use_it_alone(panda_sim, parse
 
 
 def test_field_with_too_few_numbers_is_refused(panda_sim, parse):
-    with pytest.raises(CommandError, match=r'^joint_command: position must have 3 numbers, one '
-                                           r'for each joint, got 2$'):
+    with pytest.raises(CommandError, match=r'^joint_command: position must have 3 numbers, got '
+                                           r'2: one for each joint$'):
         parse.joint_command([J1, J2, 'robot0_joint3'], [0.1, 0.2])
 
 
