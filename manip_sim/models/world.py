@@ -34,7 +34,8 @@ class World:
     :param arena: the arena, :class:`EmptyArena` by default
     :param timestep_s: of the physics [s], a whole number of nanoseconds
     :param gravity_compensation: let the joints' actuators carry the weight of all links and
-        grippers, as the controller of a real arm does; it counts as actuator force
+        grippers, as the controller of a real arm does; it counts as actuator force. A robot
+        whose root has a free joint falls and stands by its own weight and has none
     """
 
     def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
@@ -87,11 +88,14 @@ class World:
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         for robot in self.robots:
             root = spec.body(robot.root_body)
-            for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
+            bodies = [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]
+            if any(int(joint.type) == free for body in bodies for joint in body.joints):
+                # MuJoCo would carry the weight at the free joint too, and the robot would float.
+                continue
+            for body in bodies:
                 body.gravcomp = 1.0
                 for joint in body.joints:
-                    if int(joint.type) != free:
-                        joint.actgravcomp = True
+                    joint.actgravcomp = True
 
     def compile(self, visual: bool = True) -> Any:
         """

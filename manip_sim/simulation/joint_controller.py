@@ -387,8 +387,8 @@ class JointController:
             self._setpoints.follow(command.indices, position, velocity, acceleration)
             if since_s >= command.trajectory.end_s - 1e-9:
                 self._finish(command, data, position)
-                if velocity.any():
-                    self._setpoints.come_back(command.indices, position)
+                # It may have a velocity there still, or have been held back on the way.
+                self._setpoints.come_back(command.indices, position)
                 for part in command.parts - self._commanded_parts():
                     self._last_command_s.pop(part, None)
 

@@ -57,12 +57,13 @@ class Servos:
     :ivar ranges: lowest and highest goal by control mode, at the joints in SI units, shape (n, 2)
     :ivar acceleration_limit: of steps [rad/s^2 or m/s^2], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
-    :raises ModelError: if two actuators drive one joint
+    :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
     def __init__(self, model: Any, data: Any, actuators: Sequence[str], joints: Sequence[str]
                  ) -> None:
         _check_single(actuators, joints)
+        _check_kinds(model, actuators)
         self._model = model
         ids = self._ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
         joint_ids = np.array([model.joint(j).id for j in joints], dtype=np.int64)
@@ -226,6 +227,16 @@ def _check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
             raise ModelError(f"joint '{joint}' is driven by two actuators, '{driver[joint]}' and "
                              f"'{actuator}': give it one")
         driver[joint] = actuator
+
+
+def _check_kinds(model: Any, actuators: Sequence[str]) -> None:
+    biases = [int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)]
+    for name in actuators:
+        index = model.actuator(name).id
+        if (int(model.actuator_gaintype[index]) != int(mujoco.mjtGain.mjGAIN_FIXED)
+                or int(model.actuator_biastype[index]) not in biases):
+            raise ModelError(f"actuator '{name}' must be a motor, or a position or velocity servo:"
+                             ' its gain must be fixed and its bias none or affine')
 
 
 def _stiffness_and_damping(model: Any, ids: IntArray, dofs: IntArray

@@ -129,6 +129,24 @@ def test_gravity_compensation_carries_all_of_a_robot_on_a_mobile_base(one_joint_
     np.testing.assert_allclose(data.qfrc_gravcomp, data.qfrc_bias, atol=1e-9)
 
 
+def test_robot_with_a_free_joint_falls_and_does_not_float(one_joint_arm, panda):
+    worldbody = """
+      <body name="base" pos="0 0 2"><freejoint/><geom size="0.1" mass="2"/>
+        <body name="link1"><joint name="joint1" axis="0 1 0" range="-2 2"/>
+          <geom size="0.05" pos="0.3 0 0" mass="1"/><body name="right_hand"/></body></body>"""
+    model = World([one_joint_arm(worldbody=worldbody)]).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 100)
+    mujoco.mj_kinematics(model, data)
+    time_s = 100 * model.opt.timestep
+    height = (2.0 * data.body('robot0_base').xipos[2] + data.body('robot0_link1').xipos[2]) / 3.0
+    assert height == pytest.approx(2.0 - 9.81 * time_s**2 / 2.0, abs=0.01)
+    # Another robot in the same world has its compensation.
+    other = World([one_joint_arm(worldbody=worldbody, idn=1), panda]).compile()
+    assert other.body_gravcomp[other.body('robot0_link3').id] == 1.0
+    assert other.body_gravcomp[other.body('robot1_link1').id] == 0.0
+
+
 def test_physics_is_set_for_grasping(panda):
     option = World([panda], timestep_s=0.001).compile().opt
     assert option.timestep == 0.001

@@ -7,7 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.errors import ModelError, UnknownNameError
+from sampling import Driven, sampled, whole_robot
+
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
@@ -23,7 +25,22 @@ ACTUATORS = {
     'position servo without damping': '<position name="a" joint="joint1" kp="2000" gear="2"/>',
     'velocity servo': '<velocity name="a" joint="joint1" kv="30" ctrlrange="-1 1"/>',
     'velocity servo with gear': '<velocity name="a" joint="joint1" kv="2" gear="4" '
-                                'ctrlrange="-4 4"/>'}
+                                'ctrlrange="-4 4"/>',
+    'integrated velocity servo': '<intvelocity name="a" joint="joint1" kp="2000" kv="40" '
+                                 'actrange="-2 2" ctrlrange="-1 1"/>'}
+
+#: One link that hangs to the side of a hinge, whose weight needs -2.5 N m.
+LINK = """
+<body name="base">
+  <geom size="0.05" mass="1"/>
+  <body name="link1" pos="0 0 1">
+    <joint name="joint1" axis="0 1 0" range="-2 2" damping="0.5"/>
+    <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/>
+    <site name="hook"/>
+    <body name="right_hand" pos="0.5 0 0"/>
+  </body>
+</body>
+"""
 
 
 @pytest.fixture
@@ -46,14 +63,17 @@ def test_position_mode_follows_a_sine(panda_sim, joint):
         command(panda_sim, 'position', name, goal)
         panda_sim.advance(5)
         errors.append(panda_sim.state().position[joint] - goal)
-    assert np.sqrt(np.mean(np.square(errors))) < 0.02
+    # The goal moves at up to 0.31 rad/s and is met 15 to 20 ms late.
+    assert np.sqrt(np.mean(np.square(errors))) < 0.006
 
 
 def test_effort_mode_floats_with_zero_effort(panda_sim, run):
     panda_sim.set_control_mode('arm', 'effort')
     start = panda_sim.state().position
+    command(panda_sim, 'effort', panda_sim.joint_names[0], 0.0)
     run(panda_sim, 5.0)
     np.testing.assert_allclose(panda_sim.state().position, start, atol=0.01)
+    assert panda_sim.joints.reference(np.arange(7)).gives_effort.tolist() == [True] + [False] * 6
 
 
 @pytest.mark.parametrize('joint', range(7))
@@ -61,7 +81,7 @@ def test_velocity_mode_meets_the_velocity(panda_sim, run, joint):
     panda_sim.set_control_mode('arm', 'velocity')
     command(panda_sim, 'velocity', panda_sim.joint_names[joint], 0.2)
     run(panda_sim, 0.5)
-    np.testing.assert_allclose(panda_sim.state().velocity[joint], 0.2, rtol=0.02)
+    np.testing.assert_allclose(panda_sim.state().velocity[joint], 0.2, rtol=5e-3)
     others = np.delete(panda_sim.state().velocity[:7], joint)
     assert np.abs(others).max() < 0.01
 
@@ -128,8 +148,8 @@ def test_every_kind_of_actuator_comes_to_a_position(sim_of, run, actuator):
     simulation, positions = sim_of(ACTUATORS[actuator]), []
     command(simulation, 'position', 'robot0_joint1', 0.5)
     run(simulation, 1.0, lambda: positions.append(simulation.state().position[0]))
-    assert positions[-1] == pytest.approx(0.5, abs=1e-3)
-    assert max(positions) < 0.51
+    assert positions[-1] == pytest.approx(0.5, abs=1e-4)
+    assert max(positions) < 0.501
 
 
 @pytest.mark.parametrize('actuator', ACTUATORS)
@@ -175,7 +195,7 @@ def test_gear_does_not_change_the_motion_of_a_motor(sim_of, run):
 @pytest.mark.parametrize(('actuator', 'limits'), [
     ('motor with slow gear', {'velocity': np.pi, 'effort': 30.0, 'position': 2.0}),
     ('velocity servo', {'velocity': 1.0}), ('velocity servo with gear', {'velocity': 1.0}),
-    ('position servo', {'effort': 30.0})])
+    ('position servo', {'effort': 30.0}), ('integrated velocity servo', {'position': 2.0})])
 def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
     simulation = sim_of(ACTUATORS[actuator])
     for mode, limit in limits.items():
@@ -183,12 +203,58 @@ def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
         np.testing.assert_allclose(simulation.joints.ranges(np.array([0])), [[-limit, limit]])
 
 
-def test_actuator_that_drives_no_joint_is_refused(one_joint_arm):
-    robot = one_joint_arm('<motor name="pull" tendon="rope"/>', sections='<tendon>'
+@pytest.mark.parametrize('actuator', [
+    '<motor name="pull" tendon="rope"/>', '<motor name="pull" site="hook" gear="0 0 1 0 0 0"/>'])
+def test_actuator_that_drives_no_joint_is_refused(one_joint_arm, actuator):
+    robot = one_joint_arm(actuator, LINK, sections='<tendon>'
                           '<fixed name="rope"><joint joint="joint1" coef="1"/></fixed></tendon>')
     with pytest.raises(ModelError, match=r"^actuator 'robot0_pull' of arm must drive a joint, not "
                                          r'a tendon, a site or a body$'):
         Simulation(World([robot]))
+
+
+def test_two_actuators_of_one_joint_are_refused_by_name(one_joint_arm):
+    robot = one_joint_arm('<motor name="a" joint="joint1"/><velocity name="b" joint="joint1"/>')
+    with pytest.raises(ModelError, match=r"^joint 'robot0_joint1' is driven by two actuators, "
+                                         r"'robot0_a' and 'robot0_b': give it one$"):
+        Simulation(World([robot]))
+
+
+def test_muscle_is_refused_by_name(one_joint_arm):
+    robot = one_joint_arm('<muscle name="biceps" joint="joint1"/>')
+    with pytest.raises(ModelError, match=r"^actuator 'robot0_biceps' must be a motor, or a "
+                                         r'position or velocity servo: '):
+        Simulation(World([robot]))
+
+
+@pytest.mark.parametrize(('joint', 'actuator', 'limits'), [
+    ('actuatorfrcrange="-10 87"', '<motor name="a" joint="joint1"/>', (-10.0, 87.0)),
+    ('', '<position name="a" joint="joint1" kp="500" kv="20" forcerange="-60 0"/>', (-60.0, 0.0)),
+    ('', '<motor name="a" joint="joint1" ctrlrange="-5 30"/>', (-5.0, 30.0)),
+    ('', '<motor name="a" joint="joint1" gear="-2" ctrlrange="-15 10"/>', (-20.0, 30.0)),
+    ('', '<motor name="a" joint="joint1" gear="-2" forcerange="-30 10"/>', (-20.0, 60.0)),
+    ('actuatorfrcrange="-10 87"', '<motor name="a" joint="joint1" ctrlrange="-30 30"/>',
+     (-10.0, 30.0))])
+def test_torque_limits_keep_their_two_sides(one_joint_arm, joint, actuator, limits):
+    worldbody = LINK.replace('name="joint1"', f'name="joint1" {joint}')
+    simulation = Simulation(World([one_joint_arm(actuator, worldbody)]))
+    start = simulation.state().position[0]
+    for _ in range(50):
+        simulation.advance(5)
+    # The weight of the arm, -2.5 N m, is within all of them.
+    assert simulation.state().position[0] == pytest.approx(start, abs=5e-3)
+    simulation.set_control_mode('arm', 'effort')
+    np.testing.assert_allclose(simulation.joints.ranges(np.array([0])), [limits])
+    for sign, limit in zip((-1.0, 1.0), limits):
+        (pushed,) = simulation.parse.joint_command(['robot0_joint1'], effort=[sign * 1e3])
+        np.testing.assert_allclose(pushed.values, [limit])
+    simulation.set_control_mode('arm', 'position')
+    simulation.data.xfrc_applied[simulation.model.body('robot0_link1').id, 4] = 500.0
+    simulation.advance(5)
+    assert simulation.state().effort[0] == pytest.approx(limits[0])
+    simulation.data.xfrc_applied[simulation.model.body('robot0_link1').id, 4] = -500.0
+    simulation.advance(200)
+    assert simulation.state().effort[0] == pytest.approx(limits[1])
 
 
 def test_joint_without_an_actuator_is_seen_but_not_driven(one_joint_arm):
@@ -197,3 +263,119 @@ def test_joint_without_an_actuator_is_seen_but_not_driven(one_joint_arm):
     expected = mujoco.MjData(simulation.model)
     mujoco.mj_step(simulation.model, expected, 50)
     assert simulation.state().position[0] == expected.qpos[0] > 1e-3
+
+
+def test_effort_is_what_the_equations_of_motion_need_to_the_last_digit():
+    simulation, random = whole_robot('Panda'), np.random.default_rng(2)
+    arm, model, data = Driven(simulation, 'arm'), simulation.model, simulation.data
+    simulation.set_control_mode('arm', 'effort')
+    for _ in range(20):
+        effort = random.uniform(-3.0, 3.0, 7)
+        arm.command('effort', effort)
+        velocity, mass = data.qvel.copy(), np.empty((model.nv, model.nv))
+        mujoco.mj_fullM(*((model, mass, data.qM) if mujoco.mj_version() < 3004000
+                          else (model, data, mass)))
+        bias, weight = data.qfrc_bias.copy(), data.qfrc_gravcomp.copy()
+        simulation.advance(1)
+        acceleration = (data.qvel - velocity) / simulation.timestep_s
+        # The integrator takes the damping at the end of the step.
+        needed = (mass @ acceleration + bias - weight)[arm.dofs] + (
+            arm.damping * data.qvel[arm.dofs])
+        np.testing.assert_allclose(needed, effort, atol=1e-9)
+
+
+@pytest.mark.parametrize('first', ['position', 'velocity', 'effort'])
+@pytest.mark.parametrize('second', ['position', 'velocity', 'effort'])
+def test_mode_change_in_motion_does_not_jolt(first, second):
+    if first == second:
+        return
+    simulation = whole_robot('Panda')
+    arm = Driven(simulation, 'arm')
+    simulation.set_control_mode('arm', first)
+    limit = simulation.joints._servos.acceleration_limit[0]
+    with sampled(arm) as samples:
+        arm.command(first, {'position': [2.0], 'velocity': [1.0], 'effort': [4.0]}[first],
+                    arm.names[:1])
+        for _ in range(30):
+            simulation.advance(5)
+        simulation.set_control_mode('arm', second)
+        for _ in range(100):
+            simulation.advance(5)
+    begin, velocity = samples.velocity[149, 0], samples.velocity[149:, 0]
+    assert begin > 0.3
+    assert (np.abs(np.diff(velocity)) / 0.002).max() < 1.2 * limit
+    assert (np.abs(samples.effort).max(axis=0) <= TORQUE_LIMITS_N_M + 1e-9).all()
+    # It comes to rest on the way that the acceleration limit allows.
+    way = samples.position[-1, 0] - samples.position[149, 0]
+    assert way == pytest.approx(begin**2 / (2.0 * limit), abs=0.03 * begin)
+    assert np.abs(samples.velocity[-1]).max() < 1e-3
+
+
+HOW = ('goal', 'stream', 'trajectory', 'velocity')
+
+
+@pytest.mark.parametrize('how', HOW)
+@pytest.mark.parametrize('name', ['Panda', 'UR5e'])
+def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(name, how):
+    simulation = whole_robot(name)
+    arm, joint = Driven(simulation, 'right'), 1 if name == 'UR5e' else 0
+    limits = simulation.model.joint(arm.names[joint]).range
+    start, high = arm.position[joint], float(limits[1])
+    force = simulation.model.jnt_actfrcrange[simulation.model.joint(arm.names[joint]).id, 1]
+    limits[1] = start + 0.02
+    if how == 'velocity':
+        simulation.set_control_mode('right', 'velocity')
+        arm.command('velocity', [0.5], arm.names[joint:joint + 1])
+    elif how == 'goal':
+        arm.command('position', [start + 1.0], arm.names[joint:joint + 1])
+    elif how == 'trajectory':
+        simulation.apply(simulation.parse.trajectory(
+            'right', arm.names[joint:joint + 1], [1.2], [[start + 1.0]]))
+    with sampled(arm) as samples:
+        for k in range(200):
+            if k == 80:
+                limits[1] = high
+            if how == 'stream':
+                arm.command('position', [start + 0.006 * k], arm.names[joint:joint + 1])
+            simulation.advance(5)
+    effort, velocity = samples.effort[:, joint], samples.velocity[:, joint]
+    assert 0.1 * force < np.abs(effort[200:400]).max() <= force + 1e-9
+    assert samples.position[399, joint] < start + 0.04
+    assert np.abs(velocity[400:]).max() <= 1.05 * arm.velocity_limit[joint]
+    assert samples.position[-1, joint] > start + 0.4
+    assert samples.position[:, joint].max() < start + 1.2
+
+
+def test_twist_is_clamped_in_the_frame_of_the_base_and_counted():
+    simulation = whole_robot('PandaOmron')
+    base, speeds = Driven(simulation, 'base'), []
+    simulation.set_control_mode('base', 'velocity')
+    names = [next(j for j in base.names if word in j) for word in ('forward', 'side', 'yaw')]
+    part, model = simulation.parts['base'], simulation.model
+    wheels = dict(zip(part.driven_joints, model.actuator_ctrlrange[part.actuator_ids, 1]))
+    limit = {name: min(speed, wheels[name])
+             for name, speed in zip(base.names, base.velocity_limit)}
+    simulation.data.joint(names[2]).qpos[0] = np.pi / 4.0
+    mujoco.mj_forward(model, simulation.data)
+    simulation.joints.reset(simulation.data)
+    command = simulation.parse.twist(9.0, -9.0, 0.1)
+    assert command.clamped == 2
+    assert simulation.parse.twist(0.1, 0.1, 0.1).clamped == 0
+    simulation.apply(command)
+    for _ in range(150):
+        simulation.advance(5)
+        yaw = simulation.data.joint(names[2]).qpos[0]
+        x, y = (simulation.data.joint(name).qvel[0] for name in names[:2])
+        speeds.append([np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x])
+    np.testing.assert_allclose(speeds[-1], [limit[names[0]], -limit[names[1]]], rtol=0.02)
+
+
+def test_twist_needs_velocity_mode():
+    simulation = whole_robot('PandaOmron')
+    simulation.set_control_mode('base', 'position')
+    with pytest.raises(CommandError, match=r'^base takes a twist in velocity mode only, it is in '
+                                           r'position mode$'):
+        simulation.parse.twist(0.1, 0.0, 0.0)
+    simulation.set_control_mode('base', 'velocity')
+    with pytest.raises(CommandError, match=r'^base: a twist must be finite, got nan at index 1$'):
+        simulation.parse.twist(0.1, np.nan, 0.0)
