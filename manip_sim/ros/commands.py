@@ -105,15 +105,16 @@ class CommandSubscribers:
         CommandSubscription(self._node, message_type, topic, take)
 
     def _count(self, topic: str, entry: str, commands: Sequence[Command]) -> None:
-        now_s = time.monotonic()
-        entries = {entry}.union(*(
-            [self._entry_of[part] for part in command.parts] for command in commands))
-        for name in entries:
+        now_s, clamped = time.monotonic(), sum(command.clamped for command in commands)
+        entries = {entry: clamped}
+        for command in commands:
+            for part in command.parts:
+                entries[self._entry_of[part]] = command.clamped
+        for name, count in entries.items():
             self.statistics[name].accepted += 1
+            self.statistics[name].clamped += count
             self.statistics[name].last_s = now_s
-        clamped = sum(command.clamped for command in commands)
         if clamped:
-            self.statistics[entry].clamped += clamped
             self._log.warn(topic, 'clamped', f'clamped {clamped} numbers of a message on {topic} '
                            'to their limits')
         for command in commands:

@@ -212,7 +212,7 @@ def test_the_state_of_a_controller_says_what_is_wanted_and_what_is(serve, client
     states = client.listen(MESSAGE_TYPE, 'arm/controller_state')
     client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.3]))
     client.spin_until(lambda: states and abs(wanted(states[-1])['error'].velocities[0]) < 1e-3
-                      and wanted(states[-1])['feedback'].positions[0] > 0.2999)
+                      and wanted(states[-1])['feedback'].positions[0] > 0.29999)
     last = wanted(states[-1])
     assert list(states[-1].joint_names) == ARM
     np.testing.assert_allclose(last['reference'].positions[0], 0.3, atol=1e-4)
