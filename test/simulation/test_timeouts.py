@@ -3,7 +3,6 @@
 
 """Tests of what a part does when its commands stop."""
 
-import numpy as np
 import pytest
 
 from manip_sim.errors import UnknownNameError
