@@ -195,8 +195,9 @@ def stops(count: int, seed: int) -> Row:
                 if service.service_is_ready():
                     service.call_async(Trigger.Request())
         client.node.create_timer(0.002, traffic)
-        end = time.monotonic() + rng.uniform(0.0, 2.5)
         try:
+            target.wait_for_handlers()
+            end = time.monotonic() + rng.uniform(0.0, 2.5)
             client.spin_until(lambda e=end: time.monotonic() > e)
             longest_s = max(longest_s, target.stop(rng.choice((signal.SIGINT, signal.SIGTERM))))
         finally:
