@@ -17,6 +17,7 @@ import argparse
 from pathlib import Path
 import sys
 import time
+import traceback
 
 _TEST = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(_TEST), str(_TEST / 'ros'), str(_TEST / 'soak')]
@@ -58,6 +59,7 @@ def main() -> int:
             rows += part()
         except (SoakError, AssertionError) as error:
             lost += 1
+            traceback.print_exc()
             rows.append({'load': name, 'amount': '', 'result': f'LOST: {error}', 'growth': ''})
         print(f'{name}: {time.monotonic() - begin:.0f} s', file=sys.stderr, flush=True)
     print('| ' + ' | '.join(COLUMNS) + ' |')

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 import os
 from pathlib import Path
 import signal
@@ -121,9 +122,16 @@ class Target:
         self.check_alive()
         self.client.call(Trigger, 'manip_sim/reset')
         for goal in (0.2, -0.2):
-            self.client.publish('arm/joint_command', JointState(
-                name=['robot0_joint1'], position=[goal]))
-            self.client.spin_until(lambda g=goal: abs(self.client.state().position[0] - g) < 0.02)
+            end = time.monotonic() + 20.0
+            joint, position = 'robot0_joint1', math.inf
+            while abs(position - goal) > 0.02:
+                if time.monotonic() > end:
+                    raise SoakError(f'{joint} is at {position} instead of {goal}')
+                # Commands that were sent before may still be waiting.
+                self.client.publish('arm/joint_command', JointState(
+                    name=[joint], position=[goal]))
+                state = self.client.state('arm/joint_states')
+                position = state.position[state.name.index(joint)]
         state = self.client.state()
         if not np.isfinite([*state.position, *state.velocity, *state.effort]).all():
             raise SoakError(f'the state is not finite: {state}')
@@ -132,6 +140,17 @@ class Target:
         """Return the end of what the node wrote."""
         self._output.seek(0)
         return self._output.read()[-2000:]
+
+    def wait_for_handlers(self) -> None:
+        """Wait until the node catches SIGTERM; before that the interpreter is still starting."""
+        term = 1 << (signal.SIGTERM - 1)
+        status = Path(f'/proc/{self.process.pid}/status')
+        while self.process.poll() is None:
+            caught = next(line for line in status.read_text().splitlines()
+                          if line.startswith('SigCgt'))
+            if int(caught.split()[1], 16) & term:
+                return
+            time.sleep(0.005)
 
     def stop(self, number: int = signal.SIGINT) -> float:
         """
