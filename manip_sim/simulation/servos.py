@@ -150,7 +150,7 @@ class Servos:
             possible.append(np.maximum(torque - weight - drag, 0.2 * torque) / coupled)
         usual = np.quantile(possible, _QUANTILE, axis=0)
         derived = np.minimum(_TORQUE_SHARE * usual, self.velocity_limit / _SPEED_UP_S)
-        return np.where(declared > 0.0, declared, derived)
+        return np.asarray(np.where(declared > 0.0, declared, derived))
 
     def _inertia(self, data: Any) -> FloatArray:
         """Return the sizes of the driven joints' part of the inertia matrix, shape (n, n)."""
