@@ -141,7 +141,7 @@ class SetpointGenerator:
                                  self._acceleration_limit[indices])
         top, interval_s = self._velocity_limit[indices], estimator.interval_s[indices]
         wanted = estimator.velocity[indices]
-        velocity = np.clip(wanted, -top, top)
+        velocity = _within(wanted, -top, top)
         self.limited[indices] += velocity != wanted
         self._stream_goal[indices] = velocity
         stream = self._stream[indices]
@@ -172,7 +172,7 @@ class SetpointGenerator:
         travel = self._advance_stream(duration_s)
         if missing is not None:
             travel += self._advance_catch_up(missing, duration_s)
-        self.position = np.minimum(np.maximum(self.position + travel, self._low), self._high)
+        self.position = _within(self.position + travel, self._low, self._high)
         self.velocity = self._stream + self._stage2
         self.now_s += duration_s
         if not (self._catches or self._stream.any() or self._stream_goal.any()):
@@ -206,7 +206,7 @@ class SetpointGenerator:
         :param measured: where the joints are [rad or m], shape (n,)
         :param lead: how far a setpoint may be from there [rad or m], shape (n,)
         """
-        near = np.minimum(np.maximum(self.position, measured - lead), measured + lead)
+        near = _within(self.position, measured - lead, measured + lead)
         held = near != self.position
         if held.any():
             self.position, self._catches = near, True
@@ -250,12 +250,15 @@ class SetpointGenerator:
 
     def _advance_catch_up(self, missing: FloatArray, duration_s: float) -> FloatArray:
         limit, top = self._acceleration_limit, self._velocity_limit
-        soft, soft_s = self._soft(missing)
-        raw = braking_velocity(missing - soft, limit, duration_s) + soft / np.maximum(
-            soft_s, duration_s)
+        if self._estimator.jitter.any():
+            soft = self._soft(missing)
+            raw = braking_velocity(missing - soft, limit, duration_s) + soft / np.maximum(
+                _SOFT_INTERVALS * self._estimator.interval_s, duration_s)
+        else:
+            raw = braking_velocity(missing, limit, duration_s)
         change = limit * duration_s
-        raw = np.minimum(np.maximum(raw, self._raw - change), self._raw + change)
-        self._raw = np.minimum(np.maximum(raw, -top - self._stream_goal), top - self._stream_goal)
+        raw = _within(raw, self._raw - change, self._raw + change)
+        self._raw = _within(raw, -top - self._stream_goal, top - self._stream_goal)
         # Two first-order stages whose input is constant meanwhile.
         ratio = duration_s / _SMOOTHING_S
         decay = math.exp(-ratio)
@@ -272,13 +275,11 @@ class SetpointGenerator:
         return np.asarray(raw * duration_s + _SMOOTHING_S * (
             stage1 + stage2 - self._stage1 - self._stage2))
 
-    def _soft(self, missing: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what may be made good slowly because messages jitter, and in which time."""
-        interval_s = self._estimator.interval_s
-        band = np.where(np.isfinite(self._until_s),
-                        self._estimator.jitter * self._stream_goal * interval_s, 0.0)
-        return (np.clip(missing, np.minimum(band, 0.0), np.maximum(band, 0.0)),
-                _SOFT_INTERVALS * interval_s)
+    def _soft(self, missing: FloatArray) -> FloatArray:
+        """Return how much of a lag may be made good slowly because messages jitter."""
+        band = np.where(np.isfinite(self._until_s), self._estimator.jitter * self._stream_goal
+                        * self._estimator.interval_s, 0.0)
+        return _within(missing, np.minimum(band, 0.0), np.maximum(band, 0.0))
 
     def _advance_stream(self, duration_s: float) -> FloatArray:
         begin, goal = self._stream, self._stream_goal
@@ -301,6 +302,11 @@ class SetpointGenerator:
             for distance, towards in ((np.minimum(self._high - self.position, 1e6), self._stream),
                                       (np.minimum(self.position - self._low, 1e6), -self._stream)))
         return np.where(self._seeks, velocity, np.clip(velocity, -lowest, highest))
+
+
+def _within(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    # np.clip takes several times as long for arrays as short as these.
+    return np.asarray(np.minimum(np.maximum(values, low), high))
 
 
 def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float) -> FloatArray:

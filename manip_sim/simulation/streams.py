@@ -83,8 +83,9 @@ class StreamEstimator:
         slack = 2.0 * limit * elapsed_s * period_s
 
         def usual(factor: FloatArray | float) -> FloatArray:
-            return np.asarray(np.clip(step, np.minimum(0.0, factor * before) - slack,
-                                      np.maximum(0.0, factor * before) + slack))
+            return np.asarray(np.minimum(
+                np.maximum(step, np.minimum(0.0, factor * before) - slack),
+                np.maximum(0.0, factor * before) + slack))
 
         # A jump is no stream, two messages in one period are no doubled velocity.
         kept = np.where(streams, self.velocity[indices] * elapsed_s, 0.0)

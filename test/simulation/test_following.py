@@ -73,10 +73,17 @@ def test_time_runs_from_the_stamp_also_where_that_is_past(op, delay_s):
 
 
 def test_trajectory_that_is_slowed_down_as_its_points_are_past_begins_now(op):
+    op.run(0.5)
     command = op.follow('arm', [J1], [0.3, 0.6], [[0.8], [1.6]],
                         start_ns=op.simulation.time_ns - SECOND_NS // 2)
-    assert command.slowed > 1.0
-    op.run(2.5)
+    # A tenth of a second is left for 1.6 rad.
+    assert command.slowed == pytest.approx(1.5 * 16.0 / 2.175, rel=0.01)
+    arm = Driven(op.simulation, 'arm')
+    with sampled(arm) as samples:
+        op.run(0.1 * command.slowed - 0.02)
+        assert command.handle.status is Status.RUNNING
+        op.run(1.0)
+    assert samples.velocity[:, 0].max() == pytest.approx(2.175, rel=0.01)
     assert command.handle.status is Status.DONE
     assert op.where(J1)[0] == pytest.approx(1.6, abs=1e-3)
 

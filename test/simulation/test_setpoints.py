@@ -173,6 +173,14 @@ def test_jump_inside_a_stream_is_a_step_and_not_a_velocity():
     assert np.abs(course.acceleration[after]).max() < 4.0 * A
 
 
+@pytest.mark.parametrize('rate', [100, 500])
+def test_stream_that_begins_at_full_speed_is_taken_up_within_bounds(rate):
+    course = streamed(lambda t: 1.5 * t, 1.0, rate)
+    assert np.abs(course.acceleration).max() < 5.5 * A
+    assert course.velocity.max() < 1.01 * V
+    assert course.velocity[-1] == pytest.approx(1.5)
+
+
 def test_repeated_goal_of_a_step_changes_nothing():
     once = streamed(lambda t: 1.0 if t == 0.0 else None, 1.5)
     again = streamed(lambda t: 1.0, 1.5)
