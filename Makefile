@@ -2,14 +2,20 @@
 # make pick   in a second shell: pick the cube up
 # make test   set up and run all tests
 # make lint   style and types
+# make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
 #
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
 # site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix.
+
+# The node and its clients talk within this machine, unless the environment says otherwise:
+# ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/security.md)
 
 PYTHON ?= python3
 VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
 PYTEST_ARGS ?=
+SOAK_ARGS ?=
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_ARGS = --system-site-packages
@@ -22,7 +28,7 @@ endif
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(EXTRAS)
 
-.PHONY: run pick test lint clean
+.PHONY: run pick test lint soak clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -36,6 +42,9 @@ test: $(READY)
 lint: $(READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
 	$(BIN)/python -m mypy
+
+soak: $(READY)
+	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)
 
 $(READY): setup.py
 	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \

@@ -33,7 +33,8 @@ setup(
     install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'scipy'],
     extras_require={
         'gallery': ['pillow>=10.1'],
-        'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
+        'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces',
+                  'pyyaml'],
         'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pydocstyle',
                  'pytest', 'pytest-timeout', 'ruff'],
     },

@@ -132,6 +132,57 @@ def gripper_file(mjcf):
         </actuator>""", name='gripper')
 
 
+@pytest.fixture
+def hand_class():
+    """Return the class of a hand that moves all its commands by one action; takes a file."""
+    class Hand(GripperModel):
+        speed = 0.2
+
+        def __init__(self, fname, idn=0):
+            super().__init__(fname, idn)
+            self.current_action = np.zeros(len(self.actuators))
+
+        @property
+        def dof(self):
+            return 1
+
+        def format_action(self, action):
+            return self._integrate(-self.speed * np.sign(self._checked(action)))
+
+        @property
+        def init_qpos(self):
+            return [0.02, 0.02]
+
+    return Hand
+
+
+@pytest.fixture
+def hand_sim(one_joint_arm, hand_class, mjcf):
+    """
+    Return a function that makes a simulation of a hand with two sliding fingers.
+
+    The fingers ``left`` and ``right`` go from 0, closed, to 0.04 m at 0.05 m/s.
+    """
+    def make(actuators, sections='', coupled=True, before=None):
+        equality = '<equality><joint joint1="right" joint2="left"/></equality>' if coupled else ''
+        fingers = ''.join(f"""
+            <body name="{side}" pos="0 {sign}0.005 0.05">
+              <joint name="{side}" type="slide" axis="0 {sign}1 0" range="0 0.04" user="0.05"
+                armature="0.1" damping="10" solreflimit="0.004 1" solimplimit="0.99 0.99 0.001"/>
+              <geom name="{side}_pad" type="box" size="0.01 0.005 0.01" mass="0.02"
+                contype="0" conaffinity="0"/>
+            </body>""" for side, sign in (('left', ''), ('right', '-')))
+        gripper = hand_class(mjcf(
+            f'<body name="palm"><geom size="0.01" mass="0.2"/>{fingers}<body name="eef"/></body>',
+            f'{sections}{equality}<actuator>{actuators}</actuator>', name='hand'))
+        robot = one_joint_arm()
+        robot.add_gripper(gripper)
+        if before is not None:
+            before(gripper)
+        return Simulation(World([robot]))
+    return make
+
+
 @pytest.fixture(scope='session')
 def reference():
     """Return what the reference implementation gives for the Panda and its gripper."""

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 
+from domains import reserve_domain
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,7 +66,8 @@ def executable(name, environment):
 
 
 def test_the_node_runs_from_the_place_that_ros2_run_looks_at(install):
-    environment = dict(install, ROS_DOMAIN_ID=str(1 + os.getpid() % 100),
+    domain, lock = reserve_domain()
+    environment = dict(install, ROS_DOMAIN_ID=str(domain),
                        ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
     node = subprocess.Popen([executable('sim_node', environment)], env=environment, cwd='/',
                             stderr=subprocess.PIPE, text=True)
@@ -76,6 +78,7 @@ def test_the_node_runs_from_the_place_that_ros2_run_looks_at(install):
     finally:
         node.send_signal(signal.SIGINT)
         errors = node.communicate(timeout=10.0)[1]
+        os.close(lock)
     assert node.returncode == 0, errors
 
 

@@ -6,12 +6,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+import logging
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
 from manip_sim.errors import ModelError
+
+#: MuJoCo raises the first for what is wrong in a file; the others where memory does not suffice.
+_ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
+
+# Without a function of its own MuJoCo appends its warnings to a file in the working directory.
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(logging.getLogger('manip_sim.mujoco').warning)
 
 
 def compile_spec(spec: Any, name: str) -> Any:
@@ -24,7 +32,7 @@ def compile_spec(spec: Any, name: str) -> Any:
     """
     try:
         return spec.compile()
-    except ValueError as error:
+    except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
 
 
@@ -39,12 +47,13 @@ def load_spec(file: Path) -> Any:
         raise ModelError(f'no such MJCF file: {file}')
     try:
         return mujoco.MjSpec.from_file(str(file))
-    except ValueError as error:
+    except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
 
 
 def _one_line(error: Exception) -> str:
-    return ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
+    text = ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
+    return text or type(error).__name__
 
 
 def name_unnamed_elements(spec: Any) -> None:

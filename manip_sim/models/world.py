@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any
 
 import mujoco
@@ -31,7 +32,7 @@ class World:
     :param robots: robots with all that is mounted on them; one that was not
         placed by ``set_base_xpos`` is placed by its ``base_xpos_offset`` for the arena
     :param arena: the arena, :class:`EmptyArena` by default
-    :param timestep_s: of the physics [s]
+    :param timestep_s: of the physics [s], a whole number of nanoseconds
     :param gravity_compensation: let the joints' actuators carry the weight of all links and
         grippers, as the controller of a real arm does; it counts as actuator force. A robot
         whose root has a free joint falls and stands by its own weight and has none
@@ -41,12 +42,23 @@ class World:
                  timestep_s: float = 0.002, gravity_compensation: bool = True) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
-        self.timestep_s = timestep_s
+        self.timestep_s = _whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
         prefixes = [robot.naming_prefix for robot in self.robots]
         if len(set(prefixes)) != len(prefixes):
             raise ModelError('robots in one world need different idn or prefix, got '
                              + ', '.join(prefixes))
+
+    @property
+    def name(self) -> str:
+        """The names of the robots, for messages."""
+        return ' and '.join(robot.name for robot in self.robots)
+
+    @property
+    def gripper_actuators(self) -> list[str]:
+        """The actuators of all grippers."""
+        return [actuator for robot in self.robots if isinstance(robot, ManipulatorModel)
+                for gripper in robot.grippers.values() for actuator in gripper.actuators]
 
     def compose(self, visual: bool = True) -> Any:
         """
@@ -93,16 +105,7 @@ class World:
         :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
-        return self.compile_spec(self.compose(visual))
-
-    def compile_spec(self, spec: Any) -> Any:
-        """
-        Compile a spec that was composed of this world and edited.
-
-        :returns: a new ``mujoco.MjModel``
-        :raises ModelError: with what MuJoCo says
-        """
-        return compile_spec(spec, ' and '.join(r.name for r in self.robots))
+        return compile_spec(self.compose(visual), self.name)
 
     def to_xml(self) -> str:
         """Return the MJCF of the world."""
@@ -125,6 +128,21 @@ class World:
         return start
 
 
+def _whole_nanoseconds(timestep_s: float) -> float:
+    """
+    Return a timestep; stamps count in nanoseconds, and would drift from the physics otherwise.
+
+    :raises ModelError: naming the nearest timestep that can be used
+    """
+    if not 1e-9 <= timestep_s < math.inf:
+        raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')
+    nanoseconds = timestep_s * 1e9
+    if abs(nanoseconds - round(nanoseconds)) > 1e-5:
+        raise ModelError('a timestep must be a whole number of nanoseconds, got '
+                         f'{timestep_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
+    return timestep_s
+
+
 def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:
     if qpos is None:
         return {}
@@ -132,4 +150,6 @@ def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:
     if values.shape != (len(part.joints),):
         raise ModelError(f'init_qpos of {part.name} must have {len(part.joints)} values, one for '
                          f'each joint, got shape {values.shape}')
+    if not np.isfinite(values).all():
+        raise ModelError(f'init_qpos of {part.name} must be finite, got {values.tolist()}')
     return dict(zip(part.joints, values.tolist()))

@@ -1,34 +1,33 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Subscribe to commands: validate, count, tell what is refused, hand over the rest."""
+"""Subscribe to commands: validate, count, tell what is rejected, hand over the rest."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 import time
 from typing import Any
 
 from geometry_msgs.msg import Twist
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
+from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.runner import Runner
+from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command
-from manip_sim.simulation.drives import Drive, SubsystemDrive
+from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand
 
-_WARN_PERIOD_S = 1.0
-_DETAIL = re.compile(r"'[^']*'|\[[^]]*\]|-?\b(nan|inf)\b|-?\d[\d.e+-]*")
+Parse = Callable[[Any], Sequence[Command]]
 
 
 @dataclass
@@ -39,29 +38,15 @@ class CommandStatistics:
     :ivar accepted: messages that were used
     :ivar refused: messages that were refused
     :ivar clamped: numbers that were brought into their range
+    :ivar slowed: trajectories that were slowed down to keep to the velocity limits
     :ivar last_s: monotonic wall time of the last accepted message [s]
     """
 
     accepted: int = 0
     refused: int = 0
     clamped: int = 0
+    slowed: int = 0
     last_s: float | None = None
-
-
-@dataclass
-class _Throttle:
-    """Says which messages may be logged: each text once a second, numbers and names aside."""
-
-    _last: dict[str, float] = field(default_factory=dict)
-
-    def lets_through(self, topic: str, text: str) -> bool:
-        now = time.monotonic()
-        self._last = {k: t for k, t in self._last.items() if now - t < _WARN_PERIOD_S}
-        reason = f'{topic} {_DETAIL.sub("", text)}'
-        if reason in self._last:
-            return False
-        self._last[reason] = now
-        return True
 
 
 class CommandSubscribers:
@@ -69,78 +54,84 @@ class CommandSubscribers:
     Subscriptions to the command topics of all parts.
 
     :param node: the node
-    :param simulation: whose drives validate; they are only read
+    :param simulation: whose parser validates; it is only read
     :param runner: takes the commands
-    :ivar statistics: by part, and ``joint_command`` for what is refused on the combined topic
+    :param log: counts and tells what is rejected
+    :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
+        ``joint_command`` for messages on the combined topic
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner) -> None:
+    def __init__(self, node: Node, simulation: Simulation, runner: Runner, log: RejectionLog
+                 ) -> None:
         self._node = node
-        self._simulation = simulation
+        self._parse = simulation.parse
         self._runner = runner
-        self._throttle = _Throttle()
-        self.statistics = {part: CommandStatistics() for part in simulation.drives}
+        self._log = log
+        self._entry_of = {name: part.atomic[0] if len(part.atomic) == 1 else name
+                          for name, part in simulation.parts.items()}
+        self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
         self.statistics['joint_command'] = CommandStatistics()
-        for part, drive in simulation.drives.items():
-            if not drive.part.actuators:
+        for name, part in simulation.parts.items():
+            if not part.actuators:
                 continue
-            self._subscribe(Float64MultiArray, f'{part}/command', part, self._action, drive)
-            self._subscribe(JointState, f'{part}/joint_command', part, self._joint_command, drive)
-            if isinstance(drive, SubsystemDrive):
-                self._subscribe_subsystem(part, drive)
+            self._subscribe(Float64MultiArray, f'{name}/command', name,
+                            partial(self._action, name))
+            self._subscribe(JointState, f'{name}/joint_command', name,
+                            partial(self._joint_command, name))
+            if part.gripper is None:
+                self._subscribe(JointTrajectory, f'{name}/joint_trajectory', name,
+                                partial(self._trajectory, name))
+        if simulation.joints.twist_indices is not None:
+            self._subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
         self._subscribe(JointState, 'joint_command', 'joint_command',
-                        self._combined_joint_command, None)
+                        partial(self._joint_command, None))
 
-    def _subscribe_subsystem(self, part: str, drive: SubsystemDrive) -> None:
-        if part == 'arm':
-            self._subscribe(JointTrajectory, 'arm/joint_trajectory', part, self._trajectory, drive)
-        if part == 'base' and drive.takes_twist:
-            self._subscribe(Twist, 'base/cmd_vel', part, self._twist, drive)
+    def _subscribe(self, message_type: Any, topic: str, part: str, parse: Parse) -> None:
+        entry = self._entry_of.get(part, part)
 
-    def _subscribe(self, message_type: Any, topic: str, part: str,
-                   parse: Callable[[Any, Any], list[Command]], drive: Drive | None) -> None:
         def take(message: Any) -> None:
-            statistics = self.statistics[part]
             try:
-                commands = parse(message, drive)
+                commands = parse(message)
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
                            if isinstance(message, JointState) else 0)
                 self._runner.submit(commands, answers)
             except CommandError as error:
-                statistics.refused += 1
-                self._warn(topic, f'refused a message on {topic}: {error}')
+                self.statistics[entry].refused += 1
+                self._log.warn(topic, kind_of(error), f'refused a message on {topic}: {error}')
                 return
-            for command in commands:
-                self._count(topic, self.statistics[command.part], command.clamped)
+            self._count(topic, entry, commands)
 
-        self._node.create_subscription(
-            message_type, topic, take, QoSProfile(depth=1),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        CommandSubscription(self._node, message_type, topic, take)
 
-    def _count(self, topic: str, statistics: CommandStatistics, clamped: int) -> None:
-        statistics.accepted += 1
-        statistics.last_s = time.monotonic()
+    def _count(self, topic: str, entry: str, commands: Sequence[Command]) -> None:
+        now_s, clamped = time.monotonic(), sum(command.clamped for command in commands)
+        entries = {entry: clamped}
+        for command in commands:
+            for part in command.parts:
+                entries[self._entry_of[part]] = command.clamped
+        for name, count in entries.items():
+            self.statistics[name].accepted += 1
+            self.statistics[name].clamped += count
+            self.statistics[name].last_s = now_s
         if clamped:
-            statistics.clamped += clamped
-            self._warn(topic, f'clamped {clamped} numbers of a message on {topic} to their limits')
+            self._log.warn(topic, 'clamped', f'clamped {clamped} numbers of a message on {topic} '
+                           'to their limits')
+        for command in commands:
+            if isinstance(command, TrajectoryCommand) and command.slowed > 1.0:
+                self.statistics[entry].slowed += 1
+                self._log.warn(topic, 'slowed', f'slowed a trajectory on {topic} down by the '
+                               f'factor {command.slowed:.3g}, to {command.trajectory.end_s:.3g} '
+                               's, to keep to the velocity limits')
 
-    def _warn(self, topic: str, text: str) -> None:
-        if self._throttle.lets_through(topic, text):
-            self._node.get_logger().warning(text)
+    def _action(self, part: str, message: Float64MultiArray) -> Sequence[Command]:
+        return [self._parse.action(part, message.data)]
 
-    def _action(self, message: Float64MultiArray, drive: Drive) -> list[Command]:
-        return [drive.action(message.data)]
+    def _joint_command(self, part: str | None, message: JointState) -> Sequence[Command]:
+        return self._parse.joint_command(message.name, message.position, message.velocity,
+                                         message.effort, part)
 
-    def _joint_command(self, message: JointState, drive: Drive) -> list[Command]:
-        return [drive.joint_command(message.name, message.position, message.velocity,
-                                    message.effort)]
-
-    def _combined_joint_command(self, message: JointState, _: None) -> list[Command]:
-        return list(self._simulation.split_joint_command(
-            message.name, message.position, message.velocity, message.effort))
-
-    def _trajectory(self, message: JointTrajectory, drive: SubsystemDrive) -> list[Command]:
+    def _trajectory(self, part: str, message: JointTrajectory) -> Sequence[Command]:
         points = message.points
         times_s = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points]
         fields: list[list[Any] | None] = [
@@ -148,19 +139,15 @@ class CommandSubscribers:
             else [np.asarray(getattr(p, name)) for p in points]
             for name in ('positions', 'velocities', 'accelerations')]
         if any(len(p.effort) for p in points):
-            raise CommandError('arm: a trajectory has no use for effort, leave it empty')
-        delay_s = self._delay_s(message)
-        return [drive.trajectory(message.joint_names, [t + delay_s for t in times_s],
-                                 fields[0] or [], fields[1], fields[2])]
+            raise CommandError(f'{part}: a trajectory has no use for effort, leave it empty')
+        return [self._parse.trajectory(
+            part, message.joint_names, times_s, fields[0] or [], fields[1], fields[2],
+            start_ns=nanoseconds_of(message.header.stamp),
+            now_ns=self._runner.progress.time_ns)]
 
-    def _delay_s(self, message: JointTrajectory) -> float:
-        """Return in how much simulation time a trajectory starts; a stamp of zero is now."""
-        start_ns = nanoseconds_of(message.header.stamp)
-        return (start_ns - self._runner.progress.time_ns) * 1e-9 if start_ns else 0.0
-
-    def _twist(self, message: Twist, drive: SubsystemDrive) -> list[Command]:
+    def _twist(self, message: Twist) -> Sequence[Command]:
         linear, angular = message.linear, message.angular
         if linear.z or angular.x or angular.y:
             raise CommandError('base: moves along x and y and turns about z only, leave linear.z, '
                                'angular.x and angular.y at zero')
-        return [drive.twist(linear.x, linear.y, angular.z)]
+        return [self._parse.twist(linear.x, linear.y, angular.z)]

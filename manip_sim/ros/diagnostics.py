@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -14,16 +15,73 @@ from rclpy.node import Node
 
 from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.runner import Progress, Runner
+from manip_sim.ros.neighbours import Neighbours
+from manip_sim.ros.runner import Runner
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.drives import SubsystemDrive
 
 _PERIOD_S = 1.0
+#: Of simulation time; less is lost to the moments between two messages.
+_TOLERATED_LOSS = 0.01
+#: The real-time factor is measured over so many control periods where they are long.
+_WINDOW_PERIODS = 5
+
+
+class Pace:
+    """
+    How fast the simulation runs, measured between control periods.
+
+    The window reaches back by one second of wall time, or by several control periods where these
+    are longer, and begins anew with a pause, another real-time factor or a restart of time.
+
+    :param runner: tells how far the simulation has come
+    :ivar factor: simulation time per wall time; NaN where the window has just begun
+    :ivar loss: part of the simulation time that was dropped, from 0 to 1
+    """
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._window = [runner.progress]
+        self._asked = runner.real_time_factor
+        self._was_paused = True
+        self.factor = math.nan
+        self.loss = 0.0
+
+    def measure(self, now_s: float) -> None:
+        """
+        Measure up to the last control period.
+
+        :param now_s: monotonic wall time [s]
+        """
+        runner, window = self._runner, self._window
+        progress, paused, asked = runner.progress, runner.paused, runner.real_time_factor
+        anew = (paused or self._was_paused or asked != self._asked
+                or progress.time_ns < window[-1].time_ns)
+        self._was_paused, self._asked = paused, asked
+        if anew:
+            window[:] = [progress]
+            self.factor, self.loss = 0.0 if paused else math.nan, 0.0
+            return
+        realtime = runner.stepping == 'realtime'
+        period_s = runner.period_s / asked if realtime else 0.0
+        # What is overdue counts, or a simulation that hangs would seem to run.
+        overdue_s = max(0.0, now_s - progress.wall_s - period_s - _PERIOD_S)
+        if progress != window[-1]:
+            window.append(progress)
+        elif not overdue_s:
+            return
+        span_s = 0.9 * max(_PERIOD_S, _WINDOW_PERIODS * period_s)
+        while len(window) > 2 and progress.wall_s - window[1].wall_s > span_s:
+            del window[0]
+        first = window[0]
+        simulated_s = (progress.time_ns - first.time_ns) * 1e-9
+        lost_s = progress.lost_s - first.lost_s + (overdue_s * asked if realtime else 0.0)
+        self.factor = simulated_s / (progress.wall_s - first.wall_s + overdue_s)
+        self.loss = lost_s / (simulated_s + lost_s) if lost_s else 0.0
 
 
 class Diagnostics:
     """
-    Publishes one status for the simulation and one for the commands of each part.
+    Publishes a status for the simulation, for the commands of each part and for other nodes.
 
     :param node: the node
     :param simulation: only looked at
@@ -37,7 +95,8 @@ class Diagnostics:
         self._simulation = simulation
         self._runner = runner
         self._commands = commands
-        self._last: Progress = runner.progress
+        self._pace = Pace(runner)
+        self._neighbours = Neighbours(node)
         self._last_accepted = {part: 0 for part in commands.statistics}
         self._last_s = time.monotonic()
         self._told: str | None = None
@@ -51,30 +110,36 @@ class Diagnostics:
         message = DiagnosticArray(status=[
             self._physics(f'{name}: simulation'),
             *(self._part(f'{name}: {part}', part, statistics, now_s, elapsed_s)
-              for part, statistics in self._commands.statistics.items())])
+              for part, statistics in self._commands.statistics.items()),
+            self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._runner.progress.time_ns)
         self._publisher.publish(message)
 
     def _physics(self, name: str) -> DiagnosticStatus:
-        progress, last = self._runner.progress, self._last
-        self._last = progress
-        wall_s = progress.wall_s - last.wall_s
-        # A reset may have let simulation time begin again.
-        simulated_s = max(0, progress.time_ns - last.time_ns) * 1e-9
-        factor = simulated_s / wall_s if wall_s > 0.0 else 0.0
-        missed = progress.missed - last.missed
+        runner, progress, pace = self._runner, self._runner.progress, self._pace
+        pace.measure(time.monotonic())
         warnings = {kind.name: int(self._simulation.data.warning[int(kind)].number)
                     for kind in _WARNINGS}
-        status = _status(name, 'running', {
-            'state': 'paused' if self._runner.paused else self._runner.stepping,
-            'real_time_factor': f'{factor:.4f}', 'missed_deadlines': progress.missed,
-            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings})
-        if missed:
+        status = _status(name, 'paused' if runner.paused else 'running', {
+            'state': 'paused' if runner.paused else runner.stepping,
+            'real_time_factor': f'{pace.factor:.4f}', 'missed_deadlines': progress.missed,
+            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings,
+            **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
+        if pace.loss > _TOLERATED_LOSS and not runner.paused:
             status.level = DiagnosticStatus.WARN
-            status.message = f'{missed} control periods were dropped: the machine is too slow'
+            status.message = (
+                f'the machine is too slow: the real-time factor is {pace.factor:.3g}, asked for '
+                f'is {runner.real_time_factor:g}; control periods are dropped')
         if self._simulation.diverged is not None:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)
+        return status
+
+    def _others(self, name: str) -> DiagnosticStatus:
+        conflicts = self._neighbours.conflicts()
+        status = _status(name, '; '.join(conflicts) or 'no conflict', {})
+        if conflicts:
+            status.level = DiagnosticStatus.WARN
         return status
 
     def _tell(self, status: DiagnosticStatus) -> None:
@@ -94,12 +159,16 @@ class Diagnostics:
             'rate': f'{came / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0',
             'age': 'never' if statistics.last_s is None else f'{now_s - statistics.last_s:.3f}',
             'accepted': statistics.accepted, 'dropped': statistics.refused,
-            'clamped': statistics.clamped}
-        drive = self._simulation.drives.get(part)
-        if drive is not None:
-            values['control_mode'] = drive.mode
-        if isinstance(drive, SubsystemDrive):
-            values['timeouts'] = drive.timeouts
+            'clamped': statistics.clamped, 'slowed': statistics.slowed}
+        if part in self._simulation.grippers:
+            values['control_mode'] = 'position'
+        elif part in self._simulation.parts:
+            joints = self._simulation.joints
+            modes = dict.fromkeys(joints.modes_of(joints.indices_of(part)))
+            values['control_mode'] = ' and '.join(modes)
+            values['timeouts'] = sum(
+                joints.timeouts[atomic] for atomic in self._simulation.parts[part].atomic)
+            values['limited'] = joints.limited(part)
         return _status(name, 'commands', values)
 
 

@@ -6,19 +6,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import contextlib
 import select
 import signal
 import socket
 import sys
 import threading
+import warnings
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
+from manip_sim.ros.executor import GuardedExecutor
+from manip_sim.ros.overrides import for_other_nodes, without_source
 from manip_sim.ros.sim_node import SimNode
 
 #: How often the main thread looks whether the other threads are well [s].
@@ -62,12 +64,20 @@ def run(arguments: Sequence[str]) -> int:
     """
     asked_to_end = EndSignals()
     sys.setswitchinterval(_SWITCH_S)
+    # rclpy warns so of a node that could not be created, beside the error.
+    warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
+    # What rcl says of bad arguments is said once, by us.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except (UnknownROSArgsError, RCLError) as error:
-        return _fail(f'bad ROS arguments: {str(error).splitlines()[0]}')
+        what = without_source(error)
+        if 'log directory' in what or 'log file' in what:
+            return _fail(f'{what}; set ROS_LOG_DIR to a folder that can be written')
+        return _fail(f'bad ROS arguments: {what}')
+    set_logger_level('rcl', LoggingSeverity.UNSET)
     try:
-        return _serve(asked_to_end)
+        return _serve(asked_to_end, arguments)
     except ManipSimError as error:
         return _fail(str(error))
     finally:
@@ -75,11 +85,13 @@ def run(arguments: Sequence[str]) -> int:
         asked_to_end.ignore_more()
 
 
-def _serve(asked_to_end: EndSignals) -> int:
+def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
     node = SimNode()
-    executor = SingleThreadedExecutor()
+    for warning in for_other_nodes(arguments, node.get_fully_qualified_name()):
+        node.get_logger().warning(warning)
+    executor = GuardedExecutor(node.rejections)
     executor.add_node(node)
-    spinner = threading.Thread(target=_spin, args=(executor,), name='executor')
+    spinner = threading.Thread(target=executor.spin, name='executor')
     try:
         node.start()
         spinner.start()
@@ -91,16 +103,12 @@ def _serve(asked_to_end: EndSignals) -> int:
         return 0
     finally:
         # Callbacks that wait for the simulation are answered before it ends.
-        executor.shutdown()
+        executor.end()
         if spinner.is_alive():
             spinner.join()
+        executor.shutdown()
         node.stop()
         node.destroy_node()
-
-
-def _spin(executor: SingleThreadedExecutor) -> None:
-    with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
 
 
 def _fail(message: str) -> int:

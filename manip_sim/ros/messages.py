@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from manip_sim.simulation.state import EndEffector, State, Wrench
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
 
 WORLD = 'world'
 
@@ -27,8 +27,12 @@ def nanoseconds_of(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def joint_state(stamp: Time, names: list[str], state: State, part: slice) -> JointState:
-    """Return the joint states of a part."""
+def joint_state(stamp: Time, names: list[str], state: State, part: slice | IntArray) -> JointState:
+    """
+    Return the joint states of a part.
+
+    :param part: which of the state's joints
+    """
     message = JointState()
     message.header.stamp = stamp
     message.name = names

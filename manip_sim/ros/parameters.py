@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,11 +21,14 @@ from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.robots import robot_names
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
-from manip_sim.simulation.control import MODES
+from manip_sim.simulation.commands import MODES
+from manip_sim.simulation.parts import Part
 
 #: Parameters that every rclpy node knows.
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 STEPPING = ('realtime', 'free', 'lockstep')
+#: Groups of parameters whose values for a part are those of the parts that it consists of.
+_COUPLED = ('control_mode', 'command_timeout')
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def robot_parameters(parts: Sequence[str]) -> list[ParameterSpec]:
     """
     Return the parameters that depend on the robot.
 
-    :param parts: the subsystems that it has
+    :param parts: the parts with driven joints: subsystems and arms
     """
     specs = []
     for part in parts:
@@ -145,7 +148,9 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._specs: dict[str, ParameterSpec] = {}
-        node.add_pre_set_parameters_callback(self._integers_to_doubles)
+        self._parts: Mapping[str, Part] = {}
+        node.add_pre_set_parameters_callback(
+            lambda parameters: self._with_coupled(self._integers_to_doubles(parameters)))
         node.add_on_set_parameters_callback(self._validate)
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
@@ -187,6 +192,45 @@ class Parameters:
                 raise ParameterError(f"unknown parameter '{name}': {''.join(missing)}"
                                      f'{describe_choices(name, self._specs)}')
 
+    def couple(self, parts: Mapping[str, Part]) -> None:
+        """
+        Let parameters of a part set those of the parts that it consists of, and the reverse.
+
+        Of what the user gave at the start, that of one arm overrides that of both.
+
+        :param parts: by name
+        """
+        self._parts = parts
+        given = self._node._parameter_overrides
+        for group in _COUPLED:
+            for name in sorted(given, key=lambda n: self._is_atomic(n.partition('.')[2])):
+                if name.startswith(f'{group}.'):
+                    self._node.set_parameters([given[name]])
+
+    def _is_atomic(self, part: str) -> bool:
+        return part in self._parts and self._parts[part].atomic == (part,)
+
+    def _with_coupled(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Add what follows for other parts, which the user does not set at the same time."""
+        values = {p.name: p for p in parameters}
+        result = list(parameters)
+        for parameter in parameters:
+            group, _, part = parameter.name.partition('.')
+            if group not in _COUPLED or part not in self._parts:
+                continue
+            for other in self._coupled_parts(part):
+                name = f'{group}.{other}'
+                if name not in values:
+                    values[name] = Parameter(name, parameter.type_, parameter.value)
+                    result.append(values[name])
+        return result
+
+    def _coupled_parts(self, part: str) -> list[str]:
+        """Return the parts that consist of this one or that it consists of, and its other name."""
+        own = set(self._parts[part].atomic)
+        return [name for name, other in self._parts.items() if name != part
+                and other.gripper is None and set(other.atomic) <= own]
+
     def value(self, name: str) -> Any:
         """Return the present value of a declared parameter."""
         return self._node.get_parameter(name).value
@@ -196,6 +240,9 @@ class Parameters:
         if (spec is not None and isinstance(spec.default, float)
                 and parameter.type_ is Parameter.Type.INTEGER):
             return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+        if spec is not None and isinstance(spec.default, list) and not parameter.value:
+            # ROS reads [] as no value, and rclpy an empty list as one of bytes.
+            return Parameter(parameter.name, Parameter.Type.STRING_ARRAY, [''])
         return parameter
 
     def _integers_to_doubles(self, parameters: list[Parameter]) -> list[Parameter]:

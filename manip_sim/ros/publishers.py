@@ -8,6 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
@@ -17,7 +19,49 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from manip_sim.ros import messages
+from manip_sim.ros.controller_state import controller_state, MESSAGE_TYPE
+from manip_sim.ros.log import RejectionLog
 from manip_sim.simulation import Simulation, State
+
+
+class Output:
+    """
+    A publisher that never stops the simulation.
+
+    With history ``keep_all`` a reader that does not acknowledge fills the history. Publishing then
+    waits (100 ms with Fast DDS) and fails. Until all is acknowledged, or the reader is gone,
+    further messages are dropped and counted without waiting.
+
+    :param publisher: the publisher
+    :param log: counts and tells what could not be published
+    """
+
+    def __init__(self, publisher: Publisher, log: RejectionLog) -> None:
+        self._publisher = publisher
+        self._log = log
+        self._stalled = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody listens and the next message can be published."""
+        if not self._publisher.get_subscription_count():
+            return False
+        if self._stalled:
+            self._stalled = not self._publisher.wait_for_all_acked(Duration())
+            if self._stalled:
+                topic = self._publisher.topic_name
+                self._log.failed['publications'] += 1
+                self._log.warn(topic, 'stalled', f'{topic}: a reader does not acknowledge, '
+                               'messages are dropped until it does or is gone')
+        return not self._stalled
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, or count it as dropped."""
+        try:
+            self._publisher.publish(message)
+        except RCLError as error:
+            self._stalled = True
+            self._log.failure('publications', self._publisher.topic_name, error)
 
 
 class StatePublishers:
@@ -27,17 +71,25 @@ class StatePublishers:
     :param node: the node
     :param simulation: tells the parts and their joints
     :param publish_clock: whether ``/clock`` is published
+    :param log: counts and tells what could not be published
     """
 
-    def __init__(self, node: Node, simulation: Simulation, publish_clock: bool) -> None:
+    def __init__(self, node: Node, simulation: Simulation, publish_clock: bool,
+                 log: RejectionLog) -> None:
         self._node = node
+        self._simulation = simulation
+        self._log = log
         joints = list(simulation.joint_names)
-        everything = slice(0, len(joints))
-        self._joint_states = [
-            (self._publisher(JointState, topic), joints[part], part)
-            for topic, part in [('joint_states', everything), *(
-                (f'{name}/joint_states', part) for name, part in simulation.slice_of.items()
-                if part.stop > part.start)]]
+        self._joint_states: list[tuple[Output, list[str], Any]] = [
+            (self._publisher(JointState, 'joint_states'), joints, slice(None))]
+        self._controllers = []
+        for name, part in simulation.parts.items():
+            if part.joints:
+                self._joint_states.append((self._publisher(JointState, f'{name}/joint_states'),
+                                           list(part.joints), simulation.indices_of[name]))
+            if part.actuators and part.gripper is None:
+                self._controllers.append((
+                    self._publisher(MESSAGE_TYPE, f'{name}/controller_state'), name))
         self._arms = []
         for arm, reader in simulation.end_effectors.items():
             self._arms.append((
@@ -48,28 +100,33 @@ class StatePublishers:
                 self._publisher(TwistStamped, f'{arm}/eef_twist')))
         self._clock = self._publisher(Clock, '/clock', depth=1) if publish_clock else None
 
-    def _publisher(self, message_type: Any, topic: str, depth: int = 10) -> Publisher:
-        return self._node.create_publisher(
+    def _publisher(self, message_type: Any, topic: str, depth: int = 10) -> Output:
+        return Output(self._node.create_publisher(
             message_type, topic, QoSProfile(depth=depth),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            qos_overriding_options=QoSOverridingOptions.with_default_policies()),
+            self._log)
 
     def publish(self, state: State) -> None:
         """Publish a state on all topics that somebody listens to."""
         stamp = messages.stamp_of(state.time_ns)
         for publisher, joints, part in self._joint_states:
-            if publisher.get_subscription_count():
+            if publisher.wanted:
                 publisher.publish(messages.joint_state(stamp, joints, state, part))
+        for publisher, name in self._controllers:
+            if publisher.wanted:
+                publisher.publish(controller_state(
+                    stamp, self._simulation.controller_state(name)))
         for arm, frame, wrench, external_wrench, pose, twist in self._arms:
             end_effector = state.end_effectors[arm]
             for publisher, measured in ((wrench, end_effector.wrench),
                                         (external_wrench, end_effector.external_wrench)):
-                if publisher.get_subscription_count():
+                if publisher.wanted:
                     publisher.publish(messages.wrench_stamped(stamp, frame, measured))
             for publisher, message in ((pose, messages.pose_stamped),
                                        (twist, messages.twist_stamped)):
-                if publisher.get_subscription_count():
+                if publisher.wanted:
                     publisher.publish(message(stamp, end_effector))
-        if self._clock is not None and self._clock.get_subscription_count():
+        if self._clock is not None and self._clock.wanted:
             self._clock.publish(Clock(clock=stamp))
 
 

@@ -14,12 +14,12 @@ from typing import TypeVar
 
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.simulation import Simulation, State
-from manip_sim.simulation.commands import Command
+from manip_sim.simulation.command_buffer import CommandBuffer
+from manip_sim.simulation.commands import Command, CommandHandle, Status
 from manip_sim.simulation.pacing import Pacer
-from manip_sim.simulation.staging import Staging
 
 T = TypeVar('T')
-#: How often a state is repeated while lockstep waits or the physics is held, wall time [s].
+#: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
 
@@ -31,11 +31,13 @@ class Progress:
     :ivar wall_s: monotonic wall time of the last control period [s]
     :ivar time_ns: simulation time then [ns]
     :ivar missed: control periods that were dropped because the machine could not keep up
+    :ivar lost_s: simulation time that was lost with them [s]
     """
 
     wall_s: float
     time_ns: int
-    missed: int
+    missed: int = 0
+    lost_s: float = 0.0
 
 
 class Runner:
@@ -49,26 +51,33 @@ class Runner:
     :param real_time_factor: for ``realtime``
     :param lockstep_parts: the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
+    :param tell_failure: is told, in this thread, which command failed and how
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
 
     def __init__(self, simulation: Simulation, publish: Callable[[State], None], steps: int,
                  stepping: str = 'realtime', real_time_factor: float = 1.0,
-                 lockstep_parts: Iterable[str] = (), paused: bool = False) -> None:
+                 lockstep_parts: Iterable[str] = (), paused: bool = False,
+                 tell_failure: Callable[[Command, Exception], None] | None = None) -> None:
         self._simulation = simulation
         self._publish = publish
         self._steps = steps
         self._stepping = stepping
-        self._staging = Staging(lockstep_parts)
+        self._tell_failure = tell_failure
+        self._buffer = CommandBuffer(
+            atomic for part in lockstep_parts for atomic in simulation.parts[part].atomic)
+        # A stamp of zero means none, so the first instant is that after one period.
+        simulation.step_count = max(simulation.step_count, steps)
         self._paused = paused
         self._stopping = False
         self._calls: list[tuple[Callable[[], object], Future[object]]] = []
         self._wake = threading.Condition()
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
-        self._present_ns = simulation.time_ns
-        self.progress = Progress(time.monotonic(), simulation.time_ns, 0)
+        #: The state that commands may answer; none while they are being used.
+        self._present_ns: int | None = simulation.time_ns
+        self.progress = Progress(time.monotonic(), simulation.time_ns)
         self.at_start = True
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
@@ -99,30 +108,51 @@ class Runner:
         return self._stepping
 
     @property
+    def period_s(self) -> float:
+        """Length of a control period in simulation time [s]."""
+        return self._steps * self._simulation.timestep_s
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulation time per wall time that is asked for in ``realtime``."""
+        return self._pacer.real_time_factor
+
+    @property
     def paused(self) -> bool:
         """Whether the simulation waits for :meth:`pause` or :meth:`step`."""
         return self._paused
 
-    def submit(self, commands: Iterable[Command], stamp_ns: int = 0) -> None:
+    def submit(self, commands: Iterable[Command], stamp_ns: int = 0) -> list[CommandHandle]:
         """
         Hand over validated commands; the next control period uses them.
 
         :param stamp_ns: in lockstep, the state that they are the answer to; 0 if they do not say
-        :raises CommandError: in lockstep, if that is not the present state
+        :returns: what becomes of each command
+        :raises CommandError: in lockstep, if that is not the present state, or it has been
+            answered already
         """
         with self._wake:
             if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
-                raise CommandError('lockstep: the command answers the state of '
-                                   f'{stamp_ns / 1e9:.9f} s, the present state is that of '
-                                   f'{self._present_ns / 1e9:.9f} s')
+                raise CommandError(f'lockstep: the command answers the state of '
+                                   f'{stamp_ns / 1e9:.9f} s, {self._present()}')
+            handles = []
             for command in commands:
-                self._staging.add(command)
+                self._buffer.add(command)
+                handles.append(command.handle)
             if self._stepping == 'lockstep':
                 self._wake.notify()
+        return handles
+
+    def _present(self) -> str:
+        if self._present_ns is None:
+            return 'all commands for that state have come already'
+        return f'the present state is that of {self._present_ns / 1e9:.9f} s'
 
     def call(self, function: Callable[[], T]) -> T:
         """
         Run a function in the simulation's thread, between two control periods.
+
+        Before the thread has been started the function runs at once.
 
         :returns: what the function returns
         :raises Exception: what the function raises
@@ -132,6 +162,8 @@ class Runner:
         with self._wake:
             if self._stopping:
                 raise SimulationEnded('the simulation has ended')
+            if self._thread.ident is None:
+                return function()
             self._calls.append((function, future))  # type: ignore[arg-type]
             self._wake.notify()
         try:
@@ -165,16 +197,17 @@ class Runner:
         """
         Put the simulation back to its start, drop commands that wait, publish the state.
 
-        :param restart_time: let simulation time begin at zero again, and not go on
+        :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
             with self._wake:
-                self._staging.clear()
+                self._present_ns = None
+                self._buffer.clear('the simulation was reset')
             self._simulation.reset()
-            # A state of its own needs a stamp of its own.
+            # A state of its own needs a stamp of its own, and zero is none.
             self._simulation.step_count += self._steps
             if restart_time:
-                self._simulation.step_count = 0
+                self._simulation.step_count = self._steps
             self.at_start = True
             self._pacer.restart(time.monotonic())
             self._show()
@@ -220,13 +253,11 @@ class Runner:
             now = time.monotonic()
             if self._repeats:
                 held = self._paused or self._simulation.diverged is not None
-                if not held and self._staging.complete:
+                if not held and self._buffer.ready(self._simulation.joints.busy_parts):
                     return True
                 if now >= self._repeat_at:
                     return False
                 self._wake.wait(self._repeat_at - now)
-            elif self._paused:
-                self._wake.wait()
             elif self._stepping == 'free' or self._pacer.is_due(now):
                 return True
             else:
@@ -236,22 +267,31 @@ class Runner:
     @property
     def _repeats(self) -> bool:
         """Whether the present state is shown again and again: nothing is due by itself."""
-        return self._stepping == 'lockstep' or self._simulation.diverged is not None
+        return (self._paused or self._stepping == 'lockstep'
+                or self._simulation.diverged is not None)
 
     def _period(self) -> None:
         with self._wake:
-            commands = self._staging.take()
+            self._present_ns = None
+            commands = self._buffer.take()
+        period_s = self._steps * self._simulation.timestep_s
         for command in commands:
-            self._simulation.apply(command)
+            try:
+                self._simulation.apply(command, period_s=period_s)
+            except Exception as error:
+                command.handle.end(Status.ABORTED, str(error))
+                if self._tell_failure is not None:
+                    self._tell_failure(command, error)
         self._simulation.advance(self._steps)
         self.at_start = False
         self._show()
 
     def _show(self) -> None:
         state = self._simulation.state()
-        self._present_ns = state.time_ns
+        with self._wake:
+            self._present_ns = state.time_ns
         now = time.monotonic()
-        self.progress = Progress(now, state.time_ns, self._pacer.missed)
+        self.progress = Progress(now, state.time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S
         self._publish(state)
 

@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Generator
-import os
-import subprocess
 from typing import Any
 
 from geometry_msgs.msg import Point, Quaternion, Vector3
@@ -15,7 +13,9 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
+from manip_sim.quoting import quoted
 from manip_sim.ros.messages import stamp_of, WORLD
+from manip_sim.ros.posix_ere import PosixExpression
 from manip_sim.ros.runner import Runner
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.entities import Entities, Pose, Twist
@@ -39,8 +39,6 @@ _FEATURES = (
     'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE')
 _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
           'of a reset restarts simulation time, scope STATE lets it go on.')
-#: How long the filter of entities may take [s].
-_FILTER_S = 1.0
 
 
 class _Refusal(Exception):
@@ -264,21 +262,12 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
 
 
 def _matching(pattern: str, names: list[str]) -> list[str]:
-    """
-    Return the names in which a POSIX Extended regular expression is found.
-
-    It is left to grep, which knows this kind of expression, and which can be ended where it takes
-    too long.
-    """
+    """Return the names in which a POSIX Extended regular expression is found."""
     if not pattern:
         return names
     try:
-        found = subprocess.run(
-            ['grep', '-E', '-e', pattern], input='\n'.join(names), capture_output=True, text=True,
-            timeout=_FILTER_S, check=False, env={**os.environ, 'LC_ALL': 'C'})
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise _Refusal(Result.RESULT_OPERATION_FAILED, f'filter: {error}') from error
-    if found.returncode > 1:
+        expression = PosixExpression(pattern)
+    except ValueError as error:
         raise _Refusal(Result.RESULT_OPERATION_FAILED,
-                       f"filter '{pattern}': {found.stderr.strip().removeprefix('grep: ')}")
-    return found.stdout.splitlines()
+                       f'filter {quoted(pattern)}: {error}') from error
+    return [name for name in names if expression.found_in(name)]

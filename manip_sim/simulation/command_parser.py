@@ -84,7 +84,7 @@ class CommandParser:
 
         The field that counts is that of the joint's control mode. NaN is no command for a joint.
         A field may also have numbers for those joints alone whose mode uses it, in the order of
-        their names; finger joints that follow one named before them need none.
+        their names; finger joints at the end, or that follow one named before them, need none.
 
         :param names: joints
         :param position: goals of the joints in position mode [rad or m]
@@ -95,6 +95,8 @@ class CommandParser:
         """
         what = part or 'joint_command'
         available = self._commanded_joints(part)
+        for gripper in self._grippers.values():
+            gripper.check_takes_positions(names)
         check_names(names, available, what)
         modes = [self._mode(name) for name in names]
         fields = {'position': position, 'velocity': velocity, 'effort': effort}
@@ -110,8 +112,8 @@ class CommandParser:
                     f'the field {field}: leave it empty, or NaN for this joint')
             values[uses] = placed[uses]
         if np.isnan(values).all():
-            raise CommandError(f'{what}: no joint has a number in the field of its control mode '
-                               f'({", ".join(sorted(set(modes)))})')
+            raise CommandError(f'{what}: no joint is commanded: each number in the field of the '
+                               f'control mode ({", ".join(sorted(set(modes)))}) is NaN or missing')
         commanded = ~np.isnan(values)
         return list(self._setpoints([n for n, c in zip(names, commanded) if c],
                                     values[commanded]))
@@ -130,10 +132,11 @@ class CommandParser:
         if np.isnan(given).all():
             return placed
         takers = self._takers(field, names, modes)
-        if given.size != len(takers):
-            raise CommandError(f'{what}: {field} must have {len(names)} numbers, one for each '
-                               f'joint, got {given.size}')
-        placed[takers] = given
+        observed = [i for i in takers[given.size:] if names[i] not in self._gripper_of]
+        if given.size > len(takers) or observed:
+            raise CommandError(f'{what}: {field} must have {len(names)} numbers, got '
+                               f'{given.size}: one for each joint')
+        placed[takers[:given.size]] = given
         return placed
 
     def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands after validation, with finite numbers in range, and what has become of each."""
+"""Commands after validation, with numbers in range, and what became of them."""
 
 from __future__ import annotations
 
@@ -81,10 +81,11 @@ class Command:
 
     def without(self: C, indices: IntArray) -> C | None:
         """Return the command for the joints that are not among some, or None if none is left."""
-        kept = ~np.isin(self.indices, indices)
-        if kept.all():
+        taken = set(indices.tolist())
+        kept = [index not in taken for index in self.indices.tolist()]
+        if all(kept):
             return self
-        return self._only(kept) if kept.any() else None
+        return self._only(np.array(kept)) if any(kept) else None
 
     def _only(self: C, kept: BoolArray) -> C:
         return replace(self, indices=self.indices[kept])
@@ -127,6 +128,13 @@ class JointTrajectory(Command):
         """Return the command with a trajectory of its joints alone."""
         return replace(self, trajectory=self.trajectory.of(self.columns),
                        columns=np.arange(len(self.columns)))
+
+    def as_setpoint(self) -> JointSetpoint:
+        """Return the command to come to the last point."""
+        return JointSetpoint(
+            parts=self.parts, indices=self.indices, clamped=self.clamped, handle=self.handle,
+            modes=('position',) * len(self.indices),
+            values=self.trajectory.positions[-1, self.columns])
 
     def _only(self, kept: BoolArray) -> JointTrajectory:
         return replace(self, indices=self.indices[kept], columns=self.columns[kept])

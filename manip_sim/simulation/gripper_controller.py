@@ -1,21 +1,33 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What moves a gripper: it calls ``format_action`` in simulation time and writes controls."""
+"""What moves a gripper: goals of actions and joint commands, approached as fast as allowed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from manip_sim.errors import CommandError
 from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint, Status
+from manip_sim.simulation.formatting import Formatter
+from manip_sim.simulation.gripper_actuators import GripperActuators
 from manip_sim.simulation.parts import Part
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
 
 #: Rate at which the reference calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0
+#: A finger has come to the end of its range if it is nearer than this part of the range.
+_AT_END = 0.015
+#: A finger has stopped if it would take longer than this for its range [s].
+_STOPPED_S = 20.0
+#: How long a finger that was stopped takes to press with its full force [s].
+_PRESS_S = 0.05
+#: What two setpoints may differ by and yet be the same, as part of the range.
+_SAME = 1e-9
 
 
 class GripperController:
@@ -23,141 +35,229 @@ class GripperController:
     Drives a gripper: calls its ``format_action`` at the reference's 20 Hz of simulation time.
 
     An action lasts until the next one, so one message closes fully, and how often it is repeated
-    does not matter.
+    does not matter. Actions and joint commands set goals; the setpoints approach them no faster
+    than the fingers may move. Where an action asks for an end of the range and something has
+    stopped the finger before it, the setpoint runs on until the actuator has its full force.
 
-    :param model: the compiled ``mujoco.MjModel``
+    :param model: the compiled ``mujoco.MjModel``, whose position servos have a setpoint activation
     :param part: the gripper
     :param timestep_s: of the physics [s]
+    :ivar commanded_joints: the joints that a position command may name
+    :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
-
-    mode = 'position'
 
     def __init__(self, model: Any, part: Part, timestep_s: float) -> None:
         if part.gripper is None:
             raise ValueError(f'{part.name} is not a gripper')
         self.part = part
-        self._gripper = part.gripper
         self._model = model
-        self._ids = part.actuator_ids
-        self._ranges = model.actuator_ctrlrange[self._ids].copy()
-        self._steps_per_call = max(1, round(1.0 / (GRIPPER_RATE_HZ * timestep_s)))
-        self._next_call = 0
+        self._timestep_s = timestep_s
+        self._actuators = GripperActuators(model, part)
+        self._formatter = Formatter(part.gripper, len(part.actuators))
+        self._joints = self._servo_joints()
+        self.commanded_joints: tuple[str, ...] = tuple(model.joint(j).name for j in self._joints)
+        self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
+        self._running: Command | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        count = len(self.part.actuators)
         self._action: FloatArray | None = None
-        self._goal: FloatArray | None = None
-        self._ctrl_speed = self._speed_limit()
+        self._next_call_s = 0.0
+        # Whether the state of ``format_action`` belongs to the goal.
+        self._in_step = False
+        self._goal = np.zeros(count)
+        # Which servos are asked for an end of their range, and were stopped before it.
+        self._to_end = np.zeros((count, 2), dtype=bool)
+        self._pressing = np.zeros(count, dtype=bool)
+        self._pace = np.full(count, np.inf)
+        self._turned = False
+        self._moving = False
 
-    def _speed_limit(self) -> FloatArray:
-        """Return how fast each control may change for a joint command, infinite where unknown."""
-        limits = np.full(len(self._ids), np.inf)
-        for index, joint in enumerate(self.part.driven_joints):
-            if joint is None:
-                continue
-            declared = self._model.joint(joint).user
-            if len(declared) and declared[0] > 0.0:
-                limits[index] = declared[0]
-        gain = self._model.actuator_gainprm[self._ids, 0]
-        per_length = np.abs(self._model.actuator_biasprm[self._ids, 1]
-                            / np.where(gain == 0.0, 1.0, gain))
-        scale = per_length * np.abs(self._model.actuator_gear[self._ids, 0])
-        return limits * np.where(scale > 0.0, scale, 1.0)
+    def _servo_joints(self) -> list[int]:
+        servos = self._actuators.is_servo
+        return list(dict.fromkeys(joint for terms, servo in zip(self._actuators.terms, servos)
+                                  if servo for joint, _ in terms))
 
     @property
-    def dof(self):
-        return self._gripper.dof
+    def faults(self) -> int:
+        """How many calls of the gripper's ``format_action`` failed and changed nothing."""
+        return self._formatter.faults
 
     @property
-    def indices(self):
-        return np.arange(len(self._ids))
+    def moving(self) -> bool:
+        """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
+        return self._moving
 
     @property
-    def commanded_joints(self):
-        return [j for j in self.part.driven_joints if j]
+    def dof(self) -> int:
+        """Length of an action."""
+        return self._formatter.dof
 
-    def followers(self, joint):
-        return []
+    @property
+    def indices(self) -> IntArray:
+        """All indices of the gripper's actuators."""
+        return np.arange(len(self.part.actuators))
 
-    def joint_ranges(self, joints):
+    def joint_ranges(self, joints: Sequence[str]) -> FloatArray:
+        """Return the ranges of joints, infinite where there is none, shape (n, 2)."""
         found = [self._model.joint(name) for name in joints]
         return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
 
-    def actuators_of(self, joints):
-        return np.array([self.part.driven_joints.index(j) for j in joints])
+    def followers(self, joint: str) -> frozenset[str]:
+        """Return the joints that follow a commanded joint because they are coupled to it."""
+        group = self._actuators.couplings.group(self._model.joint(joint).id)
+        return frozenset(self._model.joint(other).name for other in group) - {joint}
 
-    @property
-    def moving(self):
-        return self._action is not None or self._goal is not None
+    def actuators_of(self, joints: Sequence[str]) -> IntArray:
+        """Return the indices of the actuators that move joints or what is coupled to them."""
+        moved = set(joints).union(*(self.followers(joint) for joint in joints))
+        return np.array([
+            index for index, terms in enumerate(self._actuators.terms)
+            if moved & {self._model.joint(joint).name for joint, _ in terms}], dtype=np.int64)
+
+    def check_takes_positions(self, names: Sequence[str]) -> None:
+        """
+        Check that no joint is driven by force alone.
+
+        :raises CommandError: naming the actuator
+        """
+        for index, terms in enumerate(self._actuators.terms):
+            driven = {self._model.joint(joint).name for joint, _ in terms}
+            for name in names:
+                if name in driven and name not in self.commanded_joints:
+                    raise CommandError(f"{self.part.name}: joint '{name}' takes no position, "
+                                       f'{self._actuators.why_no_setpoint(index)}: use actions')
 
     def reset(self, data: Any) -> None:
-        """Drop all commands and hold the fingers where they are."""
-        self._action = self._goal = None
-        self._next_call = 0
+        """Abort all commands and hold the fingers where they are."""
+        self._end(Status.ABORTED, 'the simulation was reset')
+        self._forget()
         mujoco.mj_fwdPosition(self._model, data)
-        data.ctrl[self._ids] = self._ctrl_for(data.actuator_length[self._ids])
-        self._go_on_from(data)
+        self._goal = np.clip(self._actuators.place(data), *self._actuators.ranges.T)
+        self._actuators.hold(data, self._goal)
+        self._in_step = self._formatter.start_at(self._normalised(self._goal))
 
-    def apply(self, command: Command, data: Any, step: int) -> None:
-        """Take a command over."""
+    def apply(self, command: Command, data: Any) -> None:
+        """Take a command over; it takes effect with the next :meth:`tick`."""
+        self._end(Status.REPLACED)
+        self._running = command
         command.handle.status = Status.RUNNING
         if isinstance(command, GripperAction):
-            if self._action is None:
-                self._go_on_from(data)
-            self._action, self._goal = command.action, None
-            self.call_if_due(data, step)
+            if not self._in_step:
+                # A joint command may still be under way.
+                self._goal = np.clip(self._actuators.setpoints(data), *self._actuators.ranges.T)
+                self._in_step = self._formatter.start_at(self._normalised(self._goal))
+            self._action = command.action
         elif isinstance(command, GripperSetpoint):
-            self._action = None
-            goal = data.ctrl[self._ids].copy() if self._goal is None else self._goal
-            wanted = self._ctrl_for(self._lengths(command))
-            goal[command.indices] = wanted[command.indices]
-            self._goal = np.clip(goal, *self._ranges.T)
+            self._action, self._in_step = None, False
+            goal = self._actuators.rest(self._actuators.lengths_at(data, self._positions(command)))
+            self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=False)
+            self._pace[:] = np.inf
+        self._moving = True
 
-    def update(self, data: Any, period_s: float) -> None:
+    def _positions(self, command: GripperSetpoint) -> dict[int, float]:
+        """Return where the named joints shall go, and those that are coupled to them."""
+        named = {self._model.joint(name).id: float(value)
+                 for name, value in zip(command.joints, command.values)}
+        following = self._actuators.couplings.follow(named)
+        return {joint: value for joint, value in following.items() if joint in self._joints}
+
+    def _end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
+        if self._running is not None:
+            self._running.handle.end(status, reason, error)
+            self._running = None
+
+    def _set_goal(self, goal: FloatArray, to_end: bool) -> None:
+        low, high = self._actuators.ranges.T
+        self._goal = np.clip(goal, low, high)
+        ends = np.stack([self._goal - low, high - self._goal], axis=1) <= self._tolerance[:, None]
+        self._to_end = ends & to_end & (self._actuators.overtravel > 0.0)
+        self._pressing &= self._to_end.any(axis=1)
+        self._turned = True
+
+    def tick(self, data: Any, duration_s: float) -> None:
         """
-        Approach the goal of a joint command, no faster than the joints may move.
+        Write the controls of the physics steps that follow.
 
-        :param period_s: length of the control period that begins [s]
+        :param duration_s: of these steps [s]
         """
-        if self._goal is None:
-            return
-        reach = self._ctrl_speed * period_s
-        here = data.ctrl[self._ids]
-        data.ctrl[self._ids] = here + np.clip(self._goal - here, -reach, reach)
-        if np.array_equal(data.ctrl[self._ids], self._goal):
-            self._goal = None
+        self._call_if_due(data)
+        actuators = self._actuators
+        place, start = actuators.place(data), actuators.setpoints(data)
+        target = self._target(data, place, start)
+        if self._turned:
+            # What presses the other way lets go at once; else a finger would first have to wait
+            # until the setpoint has come back to it.
+            against = actuators.is_servo & ((target - place) * (start - place) < 0.0)
+            start, self._turned = np.where(against, place, start), False
+        setpoints = start + self._stride(target - start, duration_s)
+        present = actuators.setpoints(data)
+        there = np.abs(setpoints - present) <= self._tolerance
+        actuators.approach(data, np.where(there & actuators.is_servo, present, setpoints),
+                           duration_s)
+        waits = self._to_end.any(axis=1) & ~self._pressing
+        self._moving = self._action is not None or not there.all() or bool(waits.any())
+        if not self._moving:
+            self._end(Status.DONE, error=self._goal - place)
 
-    def _lengths(self, command: GripperSetpoint) -> FloatArray:
-        lengths = np.zeros(len(self._ids))
-        lengths[command.indices] = command.values
-        lengths *= self._model.actuator_gear[self._ids, 0]
-        return lengths
+    def _target(self, data: Any, place: FloatArray, setpoints: FloatArray) -> FloatArray:
+        """Return the goals, beyond the end of the range where the full force is asked for."""
+        span = np.ptp(self._actuators.ranges, axis=1)
+        self._to_end[np.abs(place - self._goal) < _AT_END * span] = False
+        arrived = np.abs(setpoints - self._goal) <= self._tolerance
+        stopped = np.abs(self._actuators.speed_of_place(data)) < span / _STOPPED_S
+        self._pressing |= arrived & stopped
+        self._pressing &= self._to_end.any(axis=1)
+        below, above = (self._actuators.overtravel * self._to_end * self._pressing[:, None]).T
+        target: FloatArray = self._goal - below + above
+        return target
 
-    def tick(self, data, step, h):
-        self.call_if_due(data, step)
-        self.update(data, h)
+    def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
+        """Return how far setpoints move."""
+        speeds = np.minimum(self._actuators.speeds, self._pace)
+        press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
+        reach = np.where(self._pressing, press, speeds) * duration_s
+        stride: FloatArray = np.clip(distance, -reach, reach)
+        return stride
 
-    def steps_to_call(self, step: int) -> int | None:
-        """Return after how many physics steps :meth:`call_if_due` has to be called, or None."""
-        return None if self._action is None else max(1, self._next_call - step)
-
-    def call_if_due(self, data: Any, step: int) -> None:
+    def _call_if_due(self, data: Any) -> None:
         """Call the gripper's ``format_action`` if its time has come."""
-        if self._action is None or step < self._next_call:
+        now, period_s = data.time, 1.0 / GRIPPER_RATE_HZ
+        if self._action is None or now < self._next_call_s - self._timestep_s / 2.0:
             return
-        command = np.clip(self._gripper.format_action(self._action), -1.0, 1.0)
-        low, high = self._ranges.T
-        ctrl = low + (command + 1.0) / 2.0 * (high - low)
-        if np.array_equal(ctrl, data.ctrl[self._ids]):
+        late = now - self._next_call_s
+        self._next_call_s = period_s + (self._next_call_s if late < period_s else now)
+        goal = self._formatted_goal()
+        if goal is None:
+            return
+        if self._turns_back(goal, data):
+            place = np.clip(self._actuators.place(data), *self._actuators.ranges.T)
+            self._formatter.start_at(self._normalised(np.where(
+                self._actuators.is_servo, place, self._goal)))
+            again = self._formatted_goal()
+            goal = goal if again is None else again
+        if (np.abs(goal - self._goal) <= self._tolerance).all():
             self._action = None
-        data.ctrl[self._ids] = ctrl
-        self._next_call = step + self._steps_per_call
+        self._set_goal(goal, to_end=True)
+        # The next call comes in a while: until then the setpoints move evenly, not in jumps.
+        self._pace = (np.full(len(goal), np.inf) if self._action is None else
+                      np.abs(goal - self._actuators.setpoints(data)) / period_s)
 
-    def _ctrl_for(self, length: FloatArray) -> FloatArray:
-        """Return the control at which a position servo comes to rest at an actuator length."""
-        gain = self._model.actuator_gainprm[self._ids, 0]
-        bias = self._model.actuator_biasprm[self._ids]
-        ctrl = -(bias[:, 0] + bias[:, 1] * length) / np.where(gain == 0.0, 1.0, gain)
-        return np.asarray(np.clip(ctrl, *self._ranges.T))
+    def _formatted_goal(self) -> FloatArray | None:
+        assert self._action is not None
+        command = self._formatter.format(self._action)
+        low, high = self._actuators.ranges.T
+        return None if command is None else low + (command + 1.0) / 2.0 * (high - low)
 
-    def _go_on_from(self, data: Any) -> None:
-        low, high = self._ranges.T
-        span = np.where(high > low, high - low, 1.0)
-        self._gripper.start_at((data.ctrl[self._ids] - low) / span * 2.0 - 1.0)
+    def _turns_back(self, goal: FloatArray, data: Any) -> bool:
+        """Tell whether a goal goes back to a finger, but not yet past it."""
+        place = self._actuators.place(data)
+        ahead, still_ahead = self._goal - place, goal - place
+        back = (ahead * still_ahead > 0.0) & (np.abs(still_ahead) < np.abs(ahead))
+        return bool((back & self._actuators.is_servo).any())
+
+    def _normalised(self, setpoints: FloatArray) -> FloatArray:
+        low, high = self._actuators.ranges.T
+        commands: FloatArray = (setpoints - low) / (high - low) * 2.0 - 1.0
+        return commands

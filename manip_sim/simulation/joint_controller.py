@@ -18,7 +18,7 @@ from manip_sim.simulation.commands import (
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
-from manip_sim.simulation.state import JointReference
+from manip_sim.simulation.state import ControllerState, JointReference
 from manip_sim.simulation.trajectory import Trajectory
 from manip_sim.typing import FloatArray, IntArray
 
@@ -143,13 +143,29 @@ class JointController:
                                f'{speeds[worst]:g} per second, its limit is {limit[worst]:g}')
         return trajectory.slowed(factor, elapsed_s), factor
 
-    def reference(self, indices: IntArray) -> JointReference:
-        """Return where joints shall be, copies; for joints in effort mode what they give."""
+    def limited(self, part: str) -> int:
+        """
+        Return how often goals of a part came faster than its joints may move.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        return int(self._setpoints.limited[self.indices_of(part)].sum())
+
+    def controller_state(self, part: str, data: Any) -> ControllerState:
+        """
+        Return what is wanted of a part's joints and what they do, copies.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        indices, setpoints = self.indices_of(part), self._setpoints
         gives = self._servos.gives_effort(indices)
-        return JointReference(
-            position=self._setpoints.position[indices], velocity=self._setpoints.velocity[indices],
-            acceleration=self._setpoints.acceleration[indices],
-            effort=np.where(gives, self._effort[indices], 0.0), gives_effort=gives)
+        reference = JointReference(
+            setpoints.position[indices], setpoints.velocity[indices],
+            setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0), gives)
+        dofs = self._servos.dofs[indices]
+        return ControllerState(
+            tuple(self.names[i] for i in indices), reference,
+            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], data.qfrc_actuator[dofs])
 
     @property
     def moving(self) -> bool:
@@ -270,7 +286,7 @@ class JointController:
             if mode == 'position':
                 self._setpoints.go_to(indices, values, period_s)
             elif mode == 'velocity':
-                self._setpoints.set_velocity(indices, values)
+                self._setpoints.go_at(indices, values, period_s)
             else:
                 self._effort[indices] = values
                 self._servos.give_effort(indices, True)
@@ -346,6 +362,9 @@ class JointController:
             self._waiting.remove(command)
             self._release(command.indices, Status.REPLACED)
             own = command.own_trajectory()
+            if own.trajectory.end_s <= now_s - start_s:
+                self._come_to(own.as_setpoint())
+                continue
             try:
                 own.trajectory.begin_at(self._setpoints.position[own.indices],
                                         self._setpoints.velocity[own.indices], now_s - start_s)
@@ -353,6 +372,10 @@ class JointController:
                 command.handle.end(Status.ABORTED, str(error))
                 continue
             self._running.append(replace(own, start_ns=round(start_s * 1e9)))
+
+    def _come_to(self, command: JointSetpoint) -> None:
+        self._setpoints.come_back(command.indices, command.values)
+        self._running.append(command)
 
     def _follow_trajectories(self, data: Any, end_s: float) -> None:
         for command in list(self._running):

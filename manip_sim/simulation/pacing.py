@@ -19,7 +19,7 @@ class Pacer:
     :param real_time_factor: simulation time per wall time
     :param now_s: the present wall time [s]
     :param backlog_s: how late a period may be before the backlog is dropped, wall time [s]
-    :ivar missed: number of control periods that were dropped
+    :ivar lost_s: simulation time that was lost with the backlog so far [s]
     """
 
     def __init__(self, period_s: float, real_time_factor: float, now_s: float,
@@ -27,7 +27,7 @@ class Pacer:
         self._period_s = period_s
         self._backlog_s = backlog_s
         self._factor = real_time_factor
-        self.missed = 0
+        self.lost_s = 0.0
         self.restart(now_s)
 
     def restart(self, now_s: float) -> None:
@@ -41,6 +41,16 @@ class Pacer:
         self.restart(now_s)
 
     @property
+    def real_time_factor(self) -> float:
+        """Simulation time per wall time that is asked for."""
+        return self._factor
+
+    @property
+    def missed(self) -> int:
+        """Number of control periods that were dropped so far, in whole ones."""
+        return math.floor(self.lost_s / self._period_s + 1e-9)
+
+    @property
     def deadline_s(self) -> float:
         """Wall time at which the next period is due [s]."""
         return self._anchor_s + self._count * self._period_s / self._factor
@@ -51,7 +61,7 @@ class Pacer:
         if late_s < 0.0:
             return False
         if late_s > self._backlog_s:
-            self.missed += math.floor(late_s * self._factor / self._period_s)
+            self.lost_s += late_s * self._factor
             self.restart(now_s)
         else:
             self._count += 1

@@ -11,7 +11,7 @@ runs no code of this module.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -37,20 +37,6 @@ _POSES = 64
 _QUANTILE = 0.3
 #: A servo that saturates is integrated explicitly: its damping per step and inertia stays below.
 _EXPLICIT_DAMPING = 1.5
-
-
-def add_setpoint_activation(spec: Any, actuators: Iterable[str]) -> None:
-    """
-    Give actuators an activation that holds their setpoint and changes at the rate of ``ctrl``.
-
-    :param spec: the ``mujoco.MjSpec``, changed in place
-    :param actuators: their names
-    """
-    for name in actuators:
-        actuator = spec.actuator(name)
-        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
-        actuator.dynprm[0] = 1.0
-        actuator.actlimited = 0
 
 
 class Servos:

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from manip_sim.simulation.streams import StreamEstimator
+from manip_sim.simulation.streams import RampEstimator, StreamEstimator
 from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: Time constant of each of the two low-pass stages behind a step [s].
@@ -36,6 +38,7 @@ class SetpointGenerator:
     :ivar position: setpoint at the end of the last interval [rad or m], shape (n,)
     :ivar velocity: its velocity there [rad/s or m/s], shape (n,)
     :ivar acceleration: its acceleration there [rad/s^2 or m/s^2], shape (n,)
+    :ivar limited: how often a streamed goal asked for more than the velocity limit, shape (n,)
     :ivar now_s: simulation time, set from outside [s]
     :ivar moving: whether any setpoint moves or is about to
     """
@@ -51,7 +54,10 @@ class SetpointGenerator:
             return np.zeros(count)
 
         self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
+        self.limited = np.zeros(count, dtype=np.int64)
         self.moving = False
+        # Whether the catch-up part has something to do.
+        self._catches = False
         self._seeks, self._brakes = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         self._goal = zeros()
         # The catch-up part: velocity before and behind each low-pass stage.
@@ -61,11 +67,16 @@ class SetpointGenerator:
         self._ramp = acceleration_limit.copy()
         self._until_s = np.full(count, np.inf)
         self._estimator = StreamEstimator(count)
+        self._ramp_estimator = RampEstimator(count)
         self.now_s = 0.0
 
     def at_rest(self, indices: IntArray) -> bool:
         """Tell whether some setpoints have come to where they shall be."""
-        return not self.moving or bool(np.all(self._resting()[indices]))
+        if not self.moving:
+            return True
+        if self._stream[indices].any():
+            return False
+        return bool(self._resting()[indices].all())
 
     def place(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
@@ -78,12 +89,29 @@ class SetpointGenerator:
         self.velocity[indices], self.acceleration[indices] = velocity, 0.0
         self.set_velocity(indices, np.zeros(len(indices)))
 
+    def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float) -> None:
+        """
+        Let setpoints come to a velocity; velocities that come regularly are followed as a stream.
+
+        :param velocity: [rad/s or m/s], shape of ``indices``
+        :param period_s: length of a control period [s]
+        """
+        ramp = self._ramp_estimator.take(
+            indices, velocity, self.velocity[indices], self.now_s, period_s,
+            self._acceleration_limit[indices])
+        self._come_to(indices, velocity)
+        self._ramp[indices] = ramp
+
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
         """
-        Let setpoints come to a velocity; zero holds them.
+        Let setpoints come to a velocity with the acceleration limit; zero holds them.
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
+        self._ramp_estimator.forget(indices)
+        self._come_to(indices, velocity)
+
+    def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
         # One part alone moves, else both together could exceed the acceleration limit.
         self._stream[indices] = self.velocity[indices]
         for stage in (self._raw, self._stage1, self._stage2):
@@ -93,7 +121,7 @@ class SetpointGenerator:
         self._ramp[indices] = self._acceleration_limit[indices]
         self._until_s[indices] = np.inf
         self._estimator.forget(indices)
-        self.moving = True
+        self.moving = self._catches = True
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float) -> None:
         """
@@ -107,11 +135,14 @@ class SetpointGenerator:
         for stage in (self._raw, self._stage1, self._stage2):
             stage[first] += self._stream[first]
         self._stream[first], self._brakes[indices] = 0.0, False
-        self._goal[indices], self._seeks[indices], self.moving = goal, True, True
+        self._goal[indices], self._seeks[indices] = goal, True
+        self.moving = self._catches = True
         indices = estimator.take(indices, goal, self.now_s, period_s,
                                  self._acceleration_limit[indices])
         top, interval_s = self._velocity_limit[indices], estimator.interval_s[indices]
-        velocity = _within(estimator.velocity[indices], -top, top)
+        wanted = estimator.velocity[indices]
+        velocity = _within(wanted, -top, top)
+        self.limited[indices] += velocity != wanted
         self._stream_goal[indices] = velocity
         stream = self._stream[indices]
         highest = np.where(np.abs(velocity) > np.abs(stream),
@@ -135,19 +166,26 @@ class SetpointGenerator:
 
         :param duration_s: length of the interval [s]
         """
-        before = self.position.copy()
         self._end_streams()
-        travel = self._advance_catch_up(duration_s) + self._advance_stream(duration_s)
-        self.position = _within(before + travel, self._low, self._high)
+        # What is missing is seen before anything moves.
+        missing = self._missing() if self._catches else None
+        travel = self._advance_stream(duration_s)
+        if missing is not None:
+            travel += self._advance_catch_up(missing, duration_s)
+        self.position = _within(self.position + travel, self._low, self._high)
         self.velocity = self._stream + self._stage2
         self.now_s += duration_s
-        resting = self._resting()
-        if resting.all():
+        if not (self._catches or self._stream.any() or self._stream_goal.any()):
+            self._arrive()
+
+    def _arrive(self) -> None:
+        if self._resting().all():
             self.moving = False
             self.position[self._seeks] = self._goal[self._seeks]
-            for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
-                         self.acceleration):
+            for part in (self._raw, self._stage1, self._stage2, self.velocity, self.acceleration):
                 part[:] = 0.0
+        else:
+            self._catches = True
 
     def follow(self, indices: IntArray, position: FloatArray, velocity: FloatArray,
                acceleration: FloatArray) -> None:
@@ -171,7 +209,7 @@ class SetpointGenerator:
         near = _within(self.position, measured - lead, measured + lead)
         held = near != self.position
         if held.any():
-            self.position = near
+            self.position, self._catches = near, True
             for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
                          self.acceleration):
                 part[held] = 0.0
@@ -184,8 +222,8 @@ class SetpointGenerator:
         return np.maximum(pace, away) < _ARRIVED
 
     def _end_streams(self) -> None:
-        ended = self._until_s <= self.now_s + 1e-9
-        if ended.any():
+        if self._until_s.min(initial=np.inf) <= self.now_s + 1e-9:
+            ended = self._until_s <= self.now_s + 1e-9
             self._stream_goal[ended] = 0.0
             self._ramp[ended] = np.maximum(
                 np.abs(self._stream[ended]) / self._estimator.interval_s[ended], 1e-9)
@@ -205,27 +243,35 @@ class SetpointGenerator:
         stream += np.where(streaming, reached * self._estimator.interval_s / 2.0, 0.0)
         return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
 
-    def _advance_catch_up(self, duration_s: float) -> FloatArray:
-        limit, top = self._acceleration_limit, self._velocity_limit
+    def _missing(self) -> FloatArray:
         self._brakes &= self._stream != 0.0
-        missing = np.where(self._seeks & ~self._brakes,
-                           self._goal - self.position - self._still_to_come(), 0.0)
+        return np.where(self._seeks & ~self._brakes,
+                        self._goal - self.position - self._still_to_come(), 0.0)
+
+    def _advance_catch_up(self, missing: FloatArray, duration_s: float) -> FloatArray:
+        limit, top = self._acceleration_limit, self._velocity_limit
         if self._estimator.jitter.any():
             soft = self._soft(missing)
             raw = braking_velocity(missing - soft, limit, duration_s) + soft / np.maximum(
                 _SOFT_INTERVALS * self._estimator.interval_s, duration_s)
         else:
             raw = braking_velocity(missing, limit, duration_s)
-        bend = limit * duration_s
-        raw = _within(raw, self._raw - bend, self._raw + bend)
-        self._raw = raw = _within(raw, -top - self._stream_goal, top - self._stream_goal)
+        change = limit * duration_s
+        raw = _within(raw, self._raw - change, self._raw + change)
+        self._raw = _within(raw, -top - self._stream_goal, top - self._stream_goal)
         # Two first-order stages whose input is constant meanwhile.
         ratio = duration_s / _SMOOTHING_S
-        decay = np.exp(-ratio)
-        stage1, stage2 = self._stage1, self._stage2
+        decay = math.exp(-ratio)
+        raw, stage1, stage2 = self._raw, self._stage1, self._stage2
         off1, off2 = (stage1 - raw) * decay, (stage2 - raw) * decay
         self._stage1, self._stage2 = raw + off1, raw + off2 + off1 * ratio
-        self.acceleration = (self._stage1 - self._stage2) / _SMOOTHING_S
+        self.acceleration += (self._stage1 - self._stage2) / _SMOOTHING_S
+        pace = np.maximum(np.maximum(np.abs(missing), np.abs(raw)),
+                          np.maximum(np.abs(self._stage1), np.abs(self._stage2)))
+        self._catches = bool(pace.max(initial=0.0) >= _ARRIVED or self._brakes.any())
+        if not self._catches:
+            for part in (self._raw, self._stage1, self._stage2):
+                part[:] = 0.0
         return np.asarray(raw * duration_s + _SMOOTHING_S * (
             stage1 + stage2 - self._stage1 - self._stage2))
 
@@ -240,10 +286,11 @@ class SetpointGenerator:
         free = ~self._seeks & (goal != 0.0)
         if free.any():
             goal = self._before_the_range_ends(goal, duration_s)
-        ramp_s = np.minimum(np.abs(goal - begin) / self._ramp, duration_s)
-        end = begin + np.sign(goal - begin) * self._ramp * ramp_s
+        change = goal - begin
+        ramp_s = np.minimum(np.abs(change) / self._ramp, duration_s)
+        end = begin + np.copysign(self._ramp * ramp_s, change)
         self._stream = end
-        self.acceleration += (end - begin) / duration_s
+        self.acceleration = (end - begin) / duration_s
         return np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
 
     def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:

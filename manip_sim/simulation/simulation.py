@@ -11,15 +11,19 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError
+from manip_sim.models.loading import compile_spec
 from manip_sim.models.world import World
+from manip_sim.simulation.activation import (
+    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
-from manip_sim.simulation.servos import add_setpoint_activation
-from manip_sim.simulation.state import State
+from manip_sim.simulation.start_check import check_start
+from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
+from manip_sim.typing import FloatArray
 
 #: A generalised velocity that no robot has: the physics has diverged [rad/s or m/s].
 _ABSURD_VELOCITY = 1e4
@@ -47,6 +51,7 @@ class Simulation:
     :ivar grippers: its grippers, by part
     :ivar parse: makes commands for it
     :ivar step_count: physics steps since construction; a reset does not change it
+    :ivar start_defects: what starts inside something, blocked or outside its range
     :ivar diverged: why the physics is held, or None
     """
 
@@ -54,8 +59,9 @@ class Simulation:
         self.robot = world.robots[0]
         spec = world.compose(visual)
         add_setpoint_activation(spec, [
-            name for robot in world.robots for name in robot.all_actuators])
-        self.model: Any = world.compile_spec(spec)
+            *(name for robot in world.robots for name in robot.all_actuators),
+            *position_servos_without_dynamics(spec, world.gripper_actuators)])
+        self.model: Any = compile_spec(spec, world.name)
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data: Any = mujoco.MjData(self.model)
@@ -83,6 +89,8 @@ class Simulation:
         self._settle_linkages()
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
         self.reset()
+        self.start_defects = check_start(
+            self.model, self.data, [robot.root_body for robot in world.robots])
 
     def _joint_controller(self, parts: dict[str, Part]) -> JointController:
         joint_parts = {name: part for name, part in parts.items() if part.gripper is None}
@@ -104,10 +112,12 @@ class Simulation:
         self.reset()
         if not self.model.neq + self.model.ntendon:
             return
-        gravity = self.model.opt.gravity.copy()
+        gravity, flags = self.model.opt.gravity.copy(), self.model.opt.disableflags
         self.model.opt.gravity[:] = 0.0
+        # Only the couplings count here, not what a hand is inside of.
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
-        self.model.opt.gravity[:] = gravity
+        self.model.opt.gravity[:], self.model.opt.disableflags = gravity, flags
         for gripper in self._gripper_controllers:
             part = gripper.part
             self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
@@ -148,9 +158,17 @@ class Simulation:
         for command in commands:
             if isinstance(command, (GripperAction, GripperSetpoint)):
                 (part,) = command.parts
-                self.grippers[part].apply(command, self.data, self.step_count)
+                self.grippers[part].apply(command, self.data)
             else:
                 self.joints.apply(command, self.data, self.time_s, self._period_s)
+
+    def limits(self, part: str) -> FloatArray:
+        """
+        Return the range of each driven joint's goal in its present mode, shape (n, 2), a copy.
+
+        :raises UnknownNameError: if there are no such joints
+        """
+        return self.joints.ranges(self.joints.indices_of(part))
 
     def set_control_mode(self, part: str, mode: str) -> None:
         """
@@ -209,7 +227,8 @@ class Simulation:
             for controller in self._joint_controllers:
                 controller.tick(self.data, self.time_s, chunk * self.timestep_s)
             for gripper in self._gripper_controllers:
-                gripper.tick(self.data, self.step_count, chunk * self.timestep_s)
+                if gripper.moving:
+                    gripper.tick(self.data, chunk * self.timestep_s)
             mujoco.mj_step(self.model, self.data, chunk)
             self.step_count += chunk
             left -= chunk
@@ -267,3 +286,11 @@ class Simulation:
             velocity=data.qvel[self._dof_addresses],
             effort=data.qfrc_actuator[self._dof_addresses],
             end_effectors={arm: reader.read(data) for arm, reader in self.end_effectors.items()})
+
+    def controller_state(self, part: str) -> ControllerState:
+        """
+        Return what the controllers of a part's driven joints want and get, copies.
+
+        :raises UnknownNameError: if there are no such joints
+        """
+        return self.joints.controller_state(part, self.data)

@@ -64,6 +64,25 @@ class JointReference:
 
 
 @dataclass(frozen=True)
+class ControllerState:
+    """
+    What the controllers of some joints want and what they get.
+
+    :ivar names: of the driven joints, n
+    :ivar reference: where they shall be
+    :ivar position: measured [rad or m], shape (n,)
+    :ivar velocity: measured [rad/s or m/s], shape (n,)
+    :ivar effort: of the actuators at the joint [N m or N], shape (n,)
+    """
+
+    names: tuple[str, ...]
+    reference: JointReference
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+
+
+@dataclass(frozen=True)
 class State:
     """
     A snapshot of one instant.

@@ -124,3 +124,41 @@ class StreamEstimator:
         # Where messages jitter the longest interval of late counts, else the stream would stall.
         late_s = np.minimum(0.99 * self.interval_s[indices], _PATIENCE * self._mean_s[indices])
         self.interval_s[indices] = np.maximum(elapsed_s, np.where(streams, late_s, 0.0))
+
+
+class RampEstimator:
+    """
+    How fast a velocity may change so that a stream of velocities passes, and a jump does not.
+
+    :param count: number of joints
+    """
+
+    def __init__(self, count: int) -> None:
+        self._velocity, self._change = np.zeros(count), np.zeros(count)
+        self._last_s = np.full(count, -np.inf)
+
+    def forget(self, indices: IntArray) -> None:
+        """Let the next velocities be the first of a stream."""
+        self._last_s[indices] = -np.inf
+
+    def take(self, indices: IntArray, velocity: FloatArray, present: FloatArray, now_s: float,
+             period_s: float, acceleration_limit: FloatArray) -> FloatArray:
+        """
+        See the velocities of a message; return the acceleration to use, shape of ``indices``.
+
+        :param velocity: that are wanted [rad/s or m/s], shape of ``indices``
+        :param present: that there are [rad/s or m/s], shape of ``indices``
+        :param now_s: simulation time [s]
+        :param period_s: length of a control period [s]
+        :param acceleration_limit: of a jump [rad/s^2 or m/s^2], shape of ``indices``
+        """
+        since_s = now_s - self._last_s[indices]
+        streams = (since_s > 0.0) & (since_s <= STREAM_INTERVAL_S)
+        elapsed_s = np.where(streams, since_s, period_s)
+        change = np.where(streams, np.abs(velocity - self._velocity[indices]), 0.0)
+        # As for positions: a change may be twice the last one, and what the limit allows.
+        most = np.where(streams, 2.0 * self._change[indices], 0.0) / elapsed_s + acceleration_limit
+        self._velocity[indices], self._change[indices] = velocity, change
+        self._last_s[indices] = now_s
+        wanted = np.abs(velocity - present) / elapsed_s
+        return np.asarray(np.clip(wanted, acceleration_limit, most))

@@ -22,8 +22,7 @@ class Trajectory:
     Where the points have no velocities, those of a shape-preserving (Fritsch-Carlson) cubic are
     taken, zero at the end. The first segment begins where :meth:`begin_at` says.
 
-    :param times_s: of the points after the start [s], increasing, the first one above zero or,
-        alone or followed by others, at zero: then that point replaces the start
+    :param times_s: of the points [s], increasing, not negative
     :param positions: shape (n_points, n)
     :param velocities: shape (n_points, n), or None
     :param accelerations: shape (n_points, n), or None; only with velocities
@@ -45,19 +44,15 @@ class Trajectory:
 
     def begin_at(self, position: FloatArray, velocity: FloatArray, time_s: float = 0.0) -> None:
         """
-        Let the motion start somewhere; points up to then are dropped.
-
-        A first point at time zero overrides a start at time zero.
+        Let the motion start somewhere; points up to then are dropped, but for the last one.
 
         :param position: [rad or m], shape (n,)
         :param velocity: [rad/s or m/s], shape (n,)
         :param time_s: of the start [s]
         :raises CommandError: if the spline is not finite
         """
-        first = 0
-        if time_s > 0.0:
-            last = len(self.times_s) - 1
-            first = min(int(np.searchsorted(self.times_s, time_s, side='right')), last)
+        last = len(self.times_s) - 1
+        first = min(int(np.searchsorted(self.times_s, time_s, side='right')), last)
         times, positions = self.times_s[first:], self.positions[first:]
         velocities = None if self._velocities is None else self._velocities[first:]
         accelerations = None if self._accelerations is None else self._accelerations[first:]

@@ -8,11 +8,14 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.grippers import create_gripper
+from manip_sim.models.robots import ManipulatorModel
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
 
-from catalogue import colliding_geoms, support
+from catalogue import colliding_geoms, DATA, support
 
-ACTION_RATE_HZ = 20
 PERIOD_S = 0.01
 CARRIAGE_SPEED = 0.3
 PARK_HEIGHT_M = 0.5
@@ -31,6 +34,17 @@ def cube(edge_m, x_m=0.0, y_m=0.0, yaw=0.0):
     return add
 
 
+def plate(width_m, position_m, yaw):
+    """Return a part in the air without weight, 2 cm high and deep."""
+    def add(spec):
+        body = spec.worldbody.add_body(name='part', pos=position_m, gravcomp=1.0,
+                                       quat=[np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0)])
+        body.add_freejoint()
+        body.add_geom(name='part', type=mujoco.mjtGeom.mjGEOM_BOX, mass=PART_MASS_KG,
+                      size=[width_m / 2.0, 0.01, 0.01], friction=FRICTION)
+    return add
+
+
 def cylinder(diameter_m, length_m, position_m, axis):
     """Return a part in the air, a cylinder."""
     def add(spec):
@@ -43,13 +57,24 @@ def cylinder(diameter_m, length_m, position_m, axis):
     return add
 
 
+class Carriage(ManipulatorModel, registered=False):
+    """An arm of one vertical slide."""
+
+    arm_type = 'single'
+    default_gripper = {'right': None}
+    default_base = None
+    default_controller_config = {}
+    base_xpos_offset = {}
+
+    @property
+    def init_qpos(self):
+        """The slide high above the table [m], shape (1,)."""
+        return np.array([PARK_HEIGHT_M])
+
+
 class GripperRig:
     """
-    A gripper on a carriage that a servo moves up and down.
-
-    Actions go through ``format_action`` at 20 Hz; commands then move no faster than the joints'
-    velocity limits, as on the real gripper. The simulation does so with joint commands only: there
-    the time of an action is that of ``speed`` alone.
+    A gripper on a carriage that moves up and down, in a simulation as the node runs it.
 
     :param name: name of a gripper
     :param part: adds a part to the ``mujoco.MjSpec``, such as :func:`cube` returns
@@ -57,88 +82,70 @@ class GripperRig:
     """
 
     def __init__(self, name, part=None, mount_quat_wxyz=(0.0, 1.0, 0.0, 0.0)):
-        self.gripper = create_gripper(name)
-        self.model = self._compile(part, mount_quat_wxyz)
-        self.data = mujoco.MjData(self.model)
-        self.lift = self.model.actuator('carriage').id
-        self.ids = np.array([self.model.actuator(a).id for a in self.gripper.actuators])
-        self.range = self.model.actuator_ctrlrange[self.ids]
-        self.reach = self._velocity_limit() * PERIOD_S
-        self.periods = 0
-        self.carriage_goal = self.data.ctrl[self.lift] = PARK_HEIGHT_M
-        self.data.joint('carriage').qpos = PARK_HEIGHT_M
-        start = self.gripper.init_qpos
-        for joint, position in zip(self.gripper.joints, [] if start is None else start):
-            self.data.joint(joint).qpos = position
-        self.goal = np.clip(self._driven_positions(), *self.range.T)
-        self.data.ctrl[self.ids] = self.goal
-        mujoco.mj_forward(self.model, self.data)
-
-    def _compile(self, part, mount_quat_wxyz):
-        spec = mujoco.MjSpec()
-        spec.option.timestep = 0.002
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        spec.option.impratio = 10.0
-        spec.worldbody.add_geom(name='table', type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
-        carriage = spec.worldbody.add_body(name='carriage', mass=1.0, inertia=[0.01] * 3)
-        carriage.add_joint(name='carriage', type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
-        self.gripper.attach_to(spec, carriage.add_frame(quat=mount_quat_wxyz))
-        servo = spec.add_actuator(name='carriage', target='carriage',
-                                  trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=20000.0, kv=400.0)
+        robot, arena = Carriage(DATA / 'carriage.xml'), EmptyArena()
+        robot.spec.body('right_hand').quat = mount_quat_wxyz
+        robot.add_gripper(create_gripper(name))
         if part is not None:
-            part(spec)
-        return spec.compile()
+            part(arena.spec)
+        self.gripper = robot.grippers['right']
+        self.simulation = Simulation(World([robot], arena))
+        self.model, self.data = self.simulation.model, self.simulation.data
+        self.fingers = self.simulation.grippers['right/gripper']
+        self.height_m, self.action = PARK_HEIGHT_M, None
 
-    def _velocity_limit(self):
-        joints = self.model.actuator_trnid[self.ids, 0]
-        if not self.model.nuser_jnt:
-            return np.full(len(self.ids), np.inf)
-        limit = self.model.jnt_user[joints, 0]
-        return np.where(limit > 0.0, limit, np.inf)
-
-    def _driven_positions(self):
-        joints = self.model.actuator_trnid[self.ids, 0]
-        return self.data.qpos[self.model.jnt_qposadr[joints]]
-
-    def advance(self, action, duration_s):
+    def apply(self, action):
         """
-        Apply an action for some time.
+        Start an action, if it is not the present one.
 
         :param action: one number for all fingers, or one for each of the gripper's dof
         """
-        action = np.broadcast_to(np.asarray(action, dtype=float), (self.gripper.dof,))
+        if self.action is None or not np.array_equal(action, self.action):
+            self.action = np.array(action)
+            self.simulation.apply(self.simulation.parse.action(
+                'right/gripper', np.broadcast_to(self.action, (self.gripper.dof,))))
+
+    def command(self, positions):
+        """Command finger joints, by name [rad or m]."""
+        self.action = None
+        self.simulation.apply(*self.simulation.parse.joint_command(
+            list(positions), list(positions.values()), [], []))
+
+    def advance(self, action, duration_s):
+        """Let an action last for some time."""
+        self.apply(action)
+        self.wait(duration_s)
+
+    def wait(self, duration_s):
+        """Let time go by."""
         for _ in range(round(duration_s / PERIOD_S)):
-            if self.periods % round(1.0 / (ACTION_RATE_HZ * PERIOD_S)) == 0:
-                out = np.clip(self.gripper.format_action(action), -1.0, 1.0)
-                low, high = self.range.T
-                self.goal = (low + high) / 2.0 + (high - low) / 2.0 * out
-            self.periods += 1
-            ctrl = self.data.ctrl
-            ctrl[self.ids] += np.clip(self.goal - ctrl[self.ids], -self.reach, self.reach)
-            step = CARRIAGE_SPEED * PERIOD_S
-            ctrl[self.lift] += np.clip(self.carriage_goal - ctrl[self.lift], -step, step)
-            mujoco.mj_step(self.model, self.data,
-                           round(PERIOD_S / self.model.opt.timestep))
+            self.simulation.advance(round(PERIOD_S / self.simulation.timestep_s))
 
     def actuate(self, action, limit_s=15.0, settle_s=0.5):
-        """Apply an action until the commands do not change any more, then let things settle."""
-        last, unchanged = None, 0
-        for _ in range(round(limit_s * ACTION_RATE_HZ)):
-            self.advance(action, 1.0 / ACTION_RATE_HZ)
-            now = self.data.ctrl[self.ids].copy()
-            unchanged = unchanged + 1 if last is not None and np.array_equal(now, last) else 0
-            if unchanged >= 3:
+        """Apply an action until nothing is left to be done, then let things settle."""
+        self.advance(action, PERIOD_S)
+        for _ in range(round(limit_s / PERIOD_S)):
+            if not self.fingers.moving:
                 break
-            last = now
+            self.advance(action, PERIOD_S)
         self.advance(action, settle_s)
 
     def move(self, height_m, action):
         """Move the carriage, applying an action meanwhile."""
-        self.carriage_goal = height_m
-        distance = abs(height_m - self.data.ctrl[self.lift])
-        self.advance(action, distance / CARRIAGE_SPEED + 0.3)
+        self.simulation.apply(*self.simulation.parse.joint_command(
+            ['robot0_carriage'], [height_m], [], []))
+        duration_s = abs(height_m - self.height_m) / CARRIAGE_SPEED + 0.3
+        self.height_m = height_m
+        self.advance(action, duration_s)
+
+    def carriage_height(self):
+        """Return how high the carriage is [m]."""
+        return self.data.joint('robot0_carriage').qpos[0]
+
+    def deepest_contact(self):
+        """Return how deep the gripper and something else are in each other at the most [m]."""
+        bodies = {self.model.body(name).id for name in self.gripper.bodies}
+        return max([-contact.dist for contact in self.data.contact
+                    if bodies & set(self.model.geom_bodyid[contact.geom])], default=0.0)
 
     def geoms(self, role):
         """Return the ids of the gripper's geoms of a role, such as ``left_fingerpad``."""

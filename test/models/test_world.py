@@ -3,6 +3,8 @@
 
 """Tests of arenas and of robots placed in them."""
 
+import math
+
 import mujoco
 import numpy as np
 import pytest
@@ -195,3 +197,23 @@ def test_shapes_that_cannot_collide_change_no_state(panda):
     assert states[0][1:] == states[1][1:]
     if mujoco.mj_version() >= 3017000:
         assert states[0][0] > 2 * states[1][0]
+
+
+@pytest.mark.parametrize('timestep_s, nearest', [
+    (1 / 600, '0.001666667'), (0.0012345678912, '0.001234568')])
+def test_a_timestep_that_stamps_cannot_count_is_refused(timestep_s, nearest):
+    with pytest.raises(ModelError, match=f'whole number of nanoseconds.* nearest is {nearest}'):
+        World([Panda()], timestep_s=timestep_s)
+    assert World([Panda()], timestep_s=float(nearest)).timestep_s == float(nearest)
+
+
+@pytest.mark.parametrize('timestep_s', [0.0, -0.002, math.nan, math.inf])
+def test_a_timestep_that_is_no_time_is_refused(timestep_s):
+    with pytest.raises(ModelError, match='positive and finite'):
+        World([Panda()], timestep_s=timestep_s)
+
+
+@pytest.mark.parametrize('nanoseconds', [100_000, 333_333, 1_000_001, 1_666_667, 9_999_999])
+def test_any_whole_number_of_nanoseconds_is_a_timestep(nanoseconds):
+    assert World([Panda()], timestep_s=nanoseconds / 1e9).timestep_s == nanoseconds / 1e9
+    assert World([Panda()], timestep_s=nanoseconds * 1e-9).timestep_s == nanoseconds * 1e-9

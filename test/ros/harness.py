@@ -11,6 +11,7 @@ import threading
 import time
 from typing import Any
 
+from domains import reserve_domain
 from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -18,8 +19,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
+
 #: Nobody else's domain; for this process and those that it starts.
-DOMAIN = 1 + os.getpid() % 100
+DOMAIN, _reserved = reserve_domain()
 os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
@@ -40,6 +42,15 @@ class Client:
         while not condition():
             assert time.monotonic() < end, 'timed out'
             self.executor.spin_once(timeout_sec=0.05)
+
+    def settled(self, value: Callable[[], Any], rounds: int = 30) -> Any:
+        """Return a value that has not changed while the node published many states."""
+        states = self.listen(JointState, 'joint_states')
+        while True:
+            before, count = value(), len(states)
+            self.spin_until(lambda n=count: len(states) > n + rounds)  # type: ignore[misc]
+            if value() == before:
+                return before
 
     def listen(self, message_type: Any, topic: str, qos: Any = 1000) -> list[Any]:
         """Return a list that is filled with the messages of a topic, the first one included."""
@@ -91,21 +102,23 @@ class Served:
     """A node that runs in this process, with an executor thread of its own."""
 
     def __init__(self, parameters: dict[str, Any]) -> None:
+        from manip_sim.ros.executor import GuardedExecutor
         from manip_sim.ros.sim_node import SimNode
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
         self.node = SimNode(context=self.context, parameter_overrides=[
             Parameter(name, value=value) for name, value in parameters.items()])
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor = GuardedExecutor(self.node.rejections, context=self.context)
         self.executor.add_node(self.node)
         self.thread = threading.Thread(target=self.executor.spin)
         self.thread.start()
         self.node.start()
 
     def close(self) -> None:
-        self.node.stop()
-        self.executor.shutdown()
+        self.executor.end()
         self.thread.join(timeout=10.0)
+        self.executor.shutdown()
+        self.node.stop()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
         assert self.node.runner.error is None

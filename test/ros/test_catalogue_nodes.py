@@ -19,7 +19,8 @@ def test_a_robot_is_served_with_the_topics_of_its_parts(name, serve, client):
     serve(robot=name)
     robot = create_robot(name)
     assert isinstance(robot, ManipulatorModel)
-    expected = {'arm', *OTHER_PARTS.get(name, set()), *(f'{arm}/gripper' for arm in robot.arms)}
+    expected = {'arm', *robot.arms, *OTHER_PARTS.get(name, set()),
+                *(f'{arm}/gripper' for arm in robot.arms)}
     client.state()
     topics = {topic.strip('/') for topic, _ in client.node.get_topic_names_and_types()}
     served = {topic[:-len('/joint_states')] for topic in topics
@@ -28,6 +29,7 @@ def test_a_robot_is_served_with_the_topics_of_its_parts(name, serve, client):
     for arm in robot.arms:
         assert f'{arm}/wrench' in topics
         assert f'{arm}/gripper/command' in topics
+        assert f'{arm}/joint_trajectory' in topics
     assert ('base/cmd_vel' in topics) == ('base' in expected)
     arm = client.state('arm/joint_states')
     assert list(arm.name) == robot.arm_joints
@@ -50,7 +52,7 @@ def test_a_mobile_base_drives_along_its_own_axes(serve, client):
     client.spin_until(lambda: client.state('base/joint_states').position[1] > 0.3)
     x, y, _ = client.state('base/joint_states').position
     assert abs(np.arctan2(y, x) - yaw) < 0.05
-    assert node.simulation.drives['base'].mode == 'velocity'
+    assert node.simulation.joints.mode_of('mobilebase0_joint_mobile_yaw') == 'velocity'
 
 
 def test_the_base_stops_without_fresh_commands(serve, client):

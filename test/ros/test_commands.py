@@ -5,9 +5,12 @@
 
 from builtin_interfaces.msg import Duration
 import numpy as np
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from manip_sim.ros.controller_state import MESSAGE_TYPE
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
@@ -106,7 +109,7 @@ def test_a_trajectory_in_the_past_is_refused(serve, client):
     message.header.stamp = states[0].header.stamp
     message.header.stamp.nanosec += 1
     client.publish('arm/joint_trajectory', message)
-    client.spin_until(lambda: any('must not be negative' in line for line in log))
+    client.spin_until(lambda: any('s ago, by its stamp' in line for line in log))
 
 
 def test_a_position_past_its_limit_is_clamped_and_told(serve, client):
@@ -131,3 +134,99 @@ def test_without_fresh_commands_velocity_goes_to_zero_and_comes_back(serve, clie
         client.publish('arm/joint_command', command)
         client.spin_until(lambda: client.state().velocity[0] > 0.25)
         client.spin_until(lambda: abs(client.state().velocity[0]) < 1e-3)
+
+
+def test_a_trajectory_with_a_stamp_of_now_is_followed(serve, client):
+    serve()
+    message = JointTrajectory(joint_names=['robot0_joint1'], points=[point([0.2], 0.5, [0.0])])
+    message.header.stamp = client.state().header.stamp
+    client.publish('arm/joint_trajectory', message)
+    client.spin_until(lambda: abs(arm_position(client)[0] - 0.2) < 1e-3)
+
+
+def test_a_trajectory_without_points_ends_the_present_one(serve, client):
+    serve()
+    client.publish('arm/joint_trajectory', JointTrajectory(
+        joint_names=['robot0_joint1'], points=[point([2.0], 4.0)]))
+    client.spin_until(lambda: arm_position(client)[0] > 0.1)
+    client.publish('arm/joint_trajectory', JointTrajectory())
+    client.spin_until(lambda: abs(client.state().velocity[0]) < 1e-4)
+    assert arm_position(client)[0] < 1.0
+
+
+def test_a_trajectory_that_is_too_fast_is_slowed_down_and_told(serve, client):
+    log = client.log()
+    node = serve()
+    client.publish('arm/joint_trajectory', JointTrajectory(
+        joint_names=['robot0_joint1'], points=[point([1.5], 0.2)]))
+    client.spin_until(lambda: any('slowed a trajectory' in line for line in log))
+    client.spin_until(lambda: abs(arm_position(client)[0] - 1.5) < 2e-3)
+    assert node.commands.statistics['arm'].slowed == 1
+
+
+def test_each_arm_of_two_is_commanded_alone_and_both_together(serve, client):
+    serve(robot='Baxter')
+    start = client.state('arm/joint_states')
+    right, left = 'robot0_right_s0', 'robot0_left_s0'
+    at = dict(zip(start.name, start.position))
+    for arm, joint in (('right', right), ('left', left)):
+        client.publish(f'{arm}/joint_trajectory', JointTrajectory(
+            joint_names=[joint], points=[point([at[joint] + 0.3], 1.0)]))
+    client.publish('arm/joint_command', JointState(
+        name=['robot0_left_w2', 'robot0_right_w2'], position=[0.1, -0.1]))
+
+    def arrived():
+        state = client.state('arm/joint_states')
+        now = dict(zip(state.name, state.position))
+        return (abs(now[right] - at[right] - 0.3) < 2e-3 and abs(now[left] - at[left] - 0.3) < 2e-3
+                and abs(now['robot0_left_w2'] - 0.1) < 2e-3)
+    client.spin_until(arrived)
+    assert list(client.state('right/joint_states').name) == [
+        name for name in start.name if 'right' in name]
+
+
+def test_an_arm_does_not_take_the_joints_of_the_other(serve, client):
+    log = client.log()
+    node = serve(robot='Baxter')
+    client.publish('right/joint_command', JointState(name=['robot0_left_s0'], position=[0.1]))
+    client.spin_until(lambda: any("right has no joint 'robot0_left_s0'" in line for line in log))
+    assert node.commands.statistics['right'].refused == 1
+
+
+def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serve, client):
+    node = serve()
+    best_effort = client.node.create_publisher(
+        Float64MultiArray, 'arm/command', QoSProfile(
+            depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    client.spin_until(lambda: best_effort.get_subscription_count() > 0)
+    statistics = node.commands.statistics['arm']
+    client.spin_until(lambda: best_effort.publish(Float64MultiArray(data=[0.0] * 7))
+                      or statistics.accepted > 0)
+    before = client.settled(lambda: statistics.accepted)
+    client.publish('arm/command', Float64MultiArray(data=[0.1] * 7))
+    assert client.settled(lambda: statistics.accepted) == before + 1
+
+
+def test_the_state_of_a_controller_says_what_is_wanted_and_what_is(serve, client):
+    node = serve()
+    states = client.listen(MESSAGE_TYPE, 'arm/controller_state')
+    client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.3]))
+    client.spin_until(lambda: states and abs(wanted(states[-1])['error'].velocities[0]) < 1e-3
+                      and wanted(states[-1])['feedback'].positions[0] > 0.29999)
+    last = wanted(states[-1])
+    assert list(states[-1].joint_names) == ARM
+    np.testing.assert_allclose(last['reference'].positions[0], 0.3, atol=1e-4)
+    np.testing.assert_allclose(
+        np.subtract(last['reference'].positions, last['feedback'].positions),
+        last['error'].positions, atol=1e-12)
+    moving = [wanted(state)['reference'].velocities[0] for state in states]
+    assert 0.5 < max(moving) <= 2.175
+    assert len(last['output'].effort) == len(node.simulation.parts['arm'].joints)
+
+
+def wanted(message):
+    """Return the points of a controller state by name, with control_msgs or without."""
+    names = ('reference', 'feedback', 'error', 'output')
+    if hasattr(message, 'points'):
+        return dict(zip(names, message.points))
+    return {name: getattr(message, name) for name in names}

@@ -4,14 +4,18 @@
 """Physics that advances with the commands of a controller in another process."""
 
 import hashlib
+from pathlib import Path
 import subprocess
 import sys
 
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import Client
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 CYCLES = 2000
 PERIOD_NS = 2_000_000
@@ -44,7 +48,7 @@ def drive_by_effort(client, cycles):
 
     client.node.create_subscription(JointState, 'arm/joint_states', answer, 10)
     client.spin_until(lambda: len(seen) >= cycles, timeout_s=100.0)
-    assert seen[:cycles] == [n * PERIOD_NS for n in range(cycles)]
+    assert seen[:cycles] == [(n + 1) * PERIOD_NS for n in range(cycles)]
     return digest.hexdigest()
 
 
@@ -75,9 +79,10 @@ def test_a_state_is_repeated_until_the_command_comes(serve, client):
     serve(stepping='lockstep')
     states = client.listen(JointState, 'joint_states')
     client.spin_until(lambda: len(states) >= 3)
-    assert {nanoseconds(state) for state in states} == {0}
+    # A stamp of zero would mean none, so the first state is that after one period.
+    assert {nanoseconds(state) for state in states} == {10_000_000}
     client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
-    client.spin_until(lambda: nanoseconds(states[-1]) == 10_000_000)
+    client.spin_until(lambda: nanoseconds(states[-1]) == 20_000_000)
 
 
 def test_a_command_for_another_instant_does_not_count(serve, client):
@@ -87,7 +92,7 @@ def test_a_command_for_another_instant_does_not_count(serve, client):
     stale.header.stamp.sec = 7
     client.publish('arm/joint_command', stale)
     client.spin_until(lambda: any('the present state is that of' in line for line in log))
-    assert node.simulation.step_count == 0
+    assert node.simulation.step_count == 5
     assert node.commands.statistics['arm'].refused == 1
 
 
@@ -96,6 +101,68 @@ def test_every_lockstep_part_needs_a_command(serve, client):
     client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
     client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
     client.state()
-    assert node.simulation.step_count == 0
+    assert node.simulation.step_count == 5
     client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
-    client.spin_until(lambda: node.simulation.step_count == 5)
+    client.spin_until(lambda: node.simulation.step_count == 10)
+
+
+def run_two_controllers(sim_process, cycles):
+    """Run a controller for each arm of Baxter in lock-step, each in its process."""
+    node = sim_process('stepping:=lockstep', 'robot:=Baxter')
+    script = str(Path(__file__).with_name('arm_controller.py'))
+    controllers = [subprocess.Popen([sys.executable, script, arm, str(cycles)], text=True,
+                                    stdout=subprocess.PIPE) for arm in ('right', 'left')]
+    client = Client()
+    diagnostics = client.listen(DiagnosticArray, '/diagnostics')
+    try:
+        client.spin_until(lambda: all(c.poll() is not None for c in controllers), 120.0)
+        count = len(diagnostics)
+        client.spin_until(lambda: len(diagnostics) > count + 1)
+        values = {value.key: value.value for status in diagnostics[-1].status
+                  if status.name.endswith(('right', 'left')) for value in status.values}
+        return [c.communicate()[0].split() for c in controllers], values['dropped']
+    finally:
+        client.close()
+        for process in (*controllers, node):
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.timeout(300)
+def test_two_controllers_of_one_arm_each_lose_nothing_and_repeat_to_the_last_bit(sim_process):
+    runs = [run_two_controllers(sim_process, CYCLES) for _ in range(2)]
+    for reports, dropped in runs:
+        assert dropped == '0'
+        for first, last, _ in reports:
+            assert (int(first), int(last)) == (10_000_000, CYCLES * 10_000_000)
+    assert runs[0] == runs[1]
+
+
+def test_a_second_answer_to_a_state_is_stale(serve, client):
+    log = client.log()
+    node = serve(stepping='lockstep', lockstep_parts=['right', 'right/gripper'])
+    answer = JointState(name=['robot0_joint1'], position=[0.1])
+    answer.header.stamp.nanosec = 10_000_000
+    client.publish('arm/joint_command', answer)
+    client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
+    client.spin_until(lambda: node.simulation.step_count == 10)
+    client.publish('arm/joint_command', answer)
+    client.spin_until(lambda: any('answers the state of 0.01' in line for line in log))
+    assert node.simulation.step_count == 10
+
+
+def test_a_trajectory_is_the_command_of_its_part_until_it_ends(serve, client):
+    node = serve(stepping='lockstep')
+    client.publish('arm/joint_trajectory', JointTrajectory(
+        joint_names=['robot0_joint1'], points=[JointTrajectoryPoint(
+            positions=[0.2], time_from_start=Duration(nanosec=500_000_000))]))
+    client.spin_until(lambda: node.simulation.step_count >= 255)
+    client.state()
+    # Then the part waits for its next command.
+    assert node.simulation.step_count == 255
+    assert abs(node.simulation.state().position[0] - 0.2) < 0.01
+
+
+def test_a_late_client_sees_a_paused_state(serve, client):
+    serve(start_paused=True)
+    assert nanoseconds(client.state()) == 10_000_000

@@ -3,11 +3,13 @@
 
 """Other nodes in the same domain: many clients, idle ones, and a second robot."""
 
+import signal
 import subprocess
 import sys
 import threading
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import Client
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -22,6 +24,21 @@ rclpy.init()
 node = rclpy.create_node('never_reads')
 node.create_subscription(JointState, 'joint_states', print, 1000)
 time.sleep(30.0)
+"""
+
+NEVER_ACKNOWLEDGES = """
+import sys
+import rclpy
+from rclpy.qos import HistoryPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = rclpy.create_node('never_acknowledges')
+node.create_subscription(JointState, 'joint_states', print,
+                         QoSProfile(history=HistoryPolicy.KEEP_ALL))
+sys.stdin.read()
+node.destroy_node()
+rclpy.shutdown()
 """
 
 
@@ -64,13 +81,42 @@ def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process,
         client.node.create_subscription(Clock, '/clock', lambda m: (
             clock.append(m.clock.sec + m.clock.nanosec * 1e-9), wall.append(time.monotonic())), 10)
         # Another process may slow the machine for a while; the subscriber would every time.
-        for _ in range(3):
+        for _ in range(10):
             first = len(clock)
             client.spin_until(lambda n=first: len(clock) > n + 400)
             errors.append(abs((clock[-1] - clock[first]) / (wall[-1] - wall[first]) - 1.0))
             if errors[-1] < 0.01:
                 break
         assert min(errors) < 0.01
+    finally:
+        idle.kill()
+        idle.wait()
+
+
+def test_a_reader_that_never_acknowledges_costs_messages_and_no_real_time(sim_process, client):
+    sim_process('publish_rate:=1000', 'timestep:=0.001',
+                'qos_overrides./joint_states.publisher.history:=keep_all')
+    client.spin_until(lambda: client.node.count_publishers('joint_states') > 0)
+    idle = subprocess.Popen([sys.executable, '-c', NEVER_ACKNOWLEDGES], stdin=subprocess.PIPE)
+    try:
+        arrays = client.listen(DiagnosticArray, '/diagnostics')
+
+        def values():
+            return {v.key: v.value for v in arrays[-1].status[0].values}
+        client.spin_until(lambda: bool(arrays) and int(values()['failed_publications']) > 0,
+                          timeout_s=40.0)
+        dropped = int(values()['failed_publications'])
+        factors = []
+        # Another process may slow the machine for a while; a publisher that waits would always.
+        while not any(factor > 0.98 for factor in factors):
+            assert len(factors) < 10, factors
+            seen = len(arrays)
+            client.spin_until(lambda n=seen: len(arrays) > n)
+            factors.append(float(values()['real_time_factor']))
+        assert int(values()['failed_publications']) > dropped
+        idle.communicate(timeout=20.0)
+        states = client.listen(JointState, 'joint_states', 10)
+        client.spin_until(lambda: len(states) > 100)
     finally:
         idle.kill()
         idle.wait()
@@ -86,3 +132,46 @@ def test_two_robots_live_in_two_namespaces_of_one_domain(process, client):
     client.spin_until(lambda: client.state('/left/joint_states').position[0] > 0.29)
     client.spin_until(lambda: client.state('/right/joint_states').position[0] < -0.29)
     assert client.node.count_publishers('/clock') == 1
+
+
+def conflicts_of(arrays):
+    """Return what each node says of others, by the name of its status."""
+    return {status.name: status.message for array in arrays for status in array.status
+            if status.name.endswith('other nodes')}
+
+
+def ended(node):
+    node.send_signal(signal.SIGINT)
+    _, errors = node.communicate(timeout=20.0)
+    return errors
+
+
+def test_two_nodes_of_one_name_each_say_so_once(sim_process, client):
+    nodes = [sim_process(), sim_process()]
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: client.node.count_publishers('/clock') == 2)
+    client.spin_until(lambda: len(arrays) > 10)
+    message = conflicts_of(arrays[-4:])['manip_sim: other nodes']
+    for text in ('2 nodes are named /manip_sim', "/clock is also published by '/manip_sim'",
+                 "/joint_states is also published by '/manip_sim'"):
+        assert text in message
+    for node in nodes:
+        errors = ended(node)
+        for text in ('nodes are named', '/clock is also', '/joint_states is also'):
+            assert errors.count(text) == 1
+
+
+def test_a_second_clock_is_told_and_separate_robots_are_not(process, client):
+    left = process('--ros-args', '-r', '__ns:=/left')
+    right = process('--ros-args', '-r', '__ns:=/right', '-p', 'publish_clock:=false')
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: len(conflicts_of(arrays)) == 2)
+    arrays.clear()
+    client.spin_until(lambda: len(arrays) > 5)
+    assert set(conflicts_of(arrays).values()) == {'no conflict'}
+    clock = client.node.create_publisher(Clock, '/clock', 1)
+    client.spin_until(lambda: "/clock is also published by '/client'" in conflicts_of(
+        arrays[-4:])['left/manip_sim: other nodes'])
+    client.node.destroy_publisher(clock)
+    assert 'publish_clock:=false' in ended(left)
+    assert '[WARN]' not in ended(right)

@@ -26,10 +26,10 @@ def general(name):
     name = re.sub(r'^/manip_sim/', '~/', name)
     if name not in ('/clock', '/diagnostics'):
         name = name.lstrip('/')
-    name = re.sub(r'^(right|left)/', '<arm>/', name)
-    if re.fullmatch(r'(arm|base|torso|head|legs)/(joint_states|command|joint_command)', name):
-        name = re.sub(r'^\w+/', '<part>/', name)
-    return name
+    of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
+    if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
+        return re.sub(r'^\w+/', '<part>/', name)
+    return re.sub(r'^(right|left)/', '<arm>/', name)
 
 
 OF_ROS = {'/rosout', '/parameter_events'}

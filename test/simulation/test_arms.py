@@ -54,12 +54,11 @@ def test_a_single_arm_is_also_the_right_one(panda_op):
 @pytest.mark.parametrize('part', ['right', 'left'])
 def test_command_of_one_arm_does_not_move_the_setpoints_of_the_other(op, part):
     other = {'right': 'left', 'left': 'right'}[part]
-    still = op.simulation.joints.indices_of(other)
-    before = op.simulation.joints.reference(still).position
+    before = op.simulation.controller_state(other).reference.position
     goals = goals_of(op, part)
     (handle,) = op.go(goals, part=part)
     op.run(2.0)
-    np.testing.assert_array_equal(op.simulation.joints.reference(still).position, before)
+    np.testing.assert_array_equal(op.simulation.controller_state(other).reference.position, before)
     np.testing.assert_allclose(op.where(*goals), list(goals.values()), atol=2e-3)
     assert handle.status is Status.DONE
 

@@ -56,12 +56,13 @@ def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mo
      r"commanded: did you mean 'robot0_joint\d' .*available: robot0_joint1, robot0_joint2"),
     ([J1, FINGER], {'position': [0, 0]}, r"^arm has no joint 'gripper0_right_finger_joint1'"),
     ([J1, J1], {'position': [0, 0]}, r"^arm: joint 'robot0_joint1' is named twice$"),
-    ([J1], {'position': [0, 1]}, r'^arm: position must have 1 numbers, one for each joint, got 2'),
-    ([J1], {}, r'^arm: no joint has a number in the field of its control mode \(position\)$'),
-    ([J1, J2], {'position': [NAN, NAN]}, r'^arm: no joint has a number in the field of its '),
+    ([J1], {'position': [0, 1]}, r'^arm: position must have 1 numbers, got 2: one for each '),
+    ([J1], {}, r'^arm: no joint is commanded: each number in the field of the '
+     r'control mode \(position\) is NaN or missing$'),
+    ([J1, J2], {'position': [NAN, NAN]}, r'^arm: no joint is commanded: each number '),
     ([J1], {'position': [0], 'velocity': [1]}, r"^arm: joint 'robot0_joint1' is in position mode, "
      r'which does not use the field velocity: leave it empty, or NaN for this joint$'),
-    ([J1], {'effort': [1]}, r'^arm: effort must have 1 numbers, one for each joint, got 1$|'
+    ([J1], {'effort': [1]}, r'^arm: effort must have 1 numbers, got 1: one for each joint$|'
      r"^arm: joint 'robot0_joint1' is in position mode, which does not use the field effort"),
     ([J1, J2], {'position': [0, np.inf]}, r'^arm: position must be finite, got inf at index 1$'),
     ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf')])
@@ -130,8 +131,8 @@ def test_field_may_have_numbers_of_the_joints_that_use_it_alone(panda_sim, parse
 
 
 def test_field_with_too_few_numbers_is_refused(panda_sim, parse):
-    with pytest.raises(CommandError, match=r'^joint_command: position must have 3 numbers, one '
-                                           r'for each joint, got 2$'):
+    with pytest.raises(CommandError, match=r'^joint_command: position must have 3 numbers, got '
+                                           r'2: one for each joint$'):
         parse.joint_command([J1, J2, 'robot0_joint3'], [0.1, 0.2])
 
 

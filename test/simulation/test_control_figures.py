@@ -244,3 +244,27 @@ def test_velocity_stops_softly_before_the_range_ends(panda_sim, run):
     assert samples.position[-1, 0] == pytest.approx(2.8973, abs=1e-3)
     assert samples.position[:, 0].max() < 2.8973 + 1e-3
     assert np.abs(efforts).max() < 60.0
+
+
+@pytest.mark.parametrize('frequency_hz', [0.5, 2.0])
+@pytest.mark.parametrize('name', ROBOTS)
+def test_streamed_sine_of_velocities_is_followed_in_full_and_on_time(name, frequency_hz):
+    simulation = whole_robot(name)
+    arm = Driven(simulation, 'right')
+    simulation.set_control_mode('arm', 'velocity')
+    angle_rate = 2.0 * np.pi * frequency_hz
+    amplitude = feasible_amplitude(arm, frequency_hz, 0.1) * angle_rate
+    for joint in range(len(amplitude)):
+        simulation.reset()
+        rows, begin = [], simulation.step_count
+        for _ in range(round(3.0 / frequency_hz * 100)):
+            time_s = (simulation.step_count - begin) * 0.002
+            goal = min(1.0, time_s * frequency_hz) * amplitude[joint] * np.sin(
+                angle_rate * time_s)
+            rows.append((time_s, goal, simulation.data.qvel[arm.dofs[joint]]))
+            arm.command('velocity', [goal], [arm.names[joint]])
+            simulation.advance(5)
+        times, goals, velocities = np.array(rows[-round(100 / frequency_hz):]).T
+        gain, delay_s = transfer(times, goals, velocities, frequency_hz)
+        assert 0.98 < gain < 1.02, arm.names[joint]
+        assert 0.0 < delay_s < 0.02, arm.names[joint]

@@ -76,3 +76,17 @@ def test_restart_makes_no_burst_after_a_pause():
     assert pacer.is_due(50.0101)
     assert not pacer.is_due(50.0102)
     assert pacer.missed == 0
+
+
+def test_time_that_is_lost_in_parts_of_periods_adds_up():
+    # A period of 1/3 s of wall time that takes 0.4 s: of three seconds half a second is lost.
+    pacer = Pacer(1.0, 3.0, now_s=0.0)
+    now_s, periods = 0.0, 0
+    while now_s < 100.0:
+        now_s = max(now_s, pacer.deadline_s)
+        assert pacer.is_due(now_s)
+        now_s += 0.4
+        periods += 1
+    # The last period and the backlog that is still made up for are not lost.
+    assert 0.0 < 3.0 * now_s - periods - pacer.lost_s < 1.5
+    assert pacer.missed == pytest.approx(50, abs=1)

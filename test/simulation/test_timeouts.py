@@ -3,7 +3,6 @@
 
 """Tests of what a part does when its commands stop."""
 
-import numpy as np
 import pytest
 
 from manip_sim.errors import UnknownNameError
@@ -26,7 +25,7 @@ def timeouts(op, part='arm'):
 def test_position_holds_where_the_way_to_the_goal_has_come_to(op):
     op.go({J1: 2.0})
     op.run(0.2)
-    setpoint = op.simulation.joints.reference(np.array([0]))
+    setpoint = op.simulation.controller_state('arm').reference
     op.run(2.0)
     assert timeouts(op) == 1
     assert abs(op.speed(J1)) < 1e-3

@@ -14,41 +14,64 @@ GRIPPER = 'right/gripper'
 LEFT, RIGHT = 'gripper0_right_finger_joint1', 'gripper0_right_finger_joint2'
 
 
-def control(simulation):
-    """Return the control of the two fingers [m]."""
-    return simulation.data.ctrl[simulation.parts[GRIPPER].actuator_ids].copy()
+def setpoints(simulation):
+    """Return the setpoints of the two fingers [m]."""
+    ids = simulation.parts[GRIPPER].actuator_ids
+    return simulation.data.act[simulation.model.actuator_actadr[ids]].copy()
 
 
-def periods_until(simulation, wanted, steps, message_every=None, action=1.0):
-    """Count steps until the fingers are told a control; a message comes every n-th period."""
+def periods_until(simulation, wanted, steps, message_every=None, action=1.0, speeds=None):
+    """Count steps until the fingers have a setpoint; a message comes every n-th period."""
     start = simulation.step_count
     for period in range(1000):
-        if np.allclose(control(simulation), wanted, atol=1e-9):
+        if np.allclose(setpoints(simulation), wanted, atol=1e-9):
             return simulation.step_count - start
         if period == 0 or (message_every and period % message_every == 0):
-            simulation.apply(simulation.drive(GRIPPER).action([action]))
+            simulation.apply(simulation.parse.action(GRIPPER, [action]))
         simulation.advance(steps)
-    raise AssertionError(f'the fingers were never told {wanted}')
+        if speeds is not None:
+            speeds.append(np.abs(simulation.state().velocity[-2:]).max())
+    raise AssertionError(f'the fingers never had the setpoint {wanted}')
 
 
 def open_fully(simulation, run):
-    simulation.apply(simulation.drive(GRIPPER).action([-1.0]))
-    run(simulation, 1.0)
-    np.testing.assert_allclose(control(simulation), [0.04, -0.04])
+    simulation.apply(simulation.parse.action(GRIPPER, [-1.0]))
+    run(simulation, 1.5)
+    np.testing.assert_allclose(setpoints(simulation), [0.04, -0.04])
 
 
 @pytest.mark.parametrize('steps', [1, 5, 10, 25])
 @pytest.mark.parametrize('message_every', [None, 1, 3])
-def test_full_stroke_takes_half_a_second_whatever_the_message_rate(panda_sim, run, steps,
-                                                                   message_every):
+def test_full_stroke_takes_as_long_as_the_data_sheet_says_whatever_the_message_rate(
+        panda_sim, run, steps, message_every):
     open_fully(panda_sim, run)
-    # A range of 2 at 0.2 per call and 20 calls a second: the tenth call is 0.45 s after the first.
-    elapsed = periods_until(panda_sim, [0.0, 0.0], steps, message_every) * 0.002
-    assert 0.45 <= elapsed <= 0.5
+    # The data sheet: 50 mm/s for each finger, over 40 mm; then they have to settle.
+    speeds = []
+    elapsed = periods_until(panda_sim, [0.0, 0.0], steps, message_every, speeds=speeds) * 0.002
+    assert 0.8 <= elapsed <= 0.9
+    assert max(speeds) < 0.0505
+    assert np.median(speeds) > 0.0495
+
+
+@pytest.mark.parametrize('steps', [1, 4, 5, 25])
+def test_format_action_is_called_twenty_times_a_second(panda_sim, run, steps):
+    gripper, calls = panda_sim.robot.grippers['right'], []
+
+    def slowly_open(action):
+        if action[0] == 1.0:
+            calls.append(panda_sim.step_count)
+        return [0.1 + 0.001 * len(calls), -0.1 - 0.001 * len(calls)]
+
+    gripper.format_action = slowly_open
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    for _ in range(1000 // steps):
+        panda_sim.advance(steps)
+    assert len(calls) == 40
+    np.testing.assert_allclose(np.diff(calls), 25, atol=3 if steps == 4 else 0)
 
 
 def test_fingers_close_after_one_message(panda_sim, run):
-    panda_sim.apply(panda_sim.drive(GRIPPER).action([1.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 1.5)
     assert np.abs(panda_sim.state().position[7:]).max() < 1e-3
 
@@ -61,65 +84,67 @@ def test_fingers_are_held_at_the_start_without_a_message(panda_sim, run, referen
 
 def test_idle_action_does_not_move_the_fingers(panda_sim, run):
     before = panda_sim.state().position
-    panda_sim.apply(panda_sim.drive(GRIPPER).action([0.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [0.0]))
     run(panda_sim, 0.5)
     np.testing.assert_allclose(panda_sim.state().position, before, atol=1e-5)
 
 
 def test_idle_action_stops_the_fingers_halfway(panda_sim, run):
     open_fully(panda_sim, run)
-    panda_sim.apply(panda_sim.drive(GRIPPER).action([1.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.22)
-    panda_sim.apply(panda_sim.drive(GRIPPER).action([0.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [0.0]))
     run(panda_sim, 1.0)
     # Five calls of 0.2 from +1.
-    np.testing.assert_allclose(control(panda_sim), [0.02, -0.02], atol=1e-9)
+    np.testing.assert_allclose(setpoints(panda_sim), [0.02, -0.02], atol=1e-9)
 
 
-def test_reversing_goes_on_from_where_the_command_is(panda_sim, run):
+def test_reversing_goes_on_from_where_the_fingers_are(panda_sim, run):
     open_fully(panda_sim, run)
-    panda_sim.apply(panda_sim.drive(GRIPPER).action([1.0]))
-    run(panda_sim, 0.22)
-    # Back by five calls: 0.25 s at most from the next call on.
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    run(panda_sim, 0.4)
+    finger = panda_sim.state().position[-2]
+    assert finger == pytest.approx(0.02, abs=0.002)
+    # The goal of the action is farther: eight calls are 32 mm. Back it goes without delay.
     steps = periods_until(panda_sim, [0.04, -0.04], 5, action=-1.0)
-    assert 0.2 <= steps * 0.002 <= 0.3
+    assert steps * 0.002 == pytest.approx((0.04 - finger) / 0.05, abs=0.1)
 
 
 def test_action_goes_on_from_a_joint_command(panda_sim, run):
-    drive = panda_sim.drive(GRIPPER)
-    panda_sim.apply(drive.joint_command([LEFT, RIGHT], [0.03, -0.03], [], []))
+    panda_sim.apply(*panda_sim.parse.joint_command([LEFT, RIGHT], [0.03, -0.03], [], []))
     run(panda_sim, 1.0)
     np.testing.assert_allclose(panda_sim.state().position[7:], [0.03, -0.03], atol=1e-3)
-    panda_sim.apply(drive.action([1.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
     panda_sim.advance(1)
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [0.0]))
+    run(panda_sim, 0.5)
     # One call of 0.2 is a tenth of the stroke of 0.04 m.
-    np.testing.assert_allclose(control(panda_sim), [0.026, -0.026], atol=1e-9)
+    np.testing.assert_allclose(setpoints(panda_sim), [0.026, -0.026], atol=1e-9)
 
 
 def test_joint_command_is_approached_no_faster_than_the_fingers_may_move(panda_sim, run):
     open_fully(panda_sim, run)
-    panda_sim.apply(panda_sim.drive(GRIPPER).joint_command([LEFT, RIGHT], [0.0, 0.0], [], []))
+    panda_sim.apply(*panda_sim.parse.joint_command([LEFT, RIGHT], [0.0, 0.0], [], []))
     speeds = []
     for _ in range(100):
         panda_sim.advance(5)
         speeds.append(np.abs(panda_sim.state().velocity[-2:]).max())
     assert 0.045 < max(speeds) < 0.055
     run(panda_sim, 0.5)
-    np.testing.assert_allclose(control(panda_sim), [0.0, 0.0])
+    np.testing.assert_allclose(setpoints(panda_sim), [0.0, 0.0], atol=1e-12)
 
 
 def test_joint_command_ends_an_action(panda_sim, run):
-    drive = panda_sim.drive(GRIPPER)
-    panda_sim.apply(drive.action([1.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.1)
-    panda_sim.apply(drive.joint_command([LEFT], [0.035], [], []))
+    panda_sim.apply(*panda_sim.parse.joint_command([LEFT], [0.035], [], []))
     run(panda_sim, 1.0)
-    assert control(panda_sim)[0] == pytest.approx(0.035)
+    assert setpoints(panda_sim)[0] == pytest.approx(0.035)
 
 
 def test_fingers_cannot_be_pushed_past_their_force_limit(panda_sim, run):
     efforts = []
-    panda_sim.apply(panda_sim.drive(GRIPPER).action([1.0]))
+    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.6, lambda: efforts.append(np.abs(panda_sim.state().effort[7:]).max()))
     assert max(efforts) <= 70.0 + 1.0  # The data sheet's, and the weight that is compensated.
 
@@ -130,27 +155,25 @@ def test_fingers_cannot_be_pushed_past_their_force_limit(panda_sim, run):
     ([np.nan], r'^right/gripper: an action must be finite, got nan at index 0$')])
 def test_action_that_does_not_fit_is_refused(panda_sim, action, message):
     with pytest.raises(CommandError, match=message):
-        panda_sim.drive(GRIPPER).action(action)
+        panda_sim.parse.action(GRIPPER, action)
 
 
 @pytest.mark.parametrize(('names', 'fields', 'message'), [
     ([], ([], [], []), r'^right/gripper: no joint is named$'),
     (['robot0_joint1'], ([0], [], []), r"^right/gripper has no joint 'robot0_joint1' that can be "
      r'commanded: .*available: gripper0_right_finger_joint1, gripper0_right_finger_joint2$'),
-    ([LEFT], ([0, 0], [], []), r'^right/gripper: position must have 1 numbers, got 2$'),
-    ([LEFT], ([], [0], []), r'^right/gripper is in position mode, which does not use the field '
-     r'velocity: leave it empty$')])
+    ([LEFT], ([0, 0], [], []), r'^right/gripper: position must have 1 numbers, got 2: one for '),
+    ([LEFT], ([], [0], []), r"^right/gripper: joint 'gripper0_right_finger_joint1' is in position "
+     r'mode, which does not use the field velocity')])
 def test_joint_command_that_does_not_fit_is_refused(panda_sim, names, fields, message):
     with pytest.raises(CommandError, match=message):
-        panda_sim.drive(GRIPPER).joint_command(names, *fields)
+        panda_sim.parse.joint_command(names, *fields, part=GRIPPER)
 
 
 def test_values_past_the_limits_are_clamped_and_counted(panda_sim):
-    drive = panda_sim.drive(GRIPPER)
-    np.testing.assert_array_equal(drive.limits(), [[-1.0, 1.0]])
-    action = drive.action([7.0])
+    action = panda_sim.parse.action(GRIPPER, [7.0])
     assert (list(action.action), action.clamped) == ([1.0], 1)
-    goal = drive.joint_command([LEFT, RIGHT], [0.5, -0.01], [], [])
+    (goal,) = panda_sim.parse.joint_command([LEFT, RIGHT], [0.5, -0.01], [], [])
     np.testing.assert_allclose(goal.values, [0.04, -0.01])
     assert goal.clamped == 1
 
@@ -170,7 +193,7 @@ def user_sim(one_joint_arm, gripper_class, gripper_file):
 
 def test_gripper_that_is_written_for_the_reference_is_driven(user_sim, run):
     simulation = user_sim()
-    simulation.apply(simulation.drive(GRIPPER).action([1.0]))
+    simulation.apply(simulation.parse.action(GRIPPER, [1.0]))
     run(simulation, 1.5)
     assert simulation.data.joint('gripper0_slide').qpos[0] == pytest.approx(0.03, abs=1e-4)
 
@@ -179,12 +202,12 @@ def test_gripper_that_returns_a_list_is_driven(user_sim, gripper_class, run):
     formatted = gripper_class.format_action
     gripper_class.format_action = lambda self, action: list(formatted(self, action))
     simulation = user_sim()
-    simulation.apply(simulation.drive(GRIPPER).action([-1.0]))
+    simulation.apply(simulation.parse.action(GRIPPER, [-1.0]))
     run(simulation, 1.5)
     assert simulation.data.joint('gripper0_slide').qpos[0] == pytest.approx(-0.02, abs=1e-4)
 
 
 def test_unlimited_gripper_joint_is_not_clamped_to_zero(user_sim):
-    drive = user_sim(unlimited=True).drive(GRIPPER)
-    goal = drive.joint_command(['gripper0_slide'], [0.02], [], [])
+    simulation = user_sim(unlimited=True)
+    (goal,) = simulation.parse.joint_command(['gripper0_slide'], [0.02], [], [])
     assert (list(goal.values), goal.clamped) == ([0.02], 0)

@@ -1,0 +1,46 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Show text that came from outside in a message: on one line, without control characters, cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+_TEXT_LIMIT = 60
+_NAMES_LIMIT = 5
+_LINE_LIMIT = 500
+
+
+def quoted(text: object, limit: int = _TEXT_LIMIT) -> str:
+    """
+    Return a name or value in quotes, with escapes for all that is not printable.
+
+    :param text: what came from outside; a long one costs no more than a short one
+    :param limit: number of characters that are shown
+    """
+    text = text if isinstance(text, str) else str(text)
+    return f'{text[:limit]!r}{"..." if len(text) > limit else ""}'
+
+
+def quoted_names(names: Sequence[object], limit: int = _NAMES_LIMIT) -> str:
+    """
+    Return names in quotes, separated by commas.
+
+    :param names: what came from outside; only the first of many are shown
+    :param limit: number of names that are shown
+    """
+    shown = ', '.join(quoted(name) for name in names[:limit])
+    return shown if len(names) <= limit else f'{shown} and {len(names) - limit} more'
+
+
+def one_line(text: str, limit: int = _LINE_LIMIT) -> str:
+    """
+    Return a text with escapes for line ends and control characters, cut to a length.
+
+    :param limit: number of characters of the text that are shown
+    """
+    cut = text if len(text) <= limit else f'{text[:limit]}...'
+    if cut.isprintable():
+        return cut
+    return ''.join(c if c.isprintable() else repr(c)[1:-1] for c in cut)

@@ -1,0 +1,85 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""An executor that outlives the exceptions of callbacks and ends without a race."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.executors import (
+    ConditionReachedException, ExternalShutdownException, ShutdownException,
+    SingleThreadedExecutor, TimeoutException)
+
+from manip_sim.ros.log import RejectionLog
+
+
+class GuardedExecutor(SingleThreadedExecutor):
+    """
+    Runs callbacks one at a time; one that raises is logged and counted, and the next one runs.
+
+    This holds for all callbacks, also for those of rclpy, such as the parameter services, and for
+    messages that cannot be read. The client of a service that raised gets no answer.
+
+    :param log: counts and tells what callbacks raise
+    :param context: the context of the nodes
+    """
+
+    def __init__(self, log: RejectionLog, context: Context | None = None) -> None:
+        super().__init__(context=context)
+        self._log = log
+        self._ending = False
+
+    def spin(self) -> None:
+        """Run callbacks until :meth:`end`, or until the context is shut down."""
+        with contextlib.suppress(ExternalShutdownException):
+            while self.context.ok() and not self._ending:
+                self.spin_once()
+
+    def end(self) -> None:
+        """
+        Let :meth:`spin` return after the present callback.
+
+        ``shutdown`` in another thread than ``spin`` destroys what a running callback triggers at
+        its end; join the thread between the two.
+        """
+        self._ending = True
+        self.wake()
+
+    def _is_ending(self) -> bool:
+        return self._ending
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """
+        Wait for one callback and run it.
+
+        :param timeout_sec: how long to wait [s]; None is until there is one
+        """
+        try:
+            task, entity, _ = self.wait_for_ready_callbacks(timeout_sec, None, self._is_ending)
+        except (ConditionReachedException, ShutdownException, TimeoutException):
+            return
+        task()
+        error = task.exception()
+        if error is not None:
+            _release(entity)
+            self._log.failure('callbacks', _name_of(entity), error)
+
+
+def _release(entity: Any) -> None:
+    """Let an entity be waited for again whose message could not even be taken."""
+    if entity is None:
+        return
+    entity._executor_event = False
+    if not entity.callback_group.can_execute(entity):
+        entity.callback_group.ending_execution(entity)
+
+
+def _name_of(entity: Any) -> str:
+    for attribute in ('topic_name', 'srv_name'):
+        name = getattr(entity, attribute, None)
+        if isinstance(name, str):
+            return name
+    return 'a task' if entity is None else f'a {type(entity).__name__.lower()}'

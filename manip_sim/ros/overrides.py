@@ -1,0 +1,115 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Check what the user gave besides the node's own parameters: QoS, and who it is meant for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import difflib
+import itertools
+from pathlib import Path
+import re
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, ReliabilityPolicy
+import yaml
+
+from manip_sim.errors import describe_choices, ParameterError
+from manip_sim.quoting import quoted, quoted_names
+
+_QOS = 'qos_overrides.'
+_CHOICES = {
+    'history': [policy.name.lower() for policy in HistoryPolicy if policy.name != 'UNKNOWN'],
+    'reliability': [policy.name.lower() for policy in ReliabilityPolicy
+                    if policy.name != 'UNKNOWN']}
+#: A history of more messages costs more memory than a state is worth.
+_MAX_DEPTH = 100_000
+
+
+def check_qos_values(node: Node) -> None:
+    """
+    Check the values of QoS overrides; rclpy would raise what says little, or accept them.
+
+    :raises ParameterError: if one cannot be used
+    """
+    for name, parameter in _qos_overrides(node):
+        policy, value = name.rpartition('.')[2], parameter.value
+        choices = _CHOICES.get(policy)
+        if choices is not None and value not in choices:
+            raise ParameterError(f"parameter '{name}': unknown value {quoted(value)}: "
+                                 f'{describe_choices(value, choices)}')
+        if policy == 'depth' and not (type(value) is int and 1 <= value <= _MAX_DEPTH):
+            raise ParameterError(f"parameter '{name}' must be an integer from 1 to {_MAX_DEPTH}, "
+                                 f'got {quoted(value)}')
+
+
+def check_qos_names(node: Node) -> None:
+    """
+    Check that each QoS override belongs to a topic; to be called when all topics exist.
+
+    :raises ParameterError: naming the nearest override that has an effect
+    """
+    for name, _ in _qos_overrides(node):
+        if not node.has_parameter(name):
+            known = node.list_parameters([_QOS[:-1]], 0).names
+            near = difflib.get_close_matches(name, known, n=2, cutoff=0.0)
+            raise ParameterError(f'unknown parameter {quoted(name, 200)}: did you mean '
+                                 + ' or '.join(f"'{other}'" for other in near) + '?')
+
+
+def _qos_overrides(node: Node) -> list[tuple[str, Any]]:
+    overrides = node._parameter_overrides
+    return [(name, overrides[name]) for name in sorted(overrides) if name.startswith(_QOS)]
+
+
+def for_other_nodes(arguments: Sequence[str], node_name: str) -> Iterator[str]:
+    """
+    Tell which parameters of the command line have no effect, because they are for other nodes.
+
+    :param arguments: of the command line
+    :param node_name: the node's name with its namespace
+    :returns: a warning for each parameters file and each parameter that is not for this node
+    """
+    for option, value in itertools.pairwise(arguments):
+        if option == '--params-file':
+            nodes = list(_nodes_in(Path(value)))
+            if nodes and not any(_matches(node, node_name) for node in nodes):
+                yield (f'the parameters file {quoted(value, 200)} has no effect: it is for '
+                       f'{quoted_names(nodes)}, this node is {node_name}')
+        elif option in ('-p', '--param'):
+            node, colon, _ = value.partition(':=')[0].rpartition(':')
+            if colon and not _matches(node, node_name):
+                yield (f'the parameter {quoted(value)} has no effect: it is for {quoted(node)}, '
+                       f'this node is {node_name}')
+
+
+def _nodes_in(file: Path) -> Iterator[str]:
+    """Yield the node names and patterns that a parameters file is for."""
+    def walk(content: Any, keys: tuple[str, ...]) -> Iterator[str]:
+        if isinstance(content, dict):
+            for key, below in content.items():
+                if key == 'ros__parameters':
+                    yield '/'.join(keys)
+                else:
+                    yield from walk(below, (*keys, str(key).strip('/')))
+    try:
+        yield from walk(yaml.safe_load(file.read_text()), ())
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        # ROS has read it; only the warning is lost.
+        return
+
+
+def _matches(pattern: str, node_name: str) -> bool:
+    """Tell whether a node name, or a pattern with ``*`` and ``**``, stands for a node."""
+    tokens = [token for token in pattern.split('/') if token]
+    expression = ''.join('(/[^/]+)*' if token == '**'
+                         else '/' + re.escape(token).replace(r'\*', '[^/]*') for token in tokens)
+    return re.fullmatch(expression, node_name) is not None
+
+
+def without_source(error: Exception) -> str:
+    """Return the first line of what rcl says, without the places in its source code."""
+    lines = str(error).splitlines()
+    return re.sub(r', at [^ ,]+:\d+', '', lines[0]) if lines else type(error).__name__

@@ -1,0 +1,55 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A subscription to commands that any publisher matches."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+#: How many commands of a topic may wait to be taken.
+COMMAND_DEPTH = 10
+
+
+class CommandSubscription:
+    """
+    Subscribes reliably, and beside that best-effort once such a publisher comes.
+
+    A reliable subscription loses nothing, which lock-step needs, but does not match a best-effort
+    publisher. What comes twice, from reliable publishers then, is taken once.
+
+    :param node: the node
+    :param message_type: of the topic
+    :param topic: its name
+    :param take: is called with each message
+    """
+
+    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[Any], None]
+                 ) -> None:
+        self._take = take
+        self._taken: deque[tuple[int, int]] = deque(maxlen=4 * COMMAND_DEPTH)
+        self._best_effort: Any = None
+
+        def match_best_effort(_: Any) -> None:
+            if self._best_effort is None:
+                self._best_effort = node.create_subscription(
+                    message_type, topic, self._take_once,
+                    QoSProfile(depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+
+        self._reliable = node.create_subscription(
+            message_type, topic, self._take_once, QoSProfile(depth=COMMAND_DEPTH),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=match_best_effort),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def _take_once(self, message: Any, info: dict[str, Any]) -> None:
+        which = info['source_timestamp'], info['publication_sequence_number']
+        if which not in self._taken:
+            self._taken.append(which)
+            self._take(message)

@@ -1,0 +1,60 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Setpoints that move linearly between two writes, by an actuator's own activation.
+
+A position servo with integrator dynamics follows its activation instead of its control: ``act`` is
+the setpoint and ``ctrl`` the velocity of the setpoint, which MuJoCo integrates in each step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import mujoco
+
+
+def is_position_servo(actuator: Any) -> bool:
+    """
+    Tell whether a force pulls the transmission towards a place that the control gives.
+
+    :param actuator: of a ``mujoco.MjSpec``
+    """
+    return (int(actuator.gaintype) == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and int(actuator.biastype) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+            and actuator.gainprm[0] > 0.0 and actuator.biasprm[1] < 0.0)
+
+
+def position_servos_without_dynamics(spec: Any, names: Iterable[str]) -> list[str]:
+    """
+    Return which actuators are position servos whose control acts at once.
+
+    :param spec: a ``mujoco.MjSpec``
+    :param names: of actuators
+    """
+    none = int(mujoco.mjtDyn.mjDYN_NONE)
+    return [name for name in names if is_position_servo(spec.actuator(name))
+            and int(spec.actuator(name).dyntype) == none]
+
+
+def add_setpoint_activation(spec: Any, names: Iterable[str]) -> None:
+    """
+    Give actuators an activation that holds their setpoint.
+
+    What was the control range is the activation range too; MuJoCo does not enforce that. Where the
+    range is inherited from a joint, MuJoCo fills the activation range on compiling.
+
+    :param spec: the ``mujoco.MjSpec``, changed in place
+    :param names: of the actuators
+    """
+    for name in names:
+        actuator = spec.actuator(name)
+        if not actuator.inheritrange:
+            actuator.actrange = actuator.ctrlrange.copy()
+        if is_position_servo(actuator):
+            actuator.ctrllimited = 0  # It was a range of positions.
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        actuator.dynprm[0] = 1.0
+        actuator.actlimited = 0

@@ -1,0 +1,98 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which joints move together because an equality constraint of the model ties them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.typing import FloatArray
+
+#: At how many places of a joint's range the ratio of two velocities is looked at.
+_PLACES = 5
+_STEP = 1e-6
+
+
+class JointCouplings:
+    """
+    The joint equalities among some joints: one joint is a polynomial of another one.
+
+    :param model: the compiled ``mujoco.MjModel``; constraints that are active at its start count
+    :param joints: ids of scalar joints
+    """
+
+    def __init__(self, model: Any, joints: Iterable[int]) -> None:
+        self._model = model
+        own = set(joints)
+        self._neighbours: dict[int, list[tuple[int, FloatArray, bool]]] = {j: [] for j in own}
+        is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+        for equality in np.flatnonzero(is_joint & (model.eq_active0 != 0)):
+            follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+            if follower in own and leader in own:
+                polynomial = model.eq_data[equality, :5].copy()
+                self._neighbours[leader].append((follower, polynomial, False))
+                self._neighbours[follower].append((leader, polynomial, True))
+
+    def group(self, joint: int) -> frozenset[int]:
+        """Return a joint and all that move with it."""
+        found, waiting = {joint}, [joint]
+        while waiting:
+            for other, _, _ in self._neighbours[waiting.pop()]:
+                if other not in found:
+                    found.add(other)
+                    waiting.append(other)
+        return frozenset(found)
+
+    def follow(self, positions: Mapping[int, float]) -> dict[int, float]:
+        """
+        Return where joints have to be that are tied to others.
+
+        :param positions: of some joints [rad or m]; of two that are tied to the same one, the
+            first one counts
+        :returns: the positions given, and those of the joints that follow from them
+        """
+        known = dict(positions)
+        waiting = list(known)
+        while waiting:
+            joint = waiting.pop(0)
+            for other, polynomial, inverse in self._neighbours[joint]:
+                if other in known:
+                    continue
+                offset = known[joint] - self._zero(joint)
+                value = (self._solve(polynomial, offset, other) if inverse
+                         else float(np.polyval(polynomial[::-1], offset)))
+                if value is not None:
+                    known[other] = value + self._zero(other)
+                    waiting.append(other)
+        return known
+
+    def ratios(self, joint: int) -> list[dict[int, float]]:
+        """Return the velocities of coupled joints per that of one, at places of its range."""
+        low, high = (self._model.jnt_range[joint] if self._model.jnt_limited[joint]
+                     else (self._zero(joint), self._zero(joint)))
+        found = []
+        for place in np.linspace(low + _STEP, high - _STEP, _PLACES):
+            before = self.follow({joint: place - _STEP})
+            after = self.follow({joint: place + _STEP})
+            found.append({other: (after[other] - before[other]) / (2.0 * _STEP)
+                          for other in before if other in after})
+        return found
+
+    def _zero(self, joint: int) -> float:
+        return float(self._model.qpos0[self._model.jnt_qposadr[joint]])
+
+    def _solve(self, polynomial: FloatArray, value: float, joint: int) -> float | None:
+        """Return the offset of a joint at which a polynomial has a value, the least in range."""
+        if not polynomial[2:].any():
+            return (value - polynomial[0]) / polynomial[1] if polynomial[1] else None
+        roots = np.roots([*polynomial[:0:-1], polynomial[0] - value])
+        real = roots.real[np.abs(roots.imag) < _STEP]
+        if self._model.jnt_limited[joint]:
+            low, high = self._model.jnt_range[joint] - self._zero(joint)
+            real = real[(real > low - _STEP) & (real < high + _STEP)]
+        return float(real[np.argmin(np.abs(real))]) if len(real) else None

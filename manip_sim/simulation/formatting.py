@@ -1,0 +1,77 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Call a gripper's ``format_action``, which may be anybody's code, and check what it returns."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+
+from manip_sim.errors import ModelError
+from manip_sim.models.grippers import GripperModel
+from manip_sim.typing import FloatArray
+
+_STATE = (np.ndarray, list, dict, set)
+
+
+class Formatter:
+    """
+    The ``format_action`` of a gripper behind checks.
+
+    :param gripper: whose method it is; it is called once with zeros, and its state put back
+    :param count: how many commands it has to return
+    :ivar faults: how many calls raised or returned something else since then
+    :raises ModelError: if the call with zeros raises or does not return as many finite numbers
+    """
+
+    def __init__(self, gripper: GripperModel, count: int) -> None:
+        self._gripper = gripper
+        self._count = count
+        self.dof = gripper.dof
+        self.faults = 0
+        state = {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
+                 for name, value in vars(gripper).items()}
+        fault = self._fault(np.zeros(self.dof))[1]
+        vars(gripper).clear()
+        vars(gripper).update(state)
+        if fault is not None:
+            raise ModelError(f'format_action of {type(gripper).__name__} must return {count} '
+                             f'finite numbers, one for each actuator, but with an action of '
+                             f'{self.dof} zeros {fault}')
+
+    def format(self, action: FloatArray) -> FloatArray | None:
+        """
+        Return commands in [-1, 1], shape (count,), or None and count a fault.
+
+        :param action: in [-1, 1], shape (dof,)
+        """
+        command, fault = self._fault(action)
+        if fault is not None:
+            self.faults += 1
+            return None
+        return np.clip(command, -1.0, 1.0)
+
+    def start_at(self, command: FloatArray) -> bool:
+        """Let ``format_action`` go on from a command; return whether that worked."""
+        try:
+            self._gripper.start_at(command)
+        except Exception:
+            self.faults += 1
+            return False
+        return True
+
+    def _fault(self, action: FloatArray) -> tuple[FloatArray, str | None]:
+        """Return what an action comes to, and what is wrong with it."""
+        nothing: Any = np.zeros(self._count)
+        try:
+            command = np.asarray(self._gripper.format_action(action.copy()), dtype=float)
+        except Exception as error:
+            return nothing, f'it raised {type(error).__name__}: {error}'
+        if command.shape != (self._count,):
+            return nothing, f'it returned the shape {command.shape}'
+        if not np.isfinite(command).all():
+            return nothing, f'it returned {command.tolist()}'
+        return command, None

@@ -1,0 +1,213 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What the actuators of a gripper can do: ranges, speeds and forces in the units of their controls.
+
+A position servo has a setpoint, in the units of its control: that at which it comes to rest at a
+length of its transmission. Any other actuator, such as a motor, has only a control.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError
+from manip_sim.simulation.couplings import JointCouplings
+from manip_sim.simulation.parts import Part
+from manip_sim.typing import FloatArray, IntArray
+
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+class GripperActuators:
+    """
+    The actuators of a gripper, with what the model says of them in arrays of shape (n, ...).
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param part: the gripper
+    :ivar ids: of the actuators
+    :ivar is_servo: whether the actuator has a setpoint
+    :ivar ranges: of setpoints, and of the controls of the others, shape (n, 2)
+    :ivar speeds: of the setpoints, so that no joint and none that is coupled to it exceeds its
+        velocity limit [1/s]; infinite where none is declared
+    :ivar overtravel: how far below and above a place of rest a setpoint brings the full force,
+        zero where the force is not limited, shape (n, 2)
+    :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
+        where the length is no sum of joint positions
+    :ivar couplings: among the joints of the gripper
+    :raises ModelError: naming an actuator without a range, or two that drive the same
+    """
+
+    def __init__(self, model: Any, part: Part) -> None:
+        self._model = model
+        self._part = part
+        self.ids: IntArray = part.actuator_ids
+        self.couplings = JointCouplings(model, [model.joint(j).id for j in part.joints])
+        self._gain = model.actuator_gainprm[self.ids, 0].copy()
+        self._bias = model.actuator_biasprm[self.ids, :2].copy()
+        fixed = model.actuator_gaintype[self.ids] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        affine = model.actuator_biastype[self.ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        self.is_servo = fixed & affine & (self._gain > 0.0) & (self._bias[:, 1] < 0.0)
+        dynamics = model.actuator_dyntype[self.ids]
+        self._integrates = self.is_servo & (dynamics == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
+        self._settles = self._integrates | (self.is_servo & np.isin(dynamics, _FILTERS))
+        self._act = model.actuator_actadr[self.ids]
+        self.terms = [self._length_terms(i) for i in range(len(self.ids))]
+        self._check_shared()
+        self.ranges = np.array([self._range(i) for i in range(len(self.ids))]).reshape(-1, 2)
+        self.speeds = np.array([self._speed(i) for i in range(len(self.ids))])
+        self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
+                                   ).reshape(-1, 2)
+
+    def name(self, index: int) -> str:
+        """Return the name of an actuator."""
+        return self._part.actuators[index]
+
+    def rest(self, lengths: FloatArray) -> FloatArray:
+        """
+        Return the setpoints at which servos come to rest; zero for actuators that are none.
+
+        :param lengths: of the transmissions, shape (n,)
+        """
+        gain = np.where(self.is_servo, self._gain, 1.0)
+        at_rest: FloatArray = -(self._bias[:, 0] + self._bias[:, 1] * lengths) / gain
+        return np.where(self.is_servo, at_rest, 0.0)
+
+    def place(self, data: Any) -> FloatArray:
+        """Return the setpoints at which the servos would rest where they are, shape (n,)."""
+        return self.rest(data.actuator_length[self.ids])
+
+    def speed_of_place(self, data: Any) -> FloatArray:
+        """Return how fast :meth:`place` changes [1/s], shape (n,)."""
+        gain = np.where(self.is_servo, self._gain, 1.0)
+        speed: FloatArray = -self._bias[:, 1] / gain * data.actuator_velocity[self.ids]
+        return np.where(self.is_servo, speed, 0.0)
+
+    def setpoints(self, data: Any) -> FloatArray:
+        """Return the present setpoints, and the controls of actuators without, a copy."""
+        present: FloatArray = data.ctrl[self.ids].copy()
+        present[self._integrates] = data.act[self._act[self._integrates]]
+        return present
+
+    def hold(self, data: Any, setpoints: FloatArray) -> None:
+        """Put setpoints and controls somewhere else at once, as if they had long been there."""
+        data.act[self._act[self._settles]] = setpoints[self._settles]
+        data.ctrl[self.ids] = np.where(self._integrates, 0.0, setpoints)
+
+    def approach(self, data: Any, setpoints: FloatArray, duration_s: float) -> None:
+        """
+        Let setpoints move linearly; those without an activation of their own jump.
+
+        :param setpoints: where they shall be at the end, shape (n,)
+        :param duration_s: of the motion [s]
+        """
+        rates = (setpoints - self.setpoints(data)) / duration_s
+        data.ctrl[self.ids] = np.where(self._integrates, rates, setpoints)
+
+    def lengths_at(self, data: Any, positions: dict[int, float]) -> FloatArray:
+        """
+        Return the lengths of the transmissions with joints somewhere else.
+
+        :param positions: by id of the joint [rad or m]; the other joints are where they are
+        :returns: shape (n,), NaN where none of the joints takes part
+        """
+        model, lengths = self._model, np.full(len(self.ids), np.nan)
+        for index, terms in enumerate(self.terms):
+            if any(joint in positions for joint, _ in terms):
+                lengths[index] = model.actuator_gear[self.ids[index], 0] * sum(
+                    coefficient * positions.get(joint, data.qpos[model.jnt_qposadr[joint]])
+                    for joint, coefficient in terms)
+        return lengths
+
+    def why_no_setpoint(self, index: int) -> str:
+        """Say what the control of an actuator without a setpoint is."""
+        damping = self._model.actuator_biasprm[self.ids[index], 2]
+        what = 'a velocity' if damping < 0.0 and self._bias[index, 1] == 0.0 else 'a force'
+        return f"actuator '{self.name(index)}' is no position servo, its control is {what}"
+
+    def _length_terms(self, index: int) -> list[tuple[int, float]]:
+        model, actuator = self._model, int(self.ids[index])
+        kind, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
+        if kind in _JOINT and int(model.jnt_type[target]) in _SCALAR:
+            return [(int(target), 1.0)]
+        if kind != _TENDON:
+            return []
+        first = int(model.tendon_adr[target])
+        wraps = range(first, first + int(model.tendon_num[target]))
+        if any(int(model.wrap_type[w]) != int(mujoco.mjtWrap.mjWRAP_JOINT) for w in wraps):
+            return []
+        return [(int(model.wrap_objid[w]), float(model.wrap_prm[w])) for w in wraps]
+
+    def _check_shared(self) -> None:
+        driven_by: dict[tuple[bool, int], int] = {}
+        for index, actuator in enumerate(self.ids):
+            kind = int(self._model.actuator_trntype[actuator])
+            if kind not in (*_JOINT, _TENDON):
+                continue
+            key = kind == _TENDON, int(self._model.actuator_trnid[actuator, 0])
+            first = driven_by.setdefault(key, index)
+            if first != index and (self.is_servo[first] or self.is_servo[index]):
+                what = ('tendon', self._model.tendon) if key[0] else ('joint', self._model.joint)
+                raise ModelError(
+                    f"actuators '{self.name(first)}' and '{self.name(index)}' of "
+                    f"{self._part.name} both drive {what[0]} '{what[1](key[1]).name}' and one of "
+                    'them is a position servo, which the other one disturbs: leave one of them')
+
+    def _range(self, index: int) -> tuple[float, float]:
+        model, actuator = self._model, int(self.ids[index])
+        low, high = (model.actuator_actrange[actuator] if self._integrates[index]
+                     else model.actuator_ctrlrange[actuator])
+        if low < high:
+            return float(low), float(high)
+        terms = self.terms[index]
+        if self.is_servo[index] and len(terms) == 1 and model.jnt_limited[terms[0][0]]:
+            joint, coefficient = terms[0]
+            ends = (model.jnt_range[joint] * coefficient * model.actuator_gear[actuator, 0])
+            at_ends = -(self._bias[index, 0] + self._bias[index, 1] * ends) / self._gain[index]
+            return float(at_ends.min()), float(at_ends.max())
+        raise ModelError(f"actuator '{self.name(index)}' of {self._part.name} needs a control "
+                         'range, which actions of -1 to 1 stand for')
+
+    def _speed(self, index: int) -> float:
+        """Return the greatest speed of a setpoint at which no joint exceeds its limit."""
+        model, actuator = self._model, int(self.ids[index])
+        if not self.is_servo[index]:
+            return np.inf
+        coefficient_of = dict(self.terms[index])
+        fastest = np.inf
+        for joint in coefficient_of:
+            for ratios in self.couplings.ratios(joint):
+                length_rate = abs(sum(coefficient_of.get(other, 0.0) * ratio
+                                      for other, ratio in ratios.items()))
+                limits = [self._velocity_limit(other) / abs(ratio)
+                          for other, ratio in ratios.items() if ratio]
+                fastest = min([fastest, *(limit * length_rate for limit in limits)])
+        per_length = -self._bias[index, 1] / self._gain[index]
+        return float(fastest * abs(model.actuator_gear[actuator, 0]) * per_length)
+
+    def _velocity_limit(self, joint: int) -> float:
+        declared = float(self._model.jnt_user[joint, 0]) if self._model.nuser_jnt else 0.0
+        return declared if declared > 0.0 else np.inf
+
+    def _overtravel(self, index: int) -> tuple[float, float]:
+        model, actuator = self._model, int(self.ids[index])
+        limits = []
+        if model.actuator_forcelimited[actuator]:
+            limits.append(model.actuator_forcerange[actuator])
+        joint = self.terms[index][0][0] if len(self.terms[index]) == 1 else None
+        if joint is not None and model.jnt_actfrclimited[joint]:
+            limits.append(np.sort(model.jnt_actfrcrange[joint]
+                                  / model.actuator_gear[actuator, 0]))
+        # What MuJoCo keeps in its range by itself cannot travel over.
+        if not limits or not self.is_servo[index] or model.actuator_actlimited[actuator]:
+            return 0.0, 0.0
+        low, high = np.max(limits, axis=0)[0], np.min(limits, axis=0)[1]
+        return (float(max(-low, 0.0) / self._gain[index]),
+                float(max(high, 0.0) / self._gain[index]))

@@ -1,0 +1,154 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Look for what is wrong with the start of a robot, before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.simulation.couplings import JointCouplings
+
+#: What is less deep in something else only touches it [m].
+_TOUCHING_M = 0.0005
+#: What is less outside its range, as a part of the range, is at its end.
+_AT_END = 1e-3
+#: A joint is blocked if contacts leave less than this of the acceleration that it would have; one
+#: that can leave its neighbour keeps half of it.
+_BLOCKED = 0.25
+#: What holds the other joints still while one is tried, as a multiple of all inertia.
+_HELD = 1e3
+#: The force that tries a joint without a force limit accelerates it so [rad/s^2 or m/s^2].
+_TRIAL_ACCELERATION = 100.0
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+def check_start(model: Any, data: Any, roots: Iterable[str]) -> list[str]:
+    """
+    Say what of robots starts inside something, blocked or outside its range.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
+    :param roots: the root bodies of the robots
+    :returns: a sentence for each defect, those of the greatest depth first; empty if there is none
+    """
+    own = _bodies_below(model, [model.body(root).id for root in roots])
+    contacts = [contact for contact in data.contact if min(contact.geom) >= 0
+                and own[model.geom_bodyid[contact.geom]].any()]
+    joints = [joint for joint in _actuated_joints(model) if own[model.jnt_bodyid[joint]]]
+    return [*_overlaps(model, contacts, own), *_blocked(model, data, contacts, joints),
+            *_out_of_range(model, data, own)]
+
+
+def _bodies_below(model: Any, roots: list[int]) -> Any:
+    """Return which bodies are one of some bodies or hang on one, shape (nbody,)."""
+    below = np.zeros(model.nbody, dtype=bool)
+    below[roots] = True
+    for body in range(1, model.nbody):
+        below[body] |= below[model.body_parentid[body]]
+    return below
+
+
+def _actuated_joints(model: Any) -> list[int]:
+    """Return the scalar joints that actuators drive by themselves or by fixed tendons."""
+    found = []
+    for actuator in range(model.nu):
+        name = driven_joint(model, actuator)
+        if name is not None:
+            found.append(int(model.joint(name).id))
+        elif int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_TENDON):
+            tendon = model.actuator_trnid[actuator, 0]
+            wraps = slice(model.tendon_adr[tendon],
+                          model.tendon_adr[tendon] + model.tendon_num[tendon])
+            is_joint = model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+            found += model.wrap_objid[wraps][is_joint].tolist()
+    return [joint for joint in dict.fromkeys(found) if int(model.jnt_type[joint]) in _SCALAR]
+
+
+def _overlaps(model: Any, contacts: list[Any], own: Any) -> list[str]:
+    deepest: dict[tuple[int, ...], Any] = {}
+    for contact in sorted(contacts, key=lambda contact: float(contact.dist)):
+        if contact.dist < -_TOUCHING_M:
+            deepest.setdefault(tuple(sorted(model.geom_bodyid[contact.geom].tolist())), contact)
+    told = []
+    for contact in deepest.values():
+        # What is farther from the robot's root is told as inside what is nearer to it.
+        outer, inner = sorted(contact.geom, key=lambda geom: (
+            bool(own[model.geom_bodyid[geom]]), int(model.geom_bodyid[geom])))
+        told.append(f'{_geom(model, inner)} starts {-1e3 * contact.dist:.1f} mm inside '
+                    f'{_geom(model, outer)}')
+    return told
+
+
+def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int]) -> Iterator[str]:
+    for joint in joints:
+        moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
+        against = [contact for contact in contacts
+                   if moved[model.geom_bodyid[contact.geom]].sum() == 1]
+        if not against or not _is_blocked(model, data, joint):
+            continue
+        contact = min(against, key=lambda contact: float(contact.dist))
+        # Named is what does not move with the joint.
+        neighbour = next(geom for geom in contact.geom if not moved[model.geom_bodyid[geom]])
+        yield f"joint '{model.joint(joint).name}' starts blocked by {_geom(model, neighbour)}"
+
+
+def _is_blocked(model: Any, data: Any, joint: int) -> bool:
+    """Tell whether the full force, forwards and backwards, moves a joint hardly at all."""
+    trial = copy.copy(model)
+    scalar = np.flatnonzero(np.isin(model.jnt_type, _SCALAR)).tolist()
+    together = JointCouplings(model, scalar).group(joint)
+    held = np.ones(model.nv, dtype=bool)
+    held[[model.jnt_dofadr[j] for j in together]] = False
+    trial.dof_armature[held] += _HELD * model.dof_M0.max()
+    with_contacts = _span(trial, data, joint)
+    trial.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return with_contacts < _BLOCKED * _span(trial, data, joint)
+
+
+def _span(model: Any, data: Any, joint: int) -> float:
+    """Return the difference of the accelerations by the full force in both directions."""
+    dof, trial = int(model.jnt_dofadr[joint]), copy.copy(data)
+    trial.qvel[:] = 0.0
+    accelerations = []
+    for sign in (1.0, -1.0):
+        trial.qfrc_applied[dof] = data.qfrc_applied[dof] + sign * _full_force(model, joint)
+        mujoco.mj_forward(model, trial)
+        accelerations.append(trial.qacc[dof])
+    return float(accelerations[0] - accelerations[1])
+
+
+def _full_force(model: Any, joint: int) -> float:
+    if model.jnt_actfrclimited[joint]:
+        return float(np.abs(model.jnt_actfrcrange[joint]).max())
+    forces = [float(np.abs(model.actuator_forcerange[a] * model.actuator_gear[a, 0]).max())
+              for a in range(model.nu) if model.actuator_forcelimited[a]
+              and driven_joint(model, a) == model.joint(joint).name]
+    inertia = model.dof_M0[model.jnt_dofadr[joint]]
+    return max(forces, default=float(_TRIAL_ACCELERATION * inertia))
+
+
+def _out_of_range(model: Any, data: Any, own: Any) -> Iterator[str]:
+    for joint in range(model.njnt):
+        if (not own[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
+                or not model.jnt_limited[joint]):
+            continue
+        low, high = model.jnt_range[joint]
+        position = float(data.qpos[model.jnt_qposadr[joint]])
+        beyond = max(low - position, position - high)
+        if beyond > _AT_END * (high - low):
+            hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+            yield (f"joint '{model.joint(joint).name}' starts at {position:.4g} "
+                   f'{"rad" if hinge else "m"}, {beyond:.4g} outside its range of {low:.4g} to '
+                   f'{high:.4g}')
+
+
+def _geom(model: Any, geom: int) -> str:
+    body = model.body(model.geom_bodyid[geom]).name
+    return f"geom '{model.geom(geom).name}' of body '{body}'"

@@ -1,0 +1,74 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The policy for SROS2 allows what the node has, and nothing else."""
+
+from xml.etree import ElementTree
+
+from harness import Served
+import pytest
+from rclpy.node import Node
+
+from manip_sim.resources import config_path
+from manip_sim.ros import simulation_interfaces
+
+#: Together they have all parts that there are.
+ROBOTS = ('PandaOmron', 'GR1')
+#: With or without the package in this environment.
+STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
+    'get_simulator_features', 'get_simulation_state', 'set_simulation_state', 'step_simulation',
+    'reset_simulation', 'get_entities', 'get_entity_state', 'set_entity_state')}
+
+
+def granted(enclave, kind, permission):
+    """Return the full names that an enclave of the policy allows."""
+    (profile,) = ElementTree.parse(config_path('security_policy.xml')).findall(
+        f'./enclaves/enclave[@path="{enclave}"]/profiles/profile')
+    names = [element.text for element in
+             profile.findall(f'./{kind}s[@{permission}="ALLOW"]/{kind}')]
+    assert len(set(names)) == len(names)
+    own = f'/{profile.get("node")}'
+    return {name if name[0] == '/' else own + name[1:] if name[0] == '~' else f'/{name}'
+            for name in names}
+
+
+@pytest.fixture(scope='module')
+def graph():
+    """Return what the node publishes, subscribes to and serves, over several robots."""
+    names = {'publish': set(), 'subscribe': set(), 'reply': set()}
+    for robot in ROBOTS:
+        served = Served({'robot': robot})
+        try:
+            node: Node = served.node
+            for permission, entities in (
+                    ('publish', node.get_publisher_names_and_types_by_node),
+                    ('subscribe', node.get_subscriber_names_and_types_by_node),
+                    ('reply', node.get_service_names_and_types_by_node)):
+                names[permission] |= {name for name, _ in entities('manip_sim', '/')}
+        finally:
+            served.close()
+    return names
+
+
+@pytest.mark.parametrize('kind, permission', [
+    ('topic', 'publish'), ('topic', 'subscribe'), ('service', 'reply')])
+def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
+    allowed = granted('/manip_sim/sim_node', kind, permission)
+    if kind == 'service':
+        assert allowed >= STANDARD_SERVICES
+        if not simulation_interfaces.AVAILABLE:
+            allowed -= STANDARD_SERVICES
+    assert allowed == graph[permission]
+
+
+def test_a_controller_may_command_and_observe_but_not_change_parameters():
+    def node(kind, permission):
+        return granted('/manip_sim/sim_node', kind, permission)
+
+    def controller(kind, permission):
+        return granted('/manip_sim/controller', kind, permission)
+    assert controller('topic', 'publish') == node('topic', 'subscribe') | {
+        '/parameter_events', '/rosout'}
+    assert controller('topic', 'subscribe') == node('topic', 'publish') - {'/rosout'}
+    assert node('service', 'reply') - controller('service', 'request') == {
+        '/manip_sim/set_parameters', '/manip_sim/set_parameters_atomically'}

@@ -1,0 +1,21 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The scripts of ``make soak``, in amounts of seconds."""
+
+from pathlib import Path
+import subprocess
+import sys
+
+SOAK = Path(__file__).parent.parent / 'soak' / 'soak.py'
+
+
+def test_the_soak_scripts_run_and_lose_nothing():
+    done = subprocess.run(
+        [sys.executable, str(SOAK), '--only', 'malformed', 'floods', 'stops', 'time',
+         '--messages', '1000', '--flood', '2', '--stops', '2', '--hours', '0.01'],
+        capture_output=True, text=True, timeout=100.0)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [line for line in done.stdout.splitlines() if line.startswith('|')]
+    assert len(rows) == 2 + 6
+    assert done.stdout.splitlines()[-1] == '0 lost'

@@ -1,0 +1,92 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Starts that cannot succeed: one line that says why, and exit code 1."""
+
+import signal
+
+import pytest
+
+QOS = 'qos_overrides./joint_states.publisher'
+REFUSED = {
+    f'-p {QOS}.reliability:=bogus': (
+        f"parameter '{QOS}.reliability': unknown value 'bogus'", 'best_effort'),
+    f'-p {QOS}.reliability:=1': (f"parameter '{QOS}.reliability': unknown value '1'",),
+    f'-p {QOS}.history:=all': (f"parameter '{QOS}.history': unknown value 'all'", 'keep_all'),
+    f'-p {QOS}.depth:=-1': (f"parameter '{QOS}.depth' must be an integer from 1 to", "got '-1'"),
+    f'-p {QOS}.depth:=true': (f"parameter '{QOS}.depth' must be an integer from 1 to",),
+    f'-p {QOS}.durability:=volatile': (
+        f"unknown parameter '{QOS}.durability': did you mean '{QOS}.",),
+    '-p qos_overrides./joint_stats.publisher.depth:=5': (
+        f"unknown parameter 'qos_overrides./joint_stats.publisher.depth': "
+        f"did you mean '{QOS}.depth'",),
+    f'-r __ns:=/left -p {QOS}.depth:=5': (
+        f"unknown parameter '{QOS}.depth': "
+        "did you mean 'qos_overrides./left/joint_states.publisher.depth'",),
+    '-p use_sim_time:=nonsense': ("parameter 'use_sim_time'", "'nonsense'", 'BOOL'),
+    f'-r __node:={"a" * 300}': ('invalid node name', "should not exceed '255'"),
+    '-p robot': ('bad ROS arguments', "'-p robot'"),
+    '--params-file nofile.yaml': ('bad ROS arguments', 'nofile.yaml'),
+    '-p lockstep_parts:=[] -p stepping:=lockstep': (
+        "parameter 'lockstep_parts': lockstep needs at least one part",)}
+
+
+@pytest.mark.parametrize('arguments', REFUSED)
+def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, process):
+    node = process('--ros-args', *arguments.split())
+    _, errors = node.communicate(timeout=30.0)
+    assert node.returncode == 1
+    assert len(errors.splitlines()) == 1, errors
+    assert '/src/' not in errors
+    for words in REFUSED[arguments]:
+        assert words in errors
+
+
+def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):
+    monkeypatch.setenv('HOME', '/proc/nobody')
+    monkeypatch.delenv('ROS_LOG_DIR', raising=False)
+    monkeypatch.delenv('ROS_HOME', raising=False)
+    node = process()
+    _, errors = node.communicate(timeout=30.0)
+    assert node.returncode == 1
+    assert len(errors.splitlines()) == 1, errors
+    assert '/proc/nobody' in errors
+    assert 'set ROS_LOG_DIR' in errors
+    assert 'arguments' not in errors
+
+
+def first_joint_and_warnings(process, client, *arguments):
+    node = process('--ros-args', *arguments)
+    joint = client.state().name[0]
+    node.send_signal(signal.SIGINT)
+    _, errors = node.communicate(timeout=30.0)
+    assert node.returncode == 0
+    return joint, [line for line in errors.splitlines() if '[WARN]' in line]
+
+
+def test_an_empty_list_of_lockstep_parts_is_a_list(process, client):
+    _, warnings = first_joint_and_warnings(process, client, '-p', 'lockstep_parts:=[]')
+    assert not warnings
+
+
+@pytest.mark.parametrize('key, effect', [
+    ('sim_node', False), ('/ns/manip_sim', False), ('/*/*', False),
+    ('manip_sim', True), ('/manip_sim', True), ('/**', True), ('/**/manip_sim', True),
+    ('/*', True)])
+def test_a_parameters_file_for_other_nodes_is_told(key, effect, process, client, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(f'"{key}":\n  ros__parameters:\n    idn: 7\n')
+    joint, warnings = first_joint_and_warnings(process, client, '--params-file', str(file))
+    assert joint == ('robot7_joint1' if effect else 'robot0_joint1')
+    if effect:
+        assert not warnings
+    else:
+        assert len(warnings) == 1
+        assert 'has no effect' in warnings[0]
+        assert 'this node is /manip_sim' in warnings[0]
+
+
+def test_a_parameter_for_another_node_is_told(process, client):
+    _, warnings = first_joint_and_warnings(process, client, '-p', 'sim_node:robot:=GR1')
+    assert len(warnings) == 1
+    assert "is for 'sim_node'" in warnings[0]

@@ -1,0 +1,28 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What ``make`` sets for the programs that it starts."""
+
+import os
+from pathlib import Path
+import shutil
+import subprocess
+
+import pytest
+
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+MAKEFILE = Path(__file__).parent.parent / 'Makefile'
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+@pytest.mark.parametrize('given, seen', [(None, 'LOCALHOST'), ('SUBNET', 'SUBNET')])
+def test_make_keeps_ros_within_this_machine_unless_told_otherwise(given, seen, tmp_path):
+    # A Makefile of a line that includes ours tells what a recipe would see.
+    probe = tmp_path / 'Makefile'
+    probe.write_text(f'include {MAKEFILE}\nprobe:\n\t@echo "range=$${RANGE}"\n')
+    environment = {k: v for k, v in os.environ.items() if k not in (RANGE, 'MAKEFLAGS')}
+    if given is not None:
+        environment[RANGE] = given
+    done = subprocess.run(['make', '-f', str(probe), 'probe'], capture_output=True, text=True,
+                          env=environment, timeout=60.0)
+    assert f'range={seen}' in done.stdout, done.stderr
