@@ -79,13 +79,13 @@ class Samples:
     :ivar position: [rad or m], shape (steps, n)
     :ivar velocity: [rad/s or m/s], shape (steps, n)
     :ivar effort: of the actuators [N m or N], shape (steps, n)
-    :ivar wrench: of the right arm's sensors [N, N m], shape (steps, 6)
+    :ivar wrench: of the right arm's sensors if it was asked for [N, N m], shape (steps, 6)
     """
 
-    def __init__(self, driven):
+    def __init__(self, driven, wrench=False):
         self._driven = driven
         self._rows = []
-        end = driven.simulation.end_effectors.get('right')
+        end = driven.simulation.end_effectors.get('right') if wrench else None
         self._wrench = end and [*range(end._force, end._force + 3),
                                 *range(end._torque, end._torque + 3)]
 
@@ -106,9 +106,9 @@ class Samples:
 
 
 @contextmanager
-def sampled(driven) -> Iterator[Samples]:
+def sampled(driven, wrench=False) -> Iterator[Samples]:
     """Record every physics step of a simulation meanwhile."""
-    samples, step = Samples(driven), mujoco.mj_step
+    samples, step = Samples(driven, wrench), mujoco.mj_step
 
     def single_steps(model, data, nstep=1):
         for _ in range(nstep):
