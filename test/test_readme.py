@@ -63,3 +63,11 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
         assert live == ('yes' if spec.live else ''), name
         assert len(meaning) > 10, name
     assert set(rows) == expected
+
+
+def test_every_rule_of_trajectories_names_its_test():
+    rules = re.findall(r'`(test_\w+)` \|$', (ROOT / 'docs' / 'control.md').read_text(), re.M)
+    tests = {name for file in (ROOT / 'test').rglob('test_*.py')
+             for name in re.findall(r'^def (test_\w+)', file.read_text(), re.M)}
+    assert len(rules) > 15
+    assert set(rules) <= tests

@@ -295,3 +295,10 @@ def test_trajectory_of_many_points_is_ready_within_a_moment(op):
     op.run(0.2)
     assert command.handle.status is Status.RUNNING
     assert command.slowed == 1.0
+
+
+def test_joints_may_come_in_any_order(op):
+    at = dict(zip([J1, J5], op.where(J1, J5)))
+    op.follow('arm', [J5, J1], [0.8], [[at[J5] + 0.1, at[J1] + 0.2]])
+    op.run(1.2)
+    np.testing.assert_allclose(op.where(J1, J5), [at[J1] + 0.2, at[J5] + 0.1], atol=1e-4)
