@@ -124,6 +124,7 @@ class Diagnostics:
             'state': 'paused' if runner.paused else runner.stepping,
             'real_time_factor': f'{pace.factor:.4f}', 'missed_deadlines': progress.missed,
             'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings,
+            'start_defects': '; '.join(self._simulation.start_defects) or 'none',
             **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
         if pace.loss > _TOLERATED_LOSS and not runner.paused:
             status.level = DiagnosticStatus.WARN

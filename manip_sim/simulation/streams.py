@@ -13,9 +13,10 @@ from manip_sim.typing import BoolArray, FloatArray, IntArray
 STREAM_INTERVAL_S = 0.105
 #: What is kept from message to message of an average velocity, and of a measure of jitter.
 _KEPT, _KEPT_JITTER = 0.7, 0.95
-#: Second difference of the velocity over the velocity: a sine of 2 Hz at 100 Hz has 0.016, a
-#: stream of which one message in fourteen comes a period late has 0.15.
-_SMOOTH, _JITTERS = 0.08, 0.16
+#: Second difference of the velocity over the velocity, where its sign changes from message to
+#: message: what is smooth has none, a stream of which one message in fourteen comes a period late
+#: has 0.07.
+_SMOOTH, _JITTERS = 0.04, 0.08
 #: How fast the measure of jitter rises, by message.
 _ATTACK = 0.3
 #: A step above so many times the last one is none of the same velocity.
@@ -50,7 +51,7 @@ class StreamEstimator:
         #: Velocity of the last message and of that before.
         self._history = np.zeros((2, count))
         self._mean_step, self._mean_s = zeros(), zeros()
-        self._mean_speed, self._worst_bend = zeros(), zeros()
+        self._mean_speed, self._bend, self._worst_turn = zeros(), zeros(), zeros()
 
     def forget(self, indices: IntArray) -> None:
         """Let the next goals be the first of a stream."""
@@ -100,15 +101,16 @@ class StreamEstimator:
         older, oldest = self._history[:, indices]
         self._messages[indices] = np.where(streams, self._messages[indices] + 1.0, 0.0)
         # How a stream starts is no jitter.
-        bend = np.abs(np.where(self._messages[indices] > 3.0,
-                               velocity - 2.0 * older + oldest, 0.0))
-        self._history[:, indices] = velocity, older
+        bend = np.where(self._messages[indices] > 3.0, velocity - 2.0 * older + oldest, 0.0)
+        before = self._bend[indices]
+        turn = np.where(bend * before < 0.0, np.minimum(np.abs(bend), np.abs(before)), 0.0)
+        self._history[:, indices], self._bend[indices] = (velocity, older), bend
         kept = np.where(streams, _KEPT_JITTER, 0.0)
         mean = kept * self._mean_speed[indices] + (1.0 - kept) * np.abs(velocity)
         self._mean_speed[indices] = mean
-        worst = self._worst_bend[indices]
-        self._worst_bend[indices] = np.maximum(kept * worst, worst + _ATTACK * (bend - worst))
-        ratio = self._worst_bend[indices] / np.maximum(mean, 1e-12)
+        worst = self._worst_turn[indices]
+        self._worst_turn[indices] = np.maximum(kept * worst, worst + _ATTACK * (turn - worst))
+        ratio = self._worst_turn[indices] / np.maximum(mean, 1e-12)
         self.jitter[indices] = np.clip((ratio - _SMOOTH) / (_JITTERS - _SMOOTH), 0.0, 1.0)
 
     def _average(self, indices: IntArray, step: FloatArray, elapsed_s: FloatArray,
