@@ -98,8 +98,8 @@ def feasible_amplitude(driven, frequency_hz, wanted):
     """Return the amplitude that a joint's limits allow, zero for very slow joints."""
     model, turn = driven.simulation.model, 2.0 * np.pi * frequency_hz
     mass = np.empty((model.nv, model.nv))
-    mujoco.mj_fullM(*((model, mass, driven.simulation.data.qM) if mujoco.mj_version() < 3004000
-                      else (model, driven.simulation.data, mass)))
+    for row, unit in zip(mass, np.eye(model.nv)):
+        mujoco.mj_mulM(model, driven.simulation.data, row, unit)
     indices = driven.simulation.joints.indices_of('right')
     driven.simulation.set_control_mode('right', 'effort')
     torque = driven.simulation.joints.ranges(indices)[:, 1]
@@ -251,9 +251,9 @@ def test_velocity_stops_softly_before_the_range_ends(panda_sim, run):
 def test_streamed_sine_of_velocities_is_followed_in_full_and_on_time(name, frequency_hz):
     simulation = whole_robot(name)
     arm = Driven(simulation, 'right')
-    simulation.set_control_mode('arm', 'velocity')
     angle_rate = 2.0 * np.pi * frequency_hz
     amplitude = feasible_amplitude(arm, frequency_hz, 0.1) * angle_rate
+    simulation.set_control_mode('arm', 'velocity')
     for joint in range(len(amplitude)):
         simulation.reset()
         rows, begin = [], simulation.step_count

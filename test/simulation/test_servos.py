@@ -277,8 +277,8 @@ def test_effort_is_what_the_equations_of_motion_need_to_the_last_digit():
         effort = random.uniform(-3.0, 3.0, 7)
         arm.command('effort', effort)
         velocity, mass = data.qvel.copy(), np.empty((model.nv, model.nv))
-        mujoco.mj_fullM(*((model, mass, data.qM) if mujoco.mj_version() < 3004000
-                          else (model, data, mass)))
+        for row, unit in zip(mass, np.eye(model.nv)):
+            mujoco.mj_mulM(model, data, row, unit)
         bias, weight = data.qfrc_bias.copy(), data.qfrc_gravcomp.copy()
         simulation.advance(1)
         acceleration = (data.qvel - velocity) / simulation.timestep_s
