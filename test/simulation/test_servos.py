@@ -172,7 +172,7 @@ def test_damping_of_the_joint_does_not_slow_a_velocity(one_joint_arm, run, actua
     run(simulation, 0.5)
     assert simulation.state().velocity[0] == pytest.approx(0.4, rel=2e-3)
     # Nor does it make the joint lag behind its setpoint.
-    setpoint = simulation.joints.reference(np.array([0])).position[0]
+    setpoint = simulation.joints.controller_state('arm', simulation.data).reference.position[0]
     assert simulation.state().position[0] == pytest.approx(setpoint, abs=1e-4)
 
 
