@@ -14,6 +14,8 @@ import difflib
 import itertools
 import re
 
+from manip_sim.quoting import quoted
+
 #: Least likeness of a name that is suggested, from 0 to 1.
 _ALIKE = 0.5
 #: Of a name that was asked for; a longer one is like none of ours.
@@ -55,7 +57,8 @@ class UnknownNameError(ModelError, KeyError):
         self.kind = kind
         self.name = name
         self.available = list(available)
-        super().__init__(f"unknown {kind} '{name}': {describe_choices(name, self.available)}")
+        super().__init__(f'unknown {kind} {quoted(name)}: '
+                         f'{describe_choices(name, self.available)}')
 
     def __str__(self) -> str:
         # KeyError would print the repr of the message.

@@ -174,7 +174,8 @@ class Diagnostics:
 
 
 _WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
-             mujoco.mjtWarning.mjWARN_BADQACC, mujoco.mjtWarning.mjWARN_CONTACTFULL)
+             mujoco.mjtWarning.mjWARN_BADQACC, mujoco.mjtWarning.mjWARN_BADCTRL,
+             mujoco.mjtWarning.mjWARN_CONTACTFULL)
 
 
 def _status(name: str, message: str, values: dict[str, object]) -> DiagnosticStatus:

@@ -21,6 +21,7 @@ from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.robots import robot_names
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.quoting import quoted
 from manip_sim.simulation.commands import MODES
 from manip_sim.simulation.parts import Part
 
@@ -72,7 +73,7 @@ class ParameterSpec:
         if self.choices:
             for item in value if isinstance(value, (list, tuple)) else [value]:
                 if item not in self.choices:
-                    return (f"parameter '{self.name}': unknown value '{item}': "
+                    return (f"parameter '{self.name}': unknown value {quoted(item)}: "
                             f'{describe_choices(item, self.choices)}')
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):

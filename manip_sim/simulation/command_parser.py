@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.quoting import quoted
 from manip_sim.simulation.commands import (
     BaseTwist, Command, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory,
     TrajectoryStop)
@@ -269,7 +270,7 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
     known = set(available)
     for name in names:
         if name not in known:
-            raise CommandError(f"{what} has no joint '{name}' that can be commanded: "
+            raise CommandError(f'{what} has no joint {quoted(name)} that can be commanded: '
                                f'{describe_choices(name, available)}')
     if len(set(names)) != len(names):
         twice = next(name for name in names if list(names).count(name) > 1)

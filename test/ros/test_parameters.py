@@ -9,7 +9,7 @@ import signal
 
 import pytest
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import Parameter, parameter_value_to_python
 import yaml
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
@@ -134,3 +134,12 @@ def test_use_sim_time_is_answered_with_a_warning(serve, client):
     serve(use_sim_time=True)
     client.spin_until(lambda: any('this node makes the time' in line for line in log))
     client.state()
+
+
+def test_parameters_may_be_set_before_the_simulation_runs_and_after_it_has_ended(serve):
+    node = serve()
+    node.stop()
+    for name, value in (('real_time_factor', 2.0), ('control_mode.arm', 'effort'),
+                        ('command_timeout.right', 1.0)):
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert result.successful
