@@ -16,7 +16,7 @@ MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
 }
-TOP_LEVEL = {'errors', 'resources', 'typing'}
+TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

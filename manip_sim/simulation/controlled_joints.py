@@ -1,0 +1,148 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The driven joints of a robot: names, parts, modes, limits and setpoints, to be asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.simulation.parts import Part
+from manip_sim.simulation.servos import Servos
+from manip_sim.simulation.setpoints import SetpointGenerator
+from manip_sim.simulation.state import ControllerState, JointReference
+from manip_sim.simulation.trajectory import Trajectory
+from manip_sim.typing import FloatArray, IntArray
+
+#: A trajectory that would have to be slowed down more than this is refused.
+_MAX_SLOWDOWN = 1000.0
+#: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
+_TWIST_JOINTS = ('forward', 'side', 'yaw')
+
+
+class ControlledJoints:
+    """
+    The joints that actuators drive, each with its servo, its setpoint and its control mode.
+
+    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``
+    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
+    :param parts: by name; those of one arm and of both arms may overlap
+    :param atomic: the names of the parts that do not overlap
+    :ivar names: of the driven joints, in the order of their indices
+    :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
+    """
+
+    def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str]
+                 ) -> None:
+        driven = [(actuator, joint) for name in atomic for actuator, joint in
+                  zip(parts[name].actuators, parts[name].driven_joints) if joint is not None]
+        self.names = [joint for _, joint in driven]
+        self._index_of = {name: index for index, name in enumerate(self.names)}
+        self._indices_of = {name: self.find([j for j in part.driven_joints if j])
+                            for name, part in parts.items()}
+        self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
+        self.twist_indices = self._find_twist_joints(parts)
+        self._servos = Servos(model, data, [a for a, _ in driven], self.names)
+        self._setpoints = SetpointGenerator(
+            self._servos.position_clamp(), self._servos.velocity_limit,
+            self._servos.acceleration_limit)
+        self._mode = ['position'] * len(self.names)
+        self._effort = np.zeros(len(self.names))
+
+    def _find_twist_joints(self, parts: Mapping[str, Part]) -> IntArray | None:
+        if 'base' not in parts:
+            return None
+        words = [set((joint or '').split('_')) for joint in parts['base'].driven_joints]
+        found = [[i for i, w in enumerate(words) if key in w] for key in _TWIST_JOINTS]
+        if any(len(indices) != 1 for indices in found):
+            return None
+        return self._indices_of['base'][[indices[0] for indices in found]]
+
+    def indices_of(self, part: str) -> IntArray:
+        """
+        Return the indices of a part's driven joints.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        if part not in self._indices_of:
+            raise UnknownNameError('part', part, self._indices_of)
+        return self._indices_of[part]
+
+    def find(self, names: Sequence[str]) -> IntArray:
+        """Return the indices of driven joints."""
+        return np.array([self._index_of[name] for name in names], dtype=np.int64)
+
+    def parts_of(self, indices: IntArray) -> frozenset[str]:
+        """Return the atomic parts that joints belong to."""
+        return frozenset(self._part_of[i] for i in indices)
+
+    def mode_of(self, name: str) -> str:
+        """Return the control mode of a driven joint."""
+        return self._mode[self._index_of[name]]
+
+    def modes_of(self, indices: IntArray) -> tuple[str, ...]:
+        """Return the control modes of driven joints."""
+        return tuple(self._mode[i] for i in indices)
+
+    def ranges(self, indices: IntArray) -> FloatArray:
+        """Return what an action of -1 to 1 spans in the present modes, shape (n, 2), a copy."""
+        return np.array([self._servos.ranges[self._mode[i]][i] for i in indices]).reshape(-1, 2)
+
+    def clamps(self, indices: IntArray) -> FloatArray:
+        """Return the ranges of goals in the present modes, shape (n, 2), a copy."""
+        clamps = self.ranges(indices)
+        endless = ~self._servos.limited[indices] & np.array(
+            [self._mode[i] == 'position' for i in indices], dtype=bool)
+        clamps[endless] = (-np.inf, np.inf)
+        return clamps
+
+    def fitted(self, trajectory: Trajectory, indices: IntArray, elapsed_s: float
+               ) -> tuple[Trajectory, float]:
+        """
+        Return a trajectory that keeps to the velocity limits, and how much slower it is.
+
+        One that is slowed down begins now.
+
+        :param indices: the joints that follow it, from where their setpoints are now
+        :param elapsed_s: how long it has been running [s]
+        :raises CommandError: if it is much too fast, or its spline is not finite
+        """
+        position, velocity = self._setpoints.position[indices], self._setpoints.velocity[indices]
+        trajectory.begin_at(position, velocity, elapsed_s)
+        speeds, limit = trajectory.highest_velocity(), self._servos.velocity_limit[indices]
+        factor = float((speeds / limit).max(initial=0.0))
+        if factor <= 1.0 + 1e-6:
+            return trajectory, 1.0
+        if factor > _MAX_SLOWDOWN:
+            worst = int(np.argmax(speeds / limit))
+            raise CommandError(f"joint '{self.names[indices[worst]]}' would have to move at "
+                               f'{speeds[worst]:g} per second, its limit is {limit[worst]:g}')
+        return trajectory.slowed(factor, elapsed_s), factor
+
+    def limited(self, part: str) -> int:
+        """
+        Return how often goals of a part came faster than its joints may move.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        return int(self._setpoints.limited[self.indices_of(part)].sum())
+
+    def controller_state(self, part: str, data: Any) -> ControllerState:
+        """
+        Return what is wanted of a part's joints and what they do, copies.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        indices, setpoints = self.indices_of(part), self._setpoints
+        gives = self._servos.gives_effort(indices)
+        reference = JointReference(
+            setpoints.position[indices], setpoints.velocity[indices],
+            setpoints.acceleration[indices], np.where(gives, self._effort[indices], 0.0), gives)
+        dofs = self._servos.dofs[indices]
+        return ControllerState(
+            tuple(self.names[i] for i in indices), reference,
+            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], data.qfrc_actuator[dofs])
