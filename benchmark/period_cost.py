@@ -10,6 +10,7 @@ usage: python3 benchmark/period_cost.py [robot]
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import sys
 import time
 
@@ -47,15 +48,30 @@ def build(name: str) -> Simulation:
     return Simulation(World([robot]))
 
 
+def streaming(simulation: Simulation) -> Callable[[], object]:
+    """Return a function that commands a goal for all joints of the arm, and advances."""
+    names = list(simulation.parts['arm'].driven_joints)
+    start = simulation.state().position[:len(names)]
+
+    def period() -> None:
+        goal = start + 0.05 * math.sin(2.0 * simulation.time_s)
+        simulation.apply(*simulation.parse.joint_command(names, goal),
+                         period_s=STEPS * simulation.timestep_s)
+        simulation.advance(STEPS)
+    return period
+
+
 def publishing(simulation: Simulation) -> Callable[[], object] | None:
     """Return a function that publishes a state on all topics, or None without ROS."""
     try:
         import rclpy
     except ImportError:
         return None
+    from manip_sim.ros.log import RejectionLog
     from manip_sim.ros.publishers import StatePublishers
     rclpy.init()
-    publishers = StatePublishers(rclpy.create_node('benchmark'), simulation, True)
+    node = rclpy.create_node('benchmark')
+    publishers = StatePublishers(node, simulation, True, RejectionLog(node.get_logger()))
     return lambda: publishers.publish(simulation.state())
 
 
@@ -64,17 +80,19 @@ def main() -> None:
     name = sys.argv[1] if len(sys.argv) > 1 else 'Panda'
     simulation = build(name)
     model, data = simulation.model, mujoco.MjData(simulation.model)
-    mujoco.mj_copyData(data, model, simulation.data)
+    for field in ('qpos', 'qvel', 'act', 'ctrl'):
+        getattr(data, field)[:] = getattr(simulation.data, field)
     bare = best_s(lambda: mujoco.mj_step(model, data, STEPS))
     rows = [(f'mj_step, {STEPS} steps', bare),
             ('Simulation.advance', best_s(lambda: simulation.advance(STEPS))),
-            ('Simulation.state', best_s(simulation.state))]
+            ('Simulation.state', best_s(simulation.state)),
+            ('streamed goals, advance', best_s(streaming(simulation)))]
     publish = publishing(simulation)
     if publish is not None:
         rows.append(('state and publish', best_s(publish)))
     print(f'{name}, mujoco {mujoco.__version__}')
     for what, seconds in rows:
-        print(f'{what:20s} {seconds * 1e6:8.1f} us  {seconds / bare:6.2f} x bare physics')
+        print(f'{what:23s} {seconds * 1e6:8.1f} us  {seconds / bare:6.2f} x bare physics')
 
 
 if __name__ == '__main__':
