@@ -25,13 +25,13 @@ def test_a_parameter_of_an_unknown_type_is_survived_told_and_counted(service_typ
     client.state()
     bad = client.node.create_client(service_type, f'manip_sim/{name}')
     client.spin_until(bad.service_is_ready)
-    for _ in range(20):
+    for _ in range(10):  # As many as the service keeps.
         bad.call_async(service_type.Request(parameters=[
             Parameter(name='real_time_factor', value=ParameterValue(type=99))]))
     client.spin_until(lambda: any(f'{name}: ValueError: 99' in text for text in log))
     arrays = client.listen(DiagnosticArray, '/diagnostics')
     client.spin_until(lambda: bool(arrays)
-                      and int(simulation_values(arrays[-1])['failed_callbacks']) == 20)
+                      and int(simulation_values(arrays[-1])['failed_callbacks']) == 10)
     assert sum('ValueError' in text for text in log) <= 2
     # The service that raised and all the others still answer.
     good = client.call(service_type, f'manip_sim/{name}', service_type.Request(parameters=[
