@@ -48,7 +48,7 @@ class ControlledJoints:
         self.twist_indices = self._find_twist_joints(parts)
         self._servos = Servos(model, data, [a for a, _ in driven], self.names)
         self._setpoints = SetpointGenerator(
-            self._servos.position_clamp(), self._servos.velocity_limit,
+            self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
         self._mode = ['position'] * len(self.names)
         self._effort = np.zeros(len(self.names))

@@ -30,6 +30,8 @@ _UNLIMITED_EFFORT = 1e3
 _DEFAULT_VELOCITY = np.pi
 #: What steps may use of the torque that is left beside weight and damping.
 _TORQUE_SHARE = 0.6
+#: What the joint's damping may use of the torque that is left beside the weight.
+_DAMPING_SHARE = 0.9
 #: A step takes at least this long to come to the velocity limit [s].
 _SPEED_UP_S = 0.1
 #: In how many poses the inertia is looked at, and which share of them may be heavier.
@@ -55,6 +57,8 @@ class Servos:
     :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
     :ivar limited: whether each joint has a range, shape (n,)
     :ivar ranges: lowest and highest goal by control mode, at the joints in SI units, shape (n, 2)
+    :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can do
+        against the joint's damping [rad/s or m/s], shape (n,)
     :ivar acceleration_limit: of steps [rad/s^2 or m/s^2], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
@@ -78,12 +82,16 @@ class Servos:
         #: Force per velocity of a setpoint, so that the joint moves as fast.
         self._drag = self._damping + passive
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
-        velocity = _velocity_limit(model, joint_ids, ids)
         self.ranges = {'position': self._position_range(joint_ids),
-                       'velocity': np.stack([-velocity, velocity], axis=1),
                        'effort': self._limit_effort(joint_ids)}
-        self.acceleration_limit = self._acceleration_limit(data, joint_ids)
+        velocity = _velocity_limit(model, joint_ids, ids)
+        self.ranges['velocity'] = np.stack([-velocity, velocity], axis=1)
         torque = np.abs(self.ranges['effort']).max(axis=1)
+        # What the weight leaves of the torque has to suffice for the joint's own damping.
+        spare = np.maximum(torque - np.abs(data.qfrc_bias[self.dofs]), 0.2 * torque)
+        self.cruising_velocity = np.minimum(
+            velocity, _DAMPING_SHARE * spare / np.maximum(passive, 1e-9))
+        self.acceleration_limit = self._acceleration_limit(data, joint_ids)
         self.lead = np.maximum(torque, self._damping * velocity) / self._stiffness
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
@@ -108,7 +116,7 @@ class Servos:
         # At the joint: there the gravity compensation counts too.
         limits = _effort_range(self._model, joint_ids, self._ids)
         limited = np.isfinite(limits).all(axis=1)
-        limits = np.clip(limits, -_UNLIMITED_EFFORT, _UNLIMITED_EFFORT)
+        limits = np.where(np.isfinite(limits), limits, (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))
         self._model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
         self._model.jnt_actfrclimited[joint_ids[limited]] = 1
         return limits
@@ -122,7 +130,7 @@ class Servos:
         random = np.random.default_rng(0)
         scratch = mujoco.MjData(model)
         low, high = np.clip(self.position_clamp(), -np.pi, np.pi).T
-        drag = (self._drag - self._damping) * self.velocity_limit
+        drag = (self._drag - self._damping) * self.cruising_velocity
         torque = np.abs(self.ranges['effort']).max(axis=1)
         possible = []
         for pose in range(_POSES):

@@ -383,3 +383,25 @@ def test_twist_needs_velocity_mode():
     simulation.set_control_mode('base', 'velocity')
     with pytest.raises(CommandError, match=r'^base: a twist must be finite, got nan at index 1$'):
         simulation.parse.twist(0.1, np.nan, 0.0)
+
+
+def test_torque_limit_of_a_strong_joint_is_kept(sim_of):
+    simulation = sim_of('<motor name="a" joint="joint1" ctrlrange="-1500 1500"/>')
+    simulation.set_control_mode('arm', 'effort')
+    np.testing.assert_array_equal(simulation.limits('arm'), [[-1500.0, 1500.0]])
+
+
+def test_step_keeps_to_what_the_torque_can_do_against_the_damping(one_joint_arm, run):
+    robot = one_joint_arm('<position name="a" joint="joint1" kp="2000" forcerange="-30 30"/>')
+    robot.set_joint_attribute('damping', [40.0])
+    simulation, efforts, speeds = Simulation(World([robot])), [], []
+    command(simulation, 'position', 'robot0_joint1', 1.0)
+
+    def look():
+        efforts.append(abs(simulation.state().effort[0]))
+        speeds.append(simulation.state().velocity[0])
+    run(simulation, 4.0, look)
+    # 30 N m against 40 N m s/rad, less the weight of the arm.
+    assert 0.3 < max(speeds) < 0.75
+    assert max(efforts) < 30.0
+    assert simulation.state().position[0] == pytest.approx(1.0, abs=1e-4)
