@@ -36,7 +36,7 @@ _DAMPING_SHARE = 0.9
 _SPEED_UP_S = 0.1
 #: In how many poses the inertia is looked at, and which share of them may be heavier.
 _POSES = 64
-_QUANTILE = 0.3
+_QUANTILE = 0.15
 #: A servo that saturates is integrated explicitly: its damping per step and inertia stays below.
 _EXPLICIT_DAMPING = 1.5
 
