@@ -203,7 +203,7 @@ def test_stops_and_reversals_come_to_rest(name):
             joints.command('velocity', wanted)
             run(simulation, random.uniform(0.05, 0.3), 20)
         joints.command('velocity', 0.0 * speed)
-        run(simulation, 0.5, 20)
+        run(simulation, 0.8, 20)
         with sampled(joints) as samples:
             run(simulation, 0.1)
         assert np.abs(samples.velocity).max() < 5e-3
