@@ -37,7 +37,7 @@ def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
 
 
 def test_a_robot_is_rendered_small_and_in_colour(tmp_path):
-    image = pytest.importorskip('PIL.Image')
+    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
     done = run_gallery('--output', tmp_path, 'Panda')
     if done.returncode and 'cannot render' in done.stderr:
         pytest.skip(done.stderr.strip())
