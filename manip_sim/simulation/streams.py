@@ -48,6 +48,8 @@ class StreamEstimator:
         self.velocity, self.interval_s, self.jitter = zeros(), zeros(), zeros()
         self._goal, self._last_s = zeros(), np.full(count, -np.inf)
         self._step, self._messages = zeros(), zeros()
+        #: How much the velocity changed with the last message, zero if that was a jump.
+        self._change = zeros()
         #: Velocity of the last message and of that before.
         self._history = np.zeros((2, count))
         self._mean_step, self._mean_s = zeros(), zeros()
@@ -81,7 +83,8 @@ class StreamEstimator:
         elapsed_s = np.where(streams, since_s, period_s)
         step = np.where(streams, goal - self._goal[indices], 0.0)
         before = self._step[indices]
-        slack = 2.0 * limit * elapsed_s * period_s
+        # A smooth stream accelerates about as it did before, also where its velocity changes sign.
+        slack = elapsed_s * (2.0 * limit * period_s + _JUMP * self._change[indices])
 
         def usual(factor: FloatArray | float) -> FloatArray:
             return np.asarray(np.minimum(
@@ -91,7 +94,10 @@ class StreamEstimator:
         # A jump is no stream, two messages in one period are no doubled velocity.
         kept = np.where(streams, self.velocity[indices] * elapsed_s, 0.0)
         jump = _JUMP + 0.5 * self.jitter[indices]
-        expected = np.where(usual(jump) == step, step, kept)
+        smooth = usual(jump) == step
+        expected = np.where(smooth, step, kept)
+        self._change[indices] = np.where(
+            streams & smooth, np.abs(step - before) / elapsed_s, 0.0)
         self._goal[indices], self._step[indices], self._last_s[indices] = goal, step, now_s
         self._measure_jitter(indices, usual(2.0) / elapsed_s, streams)
         self._average(indices, expected, elapsed_s, streams)
