@@ -16,10 +16,7 @@ import time
 
 import mujoco
 
-from manip_sim.models.bases import create_base
-from manip_sim.models.grippers import create_gripper
-from manip_sim.models.robots import create_robot
-from manip_sim.models.world import World
+from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
 STEPS = 5
@@ -40,12 +37,7 @@ def best_s(function: Callable[[], object]) -> float:
 
 def build(name: str) -> Simulation:
     """Return the simulation of a robot with its default base and grippers."""
-    robot = create_robot(name)
-    if robot.default_base:
-        robot.add_base(create_base(robot.default_base))
-    for arm, gripper in robot.default_gripper.items():
-        robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
-    return Simulation(World([robot]))
+    return Simulation(compose(name))
 
 
 def streaming(simulation: Simulation) -> Callable[[], object]:

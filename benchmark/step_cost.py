@@ -26,10 +26,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import describe_choices
-from manip_sim.models.bases import create_base
-from manip_sim.models.grippers import create_gripper
-from manip_sim.models.robots import create_robot, robot_names
-from manip_sim.models.world import World
+from manip_sim.models import compose
+from manip_sim.models.robots import robot_names
 
 ROUNDS = 9
 STEPS = 500
@@ -83,12 +81,7 @@ class Stepper:
 
 def ours(name):
     """Return our robot with its default base and grippers."""
-    robot = create_robot(name)
-    if robot.default_base is not None:
-        robot.add_base(create_base(robot.default_base))
-    for arm, gripper in robot.default_gripper.items():
-        robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
-    world = World([robot])
+    world = compose(name)
     return Stepper(world.compile(visual=False), world.init_qpos())
 
 

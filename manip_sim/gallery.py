@@ -15,7 +15,6 @@ from typing import Any, TYPE_CHECKING
 from manip_sim.errors import ManipSimError, UnknownNameError
 
 if TYPE_CHECKING:
-    from manip_sim.models.robots import RobotModel
     from PIL.Image import Image
 
 CONTACT_SHEET = 'contact_sheet.png'
@@ -98,11 +97,9 @@ def render_robot(name: str) -> Image:
     import numpy as np
     from PIL import Image
 
-    from manip_sim.models.robots import create_robot
-    from manip_sim.models.world import World
+    from manip_sim.models import compose
 
-    robot = _equipped(create_robot(name))
-    world = World([robot])
+    world = compose(name)
     model = world.compile()
     data = mujoco.MjData(model)
     for joint, position in world.init_qpos().items():
@@ -124,18 +121,6 @@ def render_robot(name: str) -> Image:
         way = os.environ.get('MUJOCO_GL', 'the default')
         raise ManipSimError(f'cannot render with MUJOCO_GL={way}: {error}') from error
     return Image.fromarray(np.hstack(views))
-
-
-def _equipped(robot: RobotModel) -> RobotModel:
-    from manip_sim.models.bases import create_base
-    from manip_sim.models.grippers import create_gripper
-    from manip_sim.models.robots import ManipulatorModel
-    if robot.default_base is not None:
-        robot.add_base(create_base(robot.default_base))
-    if isinstance(robot, ManipulatorModel):
-        for arm, gripper in robot.default_gripper.items():
-            robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
-    return robot
 
 
 def _visible_corners(model: Any, data: Any) -> Any:

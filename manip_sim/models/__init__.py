@@ -2,3 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Models say what exists: MuJoCo and numpy only, no ROS and no stepping."""
+
+from __future__ import annotations
+
+from manip_sim.models.arenas import Arena, arena_names, create_arena
+from manip_sim.models.composing import compose, compose_robot
+from manip_sim.models.world import World
+
+__all__ = ['Arena', 'World', 'arena_names', 'compose', 'compose_robot', 'create_arena']

@@ -14,11 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.models.arenas import create_arena
-from manip_sim.models.bases import create_base
-from manip_sim.models.grippers import create_gripper
-from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
-from manip_sim.models.world import World
+from manip_sim.models import compose, World
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
@@ -62,8 +58,7 @@ class SimNode(Node):
         self._declared.declare(node_parameters())
         value = self._declared.value
         steps = steps_per_period(value('publish_rate'), value('timestep'))
-        robot = self._robot()
-        world = self._world(robot)
+        world = self._world()
         self.simulation = Simulation(world)
         controlled = [name for name, part in self.simulation.parts.items()
                       if part.gripper is None and part.actuators]
@@ -93,25 +88,13 @@ class SimNode(Node):
         if self.get_parameter('use_sim_time').value:
             self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 
-    def _robot(self) -> RobotModel:
-        value = self._declared.value
-        robot = create_robot(value('robot'), idn=value('idn'), prefix=value('prefix'))
-        base = robot.default_base if value('base') == 'default' else value('base')
-        if base is not None and base != 'none':
-            robot.add_base(create_base(base, idn=value('idn')))
-        if isinstance(robot, ManipulatorModel) and value('gripper') != 'none':
-            for arm in robot.arms:
-                gripper = (robot.default_gripper[arm] if value('gripper') == 'default'
-                           else value('gripper'))
-                robot.add_gripper(create_gripper(gripper, idn=f'{value("idn")}_{arm}'), arm)
-        return robot
-
-    def _world(self, robot: RobotModel) -> World:
+    def _world(self) -> World:
         value = self._declared.value
         options = {'cube': value('cube')} if value('arena') == 'table' else {}
-        return World([robot], create_arena(value('arena'), **options),
-                     timestep_s=value('timestep'),
-                     gravity_compensation=value('gravity_compensation'))
+        return compose(
+            value('robot'), value('gripper'), value('base'), value('arena'), idn=value('idn'),
+            prefix=value('prefix'), timestep_s=value('timestep'),
+            gravity_compensation=value('gravity_compensation'), **options)
 
     def _lockstep_parts(self) -> list[str]:
         # An empty list of strings is a list with an empty string in ROS.

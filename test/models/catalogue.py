@@ -16,9 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from manip_sim.models import bases, grippers, robots
-from manip_sim.models.arenas import create_arena
-from manip_sim.models.world import World
+from manip_sim.models import bases, compose, compose_robot, grippers, robots
 
 DATA = Path(__file__).resolve().parent.parent / 'data'
 
@@ -45,22 +43,8 @@ def robots_with_figures():
 
 
 def equipped(name, base='default', gripper='default'):
-    """
-    Return a new robot on a base and with grippers on all arms.
-
-    :param base: name of a base, or ``default``
-    :param gripper: name of a gripper, or ``default``
-    """
-    robot = robots.create_robot(name)
-    base_name = robot.default_base if base == 'default' else base
-    if base_name is not None:
-        robot.add_base(bases.create_base(base_name))
-    if gripper != 'default':
-        robot.add_gripper(grippers.create_gripper(gripper))
-        return robot
-    for arm, default in robot.default_gripper.items():
-        robot.add_gripper(grippers.create_gripper(default, idn=f'0_{arm}'), arm_name=arm)
-    return robot
+    """Return a new robot on a base and with grippers on all arms."""
+    return compose_robot(name, gripper, base)
 
 
 class AtRest:
@@ -72,8 +56,8 @@ class AtRest:
     """
 
     def __init__(self, name, arena='empty'):
-        self.robot = equipped(name)
-        self.world = World([self.robot], create_arena(arena))
+        self.world = compose(name, arena=arena)
+        (self.robot,) = self.world.robots
         self.model = self.world.compile()
         self.data = mujoco.MjData(self.model)
         for joint, position in self.world.init_qpos().items():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models import compose_robot
 from manip_sim.models.bases import create_base, MobileBaseModel
 from manip_sim.models.bases.robot_base_model import BASES
 from manip_sim.models.grippers import create_gripper
@@ -114,10 +115,7 @@ def lift_base(folder, support='support'):
 
 def equipped(name='PandaOmron', base='OmronMobileBase', idn=0):
     """Return a robot with a base and a gripper, named as the node names them."""
-    robot = create_robot(name, idn=idn)
-    robot.add_base(create_base(base, idn=idn))
-    robot.add_gripper(create_gripper('PandaGripper', idn=f'{idn}_right'))
-    return robot
+    return compose_robot(name, 'PandaGripper', base, idn=idn)
 
 
 class AtRest:

@@ -7,10 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.models import compose
 from manip_sim.models.arenas import arena_names, BinsArena, create_arena
-from manip_sim.models.bases import create_base
-from manip_sim.models.grippers import create_gripper
-from manip_sim.models.robots import create_robot
 from manip_sim.models.world import World
 
 # Middles of the open bin and of the four compartments of the other.
@@ -51,15 +49,12 @@ def test_ball_that_rolls_through_a_bin_does_not_leave_it(x, y):
 @pytest.mark.parametrize(('robot', 'base'), [('Panda', 'RethinkMount'),
                                              ('PandaOmron', 'OmronMobileBase')])
 def test_robot_starts_at_the_bins_without_touching_them(robot, base):
-    model = create_robot(robot)
-    model.add_base(create_base(base))
-    model.add_gripper(create_gripper('PandaGripper'))
-    world = World([model], BinsArena())
+    world = compose(robot, 'PandaGripper', base, 'bins')
     compiled = world.compile()
     data = mujoco.MjData(compiled)
     for joint, position in world.init_qpos().items():
         data.joint(joint).qpos = position
     mujoco.mj_forward(compiled, data)
-    np.testing.assert_allclose(data.body(model.root_body).xpos[:2],
-                               model.base_xpos_offset['bins'][:2])
+    np.testing.assert_allclose(data.body(world.robots[0].root_body).xpos[:2],
+                               world.robots[0].base_xpos_offset['bins'][:2])
     assert data.ncon == 0

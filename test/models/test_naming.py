@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
+from manip_sim.models import compose_robot
 from manip_sim.models.arenas import EmptyArena, TableArena
-from manip_sim.models.bases import create_base, MountModel
+from manip_sim.models.bases import MountModel
 from manip_sim.models.grippers import create_gripper
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import create_robot
@@ -26,11 +27,7 @@ def names_of(model):
 
 def prefixed(name, prefix, base='default', gripper='default'):
     """Return a robot whose parts all bear a prefix, mounted after it was given."""
-    robot = create_robot(name, prefix=prefix)
-    robot.add_base(create_base(robot.default_base if base == 'default' else base))
-    for arm, default in robot.default_gripper.items():
-        robot.add_gripper(create_gripper(default if gripper == 'default' else gripper), arm)
-    return robot
+    return compose_robot(name, gripper, base, prefix=prefix)
 
 
 @pytest.fixture

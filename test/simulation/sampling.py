@@ -11,21 +11,13 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
-from manip_sim.models.bases import create_base
-from manip_sim.models.grippers import create_gripper
-from manip_sim.models.robots import create_robot
-from manip_sim.models.world import World
+from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
 
 def whole_robot(name, timestep_s=0.002, contacts=False, **options):
     """Return a simulation of a robot with all that it has by default, in position mode."""
-    robot = create_robot(name)
-    if robot.default_base is not None:
-        robot.add_base(create_base(robot.default_base))
-    for arm, gripper in robot.default_gripper.items():
-        robot.add_gripper(create_gripper(gripper, idn=f'0_{arm}'), arm)
-    simulation = Simulation(World([robot], timestep_s=timestep_s, **options))
+    simulation = Simulation(compose(name, timestep_s=timestep_s, **options))
     if not contacts:
         simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return simulation

@@ -6,8 +6,8 @@
 import mujoco
 import pytest
 
-from manip_sim.models.arenas import arena_names, create_arena
-from manip_sim.models.bases import create_base
+from manip_sim.models import compose
+from manip_sim.models.arenas import arena_names
 from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot, robot_names
 from manip_sim.models.world import World
@@ -48,12 +48,7 @@ ACTUATORS = '<actuator><position joint="tip" kp="100" forcerange="-50 50"/></act
 @pytest.mark.parametrize('arena', arena_names())
 @pytest.mark.parametrize('name', robot_names())
 def test_nothing_is_wrong_with_the_start_of_the_robots_of_the_catalogue(name, arena):
-    robot = create_robot(name)
-    if robot.default_base is not None:
-        robot.add_base(create_base(robot.default_base))
-    for side, gripper in robot.default_gripper.items():
-        robot.add_gripper(create_gripper(gripper, idn=f'0_{side}'), side)
-    assert told(Simulation(World([robot], create_arena(arena)))) == []
+    assert told(Simulation(compose(name, arena=arena))) == []
 
 
 def test_a_hand_that_starts_inside_the_flange_is_told_with_names_and_depth():

@@ -1,0 +1,102 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compose robot, gripper, base and arena from names, files or objects: the one place that does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Union
+
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import ModelError
+from manip_sim.models.arenas import Arena, create_arena
+from manip_sim.models.bases import create_base, RobotBaseModel
+from manip_sim.models.grippers import create_gripper, GripperModel
+from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
+from manip_sim.models.world import World
+
+#: In place of a name: what the robot has by default, and nothing.
+DEFAULT, NONE = 'default', 'none'
+Gripper = Union[str, GripperModel, None]
+Grippers = Mapping[str, Gripper]
+Base = Union[str, RobotBaseModel, None]
+
+
+def compose_robot(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEFAULT,
+                  base: Base = DEFAULT, *, idn: int | str = 0, prefix: str = '') -> RobotModel:
+    """
+    Return a robot with its base and a gripper on every arm.
+
+    :param robot: a name of the catalogue, or a robot that has neither base nor gripper yet
+    :param gripper: a name, ``default`` for the robot's own, ``none`` or None for no gripper, a
+        gripper, or one of these by arm
+    :param base: a name, ``default`` for the robot's own, ``none`` or None for the floor, or a base
+    :param idn: number or word in names, as in ``robot0_joint1``; also of grippers and base that
+        are given by name
+    :param prefix: instead of that, the beginning of all names
+    :raises UnknownNameError: if a name is not known
+    :raises ModelError: if the parts do not fit together
+    """
+    if isinstance(robot, str):
+        robot = create_robot(robot, idn=idn, prefix=prefix)
+    elif prefix:
+        robot.set_naming_prefix(prefix)
+    _add_base(robot, base, idn)
+    if isinstance(robot, ManipulatorModel):
+        _add_grippers(robot, gripper, idn)
+    return robot
+
+
+def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
+    wanted = robot.default_base if base == DEFAULT else base
+    if wanted is None or wanted == NONE:
+        return
+    robot.add_base(create_base(wanted, idn=idn) if isinstance(wanted, str) else wanted)
+
+
+def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int | str) -> None:
+    if isinstance(gripper, GripperModel):
+        robot.add_gripper(gripper)
+        return
+    by_arm = gripper if isinstance(gripper, Mapping) else dict.fromkeys(robot.arms, gripper)
+    for arm, wanted in by_arm.items():
+        if wanted == DEFAULT:
+            wanted = robot.default_gripper.get(arm)
+        if wanted is None or wanted == NONE:
+            continue
+        if isinstance(wanted, str):
+            wanted = create_gripper(wanted, idn=f'{idn}_{arm}')
+        robot.add_gripper(wanted, arm)
+
+
+def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEFAULT,
+            base: Base = DEFAULT, arena: str | Arena = 'empty', *, idn: int | str = 0,
+            prefix: str = '', position: ArrayLike | None = None,
+            orientation: ArrayLike | None = None, timestep_s: float = 0.002,
+            gravity_compensation: bool = True, **arena_parameters: Any) -> World:
+    """
+    Return a world with one robot; the other parameters are those of :func:`compose_robot`.
+
+    :param arena: a name of the catalogue, or an arena
+    :param position: where the floor below the robot's root shall be [m], shape (3,); None: where
+        the arena has its place
+    :param orientation: roll, pitch, yaw of the root in the world [rad], shape (3,)
+    :param timestep_s: of the physics [s], a whole number of nanoseconds
+    :param gravity_compensation: let the joints' actuators carry the weight, see :class:`World`
+    :param arena_parameters: of an arena that is given by name, such as ``table_height_m``
+    :raises UnknownNameError: if a name is not known
+    :raises ModelError: if the parts do not fit together
+    """
+    whole = compose_robot(robot, gripper, base, idn=idn, prefix=prefix)
+    if orientation is not None:
+        whole.set_base_ori(orientation)
+    if position is not None:
+        whole.set_base_xpos(position)
+    if isinstance(arena, str):
+        arena = create_arena(arena, **arena_parameters)
+    elif arena_parameters:
+        raise ModelError('parameters are for an arena that is given by name, '
+                         f'got {", ".join(arena_parameters)}')
+    return World([whole], arena, timestep_s, gravity_compensation)

@@ -1,0 +1,67 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of the one place that composes robot, gripper, base and arena."""
+
+import numpy as np
+import pytest
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models import compose, compose_robot
+from manip_sim.models.arenas import TableArena
+from manip_sim.models.bases import NullMount
+from manip_sim.models.grippers import PandaGripper
+from manip_sim.models.robots import Baxter, Panda
+
+
+def test_default_is_what_the_robot_says():
+    robot = compose_robot('Baxter', idn=3)
+    assert type(robot.base).__name__ == robot.default_base
+    assert {arm: type(g).__name__ for arm, g in robot.grippers.items()} == robot.default_gripper
+    assert robot.grippers['left'].naming_prefix == 'gripper3_left_'
+
+
+@pytest.mark.parametrize('nothing', ['none', None])
+def test_nothing_is_mounted_where_nothing_is_wanted(nothing):
+    robot = compose_robot('Panda', nothing, nothing)
+    assert robot.models == []
+
+
+def test_grippers_may_differ_by_arm():
+    robot = compose_robot('Baxter', {'right': 'PandaGripper', 'left': 'none'})
+    assert list(robot.grippers) == ['right']
+    assert isinstance(robot.grippers['right'], PandaGripper)
+
+
+def test_an_unknown_arm_is_told():
+    with pytest.raises(UnknownNameError, match="unknown arm of Panda0 'left'"):
+        compose_robot('Panda', {'left': 'PandaGripper'})
+
+
+def test_objects_are_used_as_they_are():
+    robot, gripper, base = Panda(), PandaGripper(), NullMount()
+    world = compose(robot, gripper, base, TableArena(table_height_m=0.5))
+    assert world.robots == [robot]
+    assert robot.grippers['right'] is gripper
+    assert robot.base is base
+    assert world.compile().body('table').pos[2] < 0.5
+
+
+def test_one_gripper_for_two_arms_is_copied():
+    robot = compose_robot(Baxter(), PandaGripper())
+    assert list(robot.grippers) == ['right', 'left']
+
+
+def test_place_and_prefix_are_given_to_the_robot():
+    world = compose(Panda(), prefix='left_', position=(1.0, 2.0, 0.0),
+                    orientation=(0.0, 0.0, np.pi / 2.0))
+    model = world.compile()
+    body = model.body('left_base')
+    np.testing.assert_allclose(body.pos[:2], [1.0, 2.0])
+    np.testing.assert_allclose(body.quat, [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], atol=1e-9)
+
+
+def test_parameters_of_the_arena_go_with_its_name():
+    assert compose(arena='table', cube=True).compile().body('cube').mass[0] == pytest.approx(0.1)
+    with pytest.raises(ModelError, match='parameters are for an arena that is given by name'):
+        compose(arena=TableArena(), cube=True)
