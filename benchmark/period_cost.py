@@ -42,13 +42,14 @@ def build(name: str) -> Simulation:
 
 def streaming(simulation: Simulation) -> Callable[[], object]:
     """Return a function that commands a goal for all joints of the arm, and advances."""
-    names = list(simulation.parts['arm'].driven_joints)
-    start = simulation.state().position[:len(names)]
+    robot = simulation.robot
+    names = list(robot.parts['arm'].driven_joints)
+    start = robot.state().position[:len(names)]
 
     def period() -> None:
         goal = start + 0.05 * math.sin(2.0 * simulation.time_s)
-        simulation.apply(*simulation.parse.joint_command(names, goal),
-                         period_s=STEPS * simulation.timestep_s)
+        robot.apply(*robot.parse.joint_command(names, goal),
+                    period_s=STEPS * simulation.timestep_s)
         simulation.advance(STEPS)
     return period
 
@@ -64,7 +65,7 @@ def publishing(simulation: Simulation) -> Callable[[], object] | None:
     rclpy.init()
     node = rclpy.create_node('benchmark')
     publishers = StatePublishers(node, simulation, True, RejectionLog(node.get_logger()))
-    return lambda: publishers.publish(simulation.state())
+    return lambda: publishers.publish(simulation.robot.state())
 
 
 def main() -> None:

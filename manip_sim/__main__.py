@@ -40,6 +40,9 @@ def main() -> int:
         return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
+    # The node draws nothing. MuJoCo would look for libraries to draw with when it is imported, in
+    # a process of its own, which takes long and outlives a signal.
+    os.environ.setdefault('MUJOCO_GL', 'disable')
     try:
         from manip_sim.ros.main import run
     except ModuleNotFoundError as error:

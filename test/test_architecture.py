@@ -15,6 +15,7 @@ PURE = {'mujoco', 'numpy', 'scipy'}
 MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
+    'runtime': ({'models', 'simulation', 'runtime'}, PURE),
 }
 TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}

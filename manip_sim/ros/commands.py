@@ -21,9 +21,10 @@ from trajectory_msgs.msg import JointTrajectory
 from manip_sim.errors import CommandError
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
-from manip_sim.ros.runner import Runner
+from manip_sim.ros.scope import Scope
 from manip_sim.ros.subscription import CommandSubscription
-from manip_sim.simulation import Simulation
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import Command
 from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand
 
@@ -51,27 +52,32 @@ class CommandStatistics:
 
 class CommandSubscribers:
     """
-    Subscriptions to the command topics of all parts.
+    Subscriptions to the command topics of all parts of a robot.
 
     :param node: the node
-    :param simulation: whose parser validates; it is only read
-    :param runner: takes the commands
+    :param robot: whose parser validates; it is only read
+    :param scope: where its topics are
+    :param thread: takes the commands
     :param log: counts and tells what is rejected
+    :ivar robot: the robot
+    :ivar scope: where its topics are
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
         ``joint_command`` for messages on the combined topic
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner, log: RejectionLog
-                 ) -> None:
+    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, thread: SimulationThread,
+                 log: RejectionLog) -> None:
         self._node = node
-        self._parse = simulation.parse
-        self._runner = runner
+        self.robot = robot
+        self.scope = scope
+        self._parse = robot.parse
+        self._thread = thread
         self._log = log
         self._entry_of = {name: part.atomic[0] if len(part.atomic) == 1 else name
-                          for name, part in simulation.parts.items()}
+                          for name, part in robot.parts.items()}
         self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
         self.statistics['joint_command'] = CommandStatistics()
-        for name, part in simulation.parts.items():
+        for name, part in robot.parts.items():
             if not part.actuators:
                 continue
             self._subscribe(Float64MultiArray, f'{name}/command', name,
@@ -81,12 +87,13 @@ class CommandSubscribers:
             if part.gripper is None:
                 self._subscribe(JointTrajectory, f'{name}/joint_trajectory', name,
                                 partial(self._trajectory, name))
-        if simulation.joints.twist_indices is not None:
+        if robot.joints.twist_indices is not None:
             self._subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
         self._subscribe(JointState, 'joint_command', 'joint_command',
                         partial(self._joint_command, None))
 
-    def _subscribe(self, message_type: Any, topic: str, part: str, parse: Parse) -> None:
+    def _subscribe(self, message_type: Any, name: str, part: str, parse: Parse) -> None:
+        topic = self.scope.topic(name)
         entry = self._entry_of.get(part, part)
 
         def take(message: Any) -> None:
@@ -95,7 +102,7 @@ class CommandSubscribers:
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
                            if isinstance(message, JointState) else 0)
-                self._runner.submit(commands, answers)
+                self._thread.submit(commands, answers, self.robot.name)
             except CommandError as error:
                 self.statistics[entry].refused += 1
                 self._log.warn(topic, kind_of(error), f'refused a message on {topic}: {error}')
@@ -143,7 +150,7 @@ class CommandSubscribers:
         return [self._parse.trajectory(
             part, message.joint_names, times_s, fields[0] or [], fields[1], fields[2],
             start_ns=nanoseconds_of(message.header.stamp),
-            now_ns=self._runner.progress.time_ns)]
+            now_ns=self._thread.progress.time_ns)]
 
     def _twist(self, message: Twist) -> Sequence[Command]:
         linear, angular = message.linear, message.angular

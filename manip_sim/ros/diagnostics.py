@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 import time
 
@@ -13,10 +14,10 @@ import mujoco
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
+from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
-from manip_sim.ros.runner import Runner
+from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
 _PERIOD_S = 1.0
@@ -33,15 +34,15 @@ class Pace:
     The window reaches back by one second of wall time, or by several control periods where these
     are longer, and begins anew with a pause, another real-time factor or a restart of time.
 
-    :param runner: tells how far the simulation has come
+    :param thread: tells how far the simulation has come
     :ivar factor: simulation time per wall time; NaN where the window has just begun
     :ivar loss: part of the simulation time that was dropped, from 0 to 1
     """
 
-    def __init__(self, runner: Runner) -> None:
-        self._runner = runner
-        self._window = [runner.progress]
-        self._asked = runner.real_time_factor
+    def __init__(self, thread: SimulationThread) -> None:
+        self._thread = thread
+        self._window = [thread.progress]
+        self._asked = thread.real_time_factor
         self._was_paused = True
         self.factor = math.nan
         self.loss = 0.0
@@ -52,8 +53,8 @@ class Pace:
 
         :param now_s: monotonic wall time [s]
         """
-        runner, window = self._runner, self._window
-        progress, paused, asked = runner.progress, runner.paused, runner.real_time_factor
+        thread, window = self._thread, self._window
+        progress, paused, asked = thread.progress, thread.paused, thread.real_time_factor
         anew = (paused or self._was_paused or asked != self._asked
                 or progress.time_ns < window[-1].time_ns)
         self._was_paused, self._asked = paused, asked
@@ -61,8 +62,8 @@ class Pace:
             window[:] = [progress]
             self.factor, self.loss = 0.0 if paused else math.nan, 0.0
             return
-        realtime = runner.stepping == 'realtime'
-        period_s = runner.period_s / asked if realtime else 0.0
+        realtime = thread.stepping == 'realtime'
+        period_s = thread.period_s / asked if realtime else 0.0
         # What is overdue counts, or a simulation that hangs would seem to run.
         overdue_s = max(0.0, now_s - progress.wall_s - period_s - _PERIOD_S)
         if progress != window[-1]:
@@ -85,19 +86,19 @@ class Diagnostics:
 
     :param node: the node
     :param simulation: only looked at
-    :param runner: tells how far the simulation has come
-    :param commands: tells what came in
+    :param thread: tells how far the simulation has come
+    :param commands: tells what came in for each robot
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner,
-                 commands: CommandSubscribers) -> None:
+    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
+                 commands: Sequence[CommandSubscribers]) -> None:
         self._node = node
         self._simulation = simulation
-        self._runner = runner
+        self._thread = thread
         self._commands = commands
-        self._pace = Pace(runner)
-        self._neighbours = Neighbours(node)
-        self._last_accepted = {part: 0 for part in commands.statistics}
+        self._pace = Pace(thread)
+        self._neighbours = Neighbours(node, [c.scope for c in commands])
+        self._last_accepted: dict[str, int] = {}
         self._last_s = time.monotonic()
         self._told: str | None = None
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -109,28 +110,28 @@ class Diagnostics:
         name = self._node.get_fully_qualified_name().lstrip('/')
         message = DiagnosticArray(status=[
             self._physics(f'{name}: simulation'),
-            *(self._part(f'{name}: {part}', part, statistics, now_s, elapsed_s)
-              for part, statistics in self._commands.statistics.items()),
+            *(self._part(f'{name}: {commands.scope.topic(part)}', commands, part, now_s, elapsed_s)
+              for commands in self._commands for part in commands.statistics),
             self._others(f'{name}: other nodes')])
-        message.header.stamp = stamp_of(self._runner.progress.time_ns)
+        message.header.stamp = stamp_of(self._thread.progress.time_ns)
         self._publisher.publish(message)
 
     def _physics(self, name: str) -> DiagnosticStatus:
-        runner, progress, pace = self._runner, self._runner.progress, self._pace
+        thread, progress, pace = self._thread, self._thread.progress, self._pace
         pace.measure(time.monotonic())
         warnings = {kind.name: int(self._simulation.data.warning[int(kind)].number)
                     for kind in _WARNINGS}
-        status = _status(name, 'paused' if runner.paused else 'running', {
-            'state': 'paused' if runner.paused else runner.stepping,
+        status = _status(name, 'paused' if thread.paused else 'running', {
+            'state': 'paused' if thread.paused else thread.stepping,
             'real_time_factor': f'{pace.factor:.4f}', 'missed_deadlines': progress.missed,
             'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings,
             'start_defects': '; '.join(self._simulation.start_defects) or 'none',
             **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
-        if pace.loss > _TOLERATED_LOSS and not runner.paused:
+        if pace.loss > _TOLERATED_LOSS and not thread.paused:
             status.level = DiagnosticStatus.WARN
             status.message = (
                 f'the machine is too slow: the real-time factor is {pace.factor:.3g}, asked for '
-                f'is {runner.real_time_factor:g}; control periods are dropped')
+                f'is {thread.real_time_factor:g}; control periods are dropped')
         if self._simulation.diverged is not None:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)
@@ -152,23 +153,24 @@ class Diagnostics:
             self._told = status.message
             self._node.get_logger().error(f'{status.message}; call ~/reset')
 
-    def _part(self, name: str, part: str, statistics: CommandStatistics, now_s: float,
+    def _part(self, name: str, commands: CommandSubscribers, part: str, now_s: float,
               elapsed_s: float) -> DiagnosticStatus:
-        came = statistics.accepted - self._last_accepted[part]
-        self._last_accepted[part] = statistics.accepted
+        robot, statistics = commands.robot, commands.statistics[part]
+        came = statistics.accepted - self._last_accepted.get(name, 0)
+        self._last_accepted[name] = statistics.accepted
         values: dict[str, object] = {
             'rate': f'{came / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0',
             'age': 'never' if statistics.last_s is None else f'{now_s - statistics.last_s:.3f}',
             'accepted': statistics.accepted, 'dropped': statistics.refused,
             'clamped': statistics.clamped, 'slowed': statistics.slowed}
-        if part in self._simulation.grippers:
+        if part in robot.grippers:
             values['control_mode'] = 'position'
-        elif part in self._simulation.parts:
-            joints = self._simulation.joints
+        elif part in robot.parts:
+            joints = robot.joints
             modes = dict.fromkeys(joints.modes_of(joints.indices_of(part)))
             values['control_mode'] = ' and '.join(modes)
             values['timeouts'] = sum(
-                joints.timeouts[atomic] for atomic in self._simulation.parts[part].atomic)
+                joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
             values['limited'] = joints.limited(part)
         return _status(name, 'commands', values)
 

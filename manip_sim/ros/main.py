@@ -96,8 +96,8 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
         node.start()
         spinner.start()
         while not asked_to_end.wait(_WATCH_S):
-            if node.runner.error is not None:
-                raise node.runner.error
+            if node.thread.error is not None:
+                raise node.thread.error
             if not spinner.is_alive():
                 return _fail('the executor ended unexpectedly')
         return 0

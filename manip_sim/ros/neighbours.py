@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rclpy.node import Node
 
 from manip_sim.quoting import quoted_names
+from manip_sim.ros.scope import Scope
 
 
 class Neighbours:
@@ -15,16 +18,18 @@ class Neighbours:
     Finds conflicts with other nodes; each is logged once for as long as it lasts.
 
     :param node: the node
+    :param scopes: where the topics of each robot are
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, scopes: Sequence[Scope]) -> None:
         self._node = node
         self._told: set[str] = set()
         self._own = (node.get_name(), node.get_namespace())
-        own = node.resolve_topic_name('joint_states')
         self._topics = {
             '/clock': 'time goes back and forth; set publish_clock:=false in all but one',
-            own: 'subscribers see two robots in one; give each node a namespace'}
+            **{node.resolve_topic_name(scope.topic('joint_states')):
+               'subscribers see two robots in one; give each node a namespace'
+               for scope in scopes}}
 
     def conflicts(self) -> list[str]:
         """

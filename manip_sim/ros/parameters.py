@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import math
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -22,6 +23,7 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.robots import robot_names
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.quoting import quoted
+from manip_sim.ros.scope import Scope
 from manip_sim.simulation.commands import MODES
 from manip_sim.simulation.parts import Part
 
@@ -41,6 +43,7 @@ class ParameterSpec:
     :ivar live: whether it may change while the node runs
     :ivar minimum: and ``maximum``: inclusive limits of a number
     :ivar choices: the values that a string may have
+    :ivar length: of an array of finite numbers, where it is fixed
     """
 
     name: str
@@ -51,6 +54,11 @@ class ParameterSpec:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    length: int | None = None
+
+    def within(self, scope: Scope) -> ParameterSpec:
+        """Return the same parameter for one of several robots."""
+        return replace(self, name=scope.parameter(self.name))
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what ``ros2 param describe`` prints."""
@@ -75,6 +83,10 @@ class ParameterSpec:
                 if item not in self.choices:
                     return (f"parameter '{self.name}': unknown value {quoted(item)}: "
                             f'{describe_choices(item, self.choices)}')
+        if self.length is not None and not (
+                len(value) == self.length and all(map(math.isfinite, value))):
+            return (f"parameter '{self.name}' must be {self.length} finite numbers, "
+                    f'got {list(value)}')
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):
             return (f"parameter '{self.name}' must be from {self.minimum:g} to "
@@ -83,32 +95,21 @@ class ParameterSpec:
 
 
 def node_parameters() -> list[ParameterSpec]:
-    """Return the parameters of every node, before the robot is known."""
+    """Return the parameters of every node, before its robots are known."""
     return [
-        ParameterSpec('robot', 'Panda', 'Robot of the catalogue.',
-                      choices=tuple(robot_names())),
-        ParameterSpec('gripper', 'default',
-                      "Gripper on every arm; 'default' is the robot's own, 'none' leaves it off.",
-                      choices=('default', 'none', *gripper_names())),
-        ParameterSpec('base', 'default',
-                      "What the robot stands on; 'default' is the robot's own, 'none' is the "
-                      'floor.', choices=('default', 'none', *base_names())),
+        ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
+                      'right: each has its topics in a namespace and its parameters, such as '
+                      'left.robot, below its name. Empty: one robot.'),
         ParameterSpec('arena', 'empty', 'What is around the robot.',
                       choices=tuple(arena_names())),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
                       'the table.'),
-        ParameterSpec('prefix', '', 'Beginning of all names of the robot, its base and its '
-                      'grippers: joints, frames, the model. Empty: names as in robot0_joint1.'),
-        ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1, where '
-                      'prefix is empty.', minimum=0, maximum=999),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
                       'per second of simulation time; a period is a whole number of timesteps.',
                       'Hz', minimum=1.0, maximum=10000.0),
         ParameterSpec('stepping', 'realtime', 'What drives the physics: the clock, nothing (as '
                       'fast as possible), or the commands of lockstep_parts.', choices=STEPPING),
-        ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each have had a command before '
-                      'lockstep advances by a control period, such as arm or right/gripper.'),
         ParameterSpec('start_paused', False, 'Wait for ~/pause or ~/step after the start.'),
         ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, for the stepping '
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
@@ -119,9 +120,44 @@ def node_parameters() -> list[ParameterSpec]:
     ]
 
 
-def robot_parameters(parts: Sequence[str]) -> list[ParameterSpec]:
+def composition_parameters(scope: Scope) -> list[ParameterSpec]:
+    """Return the parameters that say which robot there is."""
+    specs = [
+        ParameterSpec('robot', 'Panda', 'Robot of the catalogue.',
+                      choices=tuple(robot_names())),
+        ParameterSpec('gripper', 'default',
+                      "Gripper on every arm; 'default' is the robot's own, 'none' leaves it off.",
+                      choices=('default', 'none', *gripper_names())),
+        ParameterSpec('base', 'default',
+                      "What the robot stands on; 'default' is the robot's own, 'none' is the "
+                      'floor.', choices=('default', 'none', *base_names())),
+        ParameterSpec('prefix', f'{scope.name}_' if scope.name else '',
+                      'Beginning of all names of the robot, its base and its '
+                      'grippers: joints, frames, the model. Empty: names as in robot0_joint1.'),
+        ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each have had a command before '
+                      'lockstep advances by a control period, such as arm or right/gripper.')]
+    if not scope.name:
+        specs.append(ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1, '
+                                   'where prefix is empty.', minimum=0, maximum=999))
+    return [spec.within(scope) for spec in specs]
+
+
+def place_parameters(scope: Scope, position: Sequence[float]) -> list[ParameterSpec]:
     """
-    Return the parameters that depend on the robot.
+    Return the parameters that say where a robot stands.
+
+    :param position: where it stands unless the user says where [m], three numbers
+    """
+    return [spec.within(scope) for spec in (
+        ParameterSpec('position', [float(value) for value in position], 'Where the floor below '
+                      "the robot's root is in the frame world: x, y, z.", 'm', length=3),
+        ParameterSpec('orientation', [0.0, 0.0, 0.0], 'How the robot is turned in the frame '
+                      'world: roll, pitch, yaw.', 'rad', length=3))]
+
+
+def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters that depend on the parts of a robot.
 
     :param parts: the parts with driven joints: subsystems and arms
     """
@@ -136,7 +172,7 @@ def robot_parameters(parts: Sequence[str]) -> list[ParameterSpec]:
                           f'Without a fresh command of the {part} for so long (simulation time), '
                           'position holds, velocity goes to zero, effort to gravity compensation; '
                           '0 is never.', 's', live=True, minimum=0.0, maximum=3600.0)]
-    return specs
+    return [spec.within(scope) for spec in specs]
 
 
 class Parameters:
@@ -149,7 +185,7 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._specs: dict[str, ParameterSpec] = {}
-        self._parts: Mapping[str, Part] = {}
+        self._parts: dict[Scope, Mapping[str, Part]] = {}
         node.add_pre_set_parameters_callback(
             lambda parameters: self._with_coupled(self._integers_to_doubles(parameters)))
         node.add_on_set_parameters_callback(self._validate)
@@ -189,48 +225,53 @@ class Parameters:
         for name in self._node._parameter_overrides:
             if not (name in self._specs or name in _OF_RCLPY or name.startswith('qos_overrides.')):
                 missing = [f'this robot has no {part}, ' for part in name.split('.')
-                           if part in SUBSYSTEMS and f'control_mode.{part}' not in self._specs]
+                           if part in SUBSYSTEMS and not any(
+                               spec.endswith(f'control_mode.{part}') for spec in self._specs)]
                 raise ParameterError(f"unknown parameter '{name}': {''.join(missing)}"
                                      f'{describe_choices(name, self._specs)}')
 
-    def couple(self, parts: Mapping[str, Part]) -> None:
+    def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
         """
         Let parameters of a part set those of the parts that it consists of, and the reverse.
 
         Of what the user gave at the start, that of one arm overrides that of both.
 
-        :param parts: by name
+        :param scope: the robot
+        :param parts: its parts by name
         """
-        self._parts = parts
+        self._parts[scope] = parts
         given = self._node._parameter_overrides
-        for group in _COUPLED:
-            for name in sorted(given, key=lambda n: self._is_atomic(n.partition('.')[2])):
-                if name.startswith(f'{group}.'):
-                    self._node.set_parameters([given[name]])
+        for whole in (True, False):
+            for part in parts:
+                for group in _COUPLED:
+                    name = scope.parameter(f'{group}.{part}')
+                    if name in given and whole == (parts[part].atomic != (part,)):
+                        self._node.set_parameters([given[name]])
 
-    def _is_atomic(self, part: str) -> bool:
-        return part in self._parts and self._parts[part].atomic == (part,)
+    def of_part(self, name: str) -> tuple[Scope, str, str] | None:
+        """Return the robot, the group and the part that a parameter is about, or None."""
+        for scope, parts in self._parts.items():
+            for group in _COUPLED:
+                begin = scope.parameter(f'{group}.')
+                if name.startswith(begin) and name[len(begin):] in parts:
+                    return scope, group, name[len(begin):]
+        return None
 
     def _with_coupled(self, parameters: list[Parameter]) -> list[Parameter]:
         """Add what follows for other parts, which the user does not set at the same time."""
         values = {p.name: p for p in parameters}
         result = list(parameters)
         for parameter in parameters:
-            group, _, part = parameter.name.partition('.')
-            if group not in _COUPLED or part not in self._parts:
+            found = self.of_part(parameter.name)
+            if found is None:
                 continue
-            for other in self._coupled_parts(part):
-                name = f'{group}.{other}'
+            scope, group, part = found
+            for other in _coupled_parts(self._parts[scope], part):
+                name = scope.parameter(f'{group}.{other}')
                 if name not in values:
                     values[name] = Parameter(name, parameter.type_, parameter.value)
                     result.append(values[name])
         return result
-
-    def _coupled_parts(self, part: str) -> list[str]:
-        """Return the parts that consist of this one or that it consists of, and its other name."""
-        own = set(self._parts[part].atomic)
-        return [name for name, other in self._parts.items() if name != part
-                and other.gripper is None and set(other.atomic) <= own]
 
     def value(self, name: str) -> Any:
         """Return the present value of a declared parameter."""
@@ -241,6 +282,9 @@ class Parameters:
         if (spec is not None and isinstance(spec.default, float)
                 and parameter.type_ is Parameter.Type.INTEGER):
             return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+        if (spec is not None and spec.length and parameter.type_ is Parameter.Type.INTEGER_ARRAY):
+            return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY,
+                             [float(value) for value in parameter.value])
         if spec is not None and isinstance(spec.default, list) and not parameter.value:
             # ROS reads [] as no value, and rclpy an empty list as one of bytes.
             return Parameter(parameter.name, Parameter.Type.STRING_ARRAY, [''])
@@ -258,6 +302,13 @@ class Parameters:
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
         return SetParametersResult(successful=True)
+
+
+def _coupled_parts(parts: Mapping[str, Part], part: str) -> list[str]:
+    """Return the parts that a part consists of, and its other name."""
+    own = set(parts[part].atomic)
+    return [name for name, other in parts.items() if name != part
+            and other.gripper is None and set(other.atomic) <= own]
 
 
 def steps_per_period(publish_rate: float, timestep: float) -> int:

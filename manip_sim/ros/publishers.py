@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish states: every message of one call has the same stamp."""
+"""Publish states: every message of one instant has the same stamp."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from std_msgs.msg import String
 from manip_sim.ros import messages
 from manip_sim.ros.controller_state import controller_state, MESSAGE_TYPE
 from manip_sim.ros.log import RejectionLog
-from manip_sim.simulation import Simulation, State
+from manip_sim.ros.scope import Scope
+from manip_sim.simulation import Simulation, SimulatedRobot
 
 
 class Output:
@@ -64,58 +65,84 @@ class Output:
             self._log.failure('publications', self._publisher.topic_name, error)
 
 
-class StatePublishers:
+def create_output(node: Node, log: RejectionLog, message_type: Any, topic: str, depth: int = 10
+                  ) -> Output:
     """
-    Publishers for the joint states of all parts, wrenches, poses and the clock.
+    Create a publisher whose quality of service can be overridden by parameters.
+
+    :param log: counts and tells what could not be published
+    :param depth: how many messages are kept
+    """
+    return Output(node.create_publisher(
+        message_type, topic, QoSProfile(depth=depth),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies()), log)
+
+
+class ClockPublisher:
+    """
+    Publishes ``/clock``.
 
     :param node: the node
-    :param simulation: tells the parts and their joints
-    :param publish_clock: whether ``/clock`` is published
     :param log: counts and tells what could not be published
     """
 
-    def __init__(self, node: Node, simulation: Simulation, publish_clock: bool,
-                 log: RejectionLog) -> None:
+    def __init__(self, node: Node, log: RejectionLog) -> None:
+        self._output = create_output(node, log, Clock, '/clock', depth=1)
+
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the time of the present instant."""
+        if self._output.wanted:
+            self._output.publish(Clock(clock=messages.stamp_of(simulation.time_ns)))
+
+
+class StatePublishers:
+    """
+    Publishers for the joint states of all parts of a robot, its wrenches and poses.
+
+    :param node: the node
+    :param robot: tells the parts and their joints
+    :param scope: where its topics are
+    :param log: counts and tells what could not be published
+    """
+
+    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog) -> None:
         self._node = node
-        self._simulation = simulation
+        self._robot = robot
+        self._scope = scope
         self._log = log
-        joints = list(simulation.joint_names)
+        joints = list(robot.joint_names)
         self._joint_states: list[tuple[Output, list[str], Any]] = [
             (self._publisher(JointState, 'joint_states'), joints, slice(None))]
         self._controllers = []
-        for name, part in simulation.parts.items():
+        for name, part in robot.parts.items():
             if part.joints:
                 self._joint_states.append((self._publisher(JointState, f'{name}/joint_states'),
-                                           list(part.joints), simulation.indices_of[name]))
+                                           list(part.joints), robot.indices_of[name]))
             if part.actuators and part.gripper is None:
                 self._controllers.append((
                     self._publisher(MESSAGE_TYPE, f'{name}/controller_state'), name))
         self._arms = []
-        for arm, reader in simulation.end_effectors.items():
+        for arm, reader in robot.end_effectors.items():
             self._arms.append((
                 arm, reader.ft_frame,
                 self._publisher(WrenchStamped, f'{arm}/wrench'),
                 self._publisher(WrenchStamped, f'{arm}/external_wrench'),
                 self._publisher(PoseStamped, f'{arm}/eef_pose'),
                 self._publisher(TwistStamped, f'{arm}/eef_twist')))
-        self._clock = self._publisher(Clock, '/clock', depth=1) if publish_clock else None
 
-    def _publisher(self, message_type: Any, topic: str, depth: int = 10) -> Output:
-        return Output(self._node.create_publisher(
-            message_type, topic, QoSProfile(depth=depth),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies()),
-            self._log)
+    def _publisher(self, message_type: Any, topic: str) -> Output:
+        return create_output(self._node, self._log, message_type, self._scope.topic(topic))
 
-    def publish(self, state: State) -> None:
-        """Publish a state on all topics that somebody listens to."""
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the robot's state on all topics that somebody listens to."""
+        state = self._robot.state()
         stamp = messages.stamp_of(state.time_ns)
         for publisher, joints, part in self._joint_states:
             if publisher.wanted:
                 publisher.publish(messages.joint_state(stamp, joints, state, part))
         for publisher, name in self._controllers:
             if publisher.wanted:
-                publisher.publish(controller_state(
-                    stamp, self._simulation.controller_state(name)))
+                publisher.publish(controller_state(stamp, self._robot.controller_state(name)))
         for arm, frame, wrench, external_wrench, pose, twist in self._arms:
             end_effector = state.end_effectors[arm]
             for publisher, measured in ((wrench, end_effector.wrench),
@@ -126,8 +153,6 @@ class StatePublishers:
                                        (twist, messages.twist_stamped)):
                 if publisher.wanted:
                     publisher.publish(message(stamp, end_effector))
-        if self._clock is not None and self._clock.wanted:
-            self._clock.publish(Clock(clock=stamp))
 
 
 def publish_mjcf(node: Node, xml: str) -> Publisher:

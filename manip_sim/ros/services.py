@@ -12,7 +12,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError
-from manip_sim.ros.runner import Runner
+from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
 
@@ -22,26 +22,29 @@ class SimulationServices:
 
     :param node: the node
     :param simulation: what is controlled
-    :param runner: runs it
+    :param thread: runs it
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner) -> None:
-        self._runner = runner
+    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread) -> None:
+        self._thread = thread
         self._simulation = simulation
         node.create_service(SetBool, '~/pause', self._pause)
         for name, function, done in (
-                ('~/step', runner.step, 'advanced by one control period'),
-                ('~/reset', runner.reset, 'back at the start'),
+                ('~/step', thread.step, 'advanced by one control period'),
+                ('~/reset', thread.reset, 'back at the start'),
                 ('~/tare_wrench', self._tare, 'external wrenches read zero now')):
             node.create_service(Trigger, name, self._trigger(function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        already = 'already ' if self._runner.paused == request.data else ''
-        return _answer(response, lambda: self._runner.pause(request.data),
+        already = 'already ' if self._thread.paused == request.data else ''
+        return _answer(response, lambda: self._thread.pause(request.data),
                        already + ('paused' if request.data else 'running'))
 
     def _tare(self) -> None:
-        self._runner.call(self._simulation.tare_wrench)
+        def tare() -> None:
+            for robot in self._simulation.robots.values():
+                robot.tare_wrench()
+        self._thread.call(tare)
 
     def _trigger(self, function: Callable[[], None], done: str) -> Callable[[Any, Any], Any]:
         return lambda _, response: _answer(response, function, done)

@@ -1,10 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node: builds a robot from parameters and serves its simulation."""
+"""The node: builds robots from parameters and serves their simulation."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 import contextlib
 from typing import Any
 
@@ -14,24 +15,25 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.models import compose, World
 from manip_sim.ros.commands import CommandSubscribers
+from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import (
     node_parameters, Parameters, robot_parameters, steps_per_period)
-from manip_sim.ros.publishers import publish_mjcf, StatePublishers
-from manip_sim.ros.runner import Runner
+from manip_sim.ros.publishers import ClockPublisher, publish_mjcf, StatePublishers
+from manip_sim.ros.scope import Scope
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
-from manip_sim.simulation import Simulation
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import Command
 
 
 class SimNode(Node):
     """
-    Serves one simulated robot; :meth:`start` lets it run, :meth:`stop` ends it.
+    Serves simulated robots; :meth:`start` lets it run, :meth:`stop` ends it.
 
     :param arguments: further arguments of ``rclpy.node.Node``, such as ``context`` and
         ``parameter_overrides``
@@ -58,93 +60,118 @@ class SimNode(Node):
         self._declared.declare(node_parameters())
         value = self._declared.value
         steps = steps_per_period(value('publish_rate'), value('timestep'))
-        world = self._world()
+        self._scopes, world = compose_world(self._declared)
         self.simulation = Simulation(world)
-        controlled = [name for name, part in self.simulation.parts.items()
-                      if part.gripper is None and part.actuators]
-        self._declared.declare(robot_parameters(controlled))
+        served = list(zip(self._scopes, self.simulation.robots.values()))
+        for scope, robot in served:
+            self._declare_parts(scope, robot)
         self._declared.check_names()
-        self._declared.couple(self.simulation.parts)
-        publishers = StatePublishers(self, self.simulation, value('publish_clock'),
-                                     self.rejections)
-        self.runner = Runner(
-            self.simulation, publishers.publish, steps, value('stepping'),
-            value('real_time_factor'), self._lockstep_parts(), value('start_paused'),
-            self._tell_failure)
-        for name in controlled:
-            if self.simulation.parts[name].atomic == (name,):
-                self.simulation.set_control_mode(name, value(f'control_mode.{name}'))
-                self.simulation.set_command_timeout(name, value(f'command_timeout.{name}'))
-        self.commands = CommandSubscribers(self, self.simulation, self.runner, self.rejections)
-        SimulationServices(self, self.simulation, self.runner)
-        offer_simulation_interfaces(self, self.simulation, self.runner)
-        Diagnostics(self, self.simulation, self.runner, self.commands)
+        for scope, robot in served:
+            self._declared.couple(scope, robot.parts)
+        self.thread = SimulationThread(
+            self.simulation, steps, value('stepping'), value('real_time_factor'),
+            {robot.name: self._lockstep_parts(scope, robot) for scope, robot in served},
+            value('start_paused'), self._tell_failure)
+        self._check_lockstep()
+        self.commands = []
+        for scope, robot in served:
+            self._control(scope, robot)
+            publishers = StatePublishers(self, robot, scope, self.rejections)
+            self.thread.observe(publishers.publish)
+            self.commands.append(
+                CommandSubscribers(self, robot, scope, self.thread, self.rejections))
+        if value('publish_clock'):
+            self.thread.observe(ClockPublisher(self, self.rejections).publish)
+        SimulationServices(self, self.simulation, self.thread)
+        offer_simulation_interfaces(self, self.simulation, self.thread)
+        Diagnostics(self, self.simulation, self.thread, self.commands)
         publish_mjcf(self, world.to_xml())
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
-        self._introduce()
+        self._introduce(served)
         for defect in self.simulation.start_defects:
             self.get_logger().warning(f'start: {defect}')
         if self.get_parameter('use_sim_time').value:
             self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 
-    def _world(self) -> World:
-        value = self._declared.value
-        options = {'cube': value('cube')} if value('arena') == 'table' else {}
-        return compose(
-            value('robot'), value('gripper'), value('base'), value('arena'), idn=value('idn'),
-            prefix=value('prefix'), timestep_s=value('timestep'),
-            gravity_compensation=value('gravity_compensation'), **options)
+    def _declare_parts(self, scope: Scope, robot: SimulatedRobot) -> None:
+        self._declared.declare(robot_parameters(scope, [
+            name for name, part in robot.parts.items()
+            if part.gripper is None and part.actuators]))
 
-    def _lockstep_parts(self) -> list[str]:
+    def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
+        value = self._declared.value
+        for name, part in robot.parts.items():
+            if part.gripper is None and part.actuators and part.atomic == (name,):
+                robot.set_control_mode(name, value(scope.parameter(f'control_mode.{name}')))
+                robot.set_command_timeout(name, value(scope.parameter(f'command_timeout.{name}')))
+
+    def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # An empty list of strings is a list with an empty string in ROS.
-        parts: list[str] = [part for part in self._declared.value('lockstep_parts') if part]
+        name = scope.parameter('lockstep_parts')
+        parts: list[str] = [part for part in self._declared.value(name) if part]
         for part in parts:
-            if part not in self.simulation.parts:
-                raise ParameterError(
-                    f"parameter 'lockstep_parts': this robot has no part '{part}'; it has "
-                    + ', '.join(self.simulation.parts))
-        if not parts and self._declared.value('stepping') == 'lockstep':
-            raise ParameterError("parameter 'lockstep_parts': lockstep needs at least one part")
+            if part not in robot.parts:
+                raise ParameterError(f"parameter '{name}': this robot has no part '{part}'; it "
+                                     f'has {", ".join(robot.parts)}')
         return parts
+
+    def _check_lockstep(self) -> None:
+        names = [scope.parameter('lockstep_parts') for scope in self._scopes]
+        if self._declared.value('stepping') == 'lockstep' and not any(
+                part for name in names for part in self._declared.value(name)):
+            raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
 
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
         # After the end there is nothing to change.
         with contextlib.suppress(SimulationEnded):
             for parameter in parameters:
-                name, _, part = parameter.name.partition('.')
                 if parameter.name == 'real_time_factor':
-                    self.runner.set_real_time_factor(parameter.value)
-                elif name == 'control_mode':
-                    self.runner.set_control_mode(part, parameter.value)
-                elif name == 'command_timeout':
-                    self.runner.set_command_timeout(part, parameter.value)
+                    self.thread.set_real_time_factor(parameter.value)
+                found = self._declared.of_part(parameter.name)
+                if found is not None:
+                    self._change_part(*found, parameter.value)
+
+    def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
+        robot = list(self.simulation.robots.values())[self._scopes.index(scope)]
+        change = robot.set_control_mode if group == 'control_mode' else robot.set_command_timeout
+        self.thread.call(lambda: change(part, value))
 
     def _tell_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
 
-    def _introduce(self) -> None:
+    def _introduce(self, served: Sequence[tuple[Scope, SimulatedRobot]]) -> None:
         value = self._declared.value
-        lines = [f'{value("robot")} in arena {value("arena")}, {value("stepping")}, '
-                 f'{value("publish_rate"):g} Hz, timestep {self.simulation.timestep_s:g} s']
+        lines = []
+        for scope, robot in served:
+            name = f'{scope.name}: ' if scope.name else ''
+            lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
+                         f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
+                         f'{self.simulation.timestep_s:g} s')
+            lines += self._parts_in_words(scope, robot)
+        space = '<robot>/' if served[0][0].name else ''
+        lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '
+                     f'on {space}<part>/command, {space}<part>/joint_command and '
+                     f'{space}joint_command')
+        self.get_logger().info('\n'.join(lines))
+
+    def _parts_in_words(self, scope: Scope, robot: SimulatedRobot) -> Iterator[str]:
         unit = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
-        for name, part in self.simulation.parts.items():
+        for name, part in robot.parts.items():
             if not part.joints or part.atomic != (name,):
                 continue
-            mode = value(f'control_mode.{name}') if part.gripper is None else 'position'
-            lines.append(f'  {name}: {mode} mode, joints {", ".join(part.joints)}')
+            mode = 'position'
+            if part.gripper is None and part.actuators:
+                mode = self._declared.value(scope.parameter(f'control_mode.{name}'))
+            yield f'  {name}: {mode} mode, joints {", ".join(part.joints)}'
             if part.gripper is None:
-                limits = ' '.join(f'[{low:g}, {high:g}]'
-                                  for low, high in self.simulation.limits(name))
-                lines.append(f'    limits {limits} {unit[mode]}')
-        lines.append('  states on joint_states and <part>/joint_states, commands on '
-                     '<part>/command, <part>/joint_command and joint_command')
-        self.get_logger().info('\n'.join(lines))
+                limits = ' '.join(f'[{low:g}, {high:g}]' for low, high in robot.limits(name))
+                yield f'    limits {limits} {unit[mode]}'
 
     def start(self) -> None:
         """Let the simulation run."""
-        self.runner.start()
+        self.thread.start()
 
     def stop(self) -> None:
         """End the simulation; the node can be destroyed then."""
-        self.runner.stop()
+        self.thread.stop()

@@ -13,10 +13,11 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
+from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.posix_ere import PosixExpression
-from manip_sim.ros.runner import Runner
+from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.entities import Entities, Pose, Twist
 
@@ -63,16 +64,17 @@ class _Others:
         yield
 
 
-def offer_simulation_interfaces(node: Node, simulation: Simulation, runner: Runner) -> None:
+def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: SimulationThread
+                                ) -> None:
     """
     Offer the standard's services under ``~/`` if their package is installed, else do nothing.
 
     :param node: the node
     :param simulation: what is controlled
-    :param runner: runs it
+    :param thread: runs it
     """
     if AVAILABLE:
-        SimulationInterfaces(node, simulation, runner)
+        SimulationInterfaces(node, simulation, thread)
 
 
 class SimulationInterfaces:
@@ -84,16 +86,16 @@ class SimulationInterfaces:
 
     :param node: the node
     :param simulation: what is controlled
-    :param runner: runs it
+    :param thread: runs it
     """
 
-    def __init__(self, node: Node, simulation: Simulation, runner: Runner) -> None:
+    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread) -> None:
         self._node = node
         self._simulation = simulation
-        self._runner = runner
-        robot = simulation.robot
-        frame = robot.base.root_body if robot.base and robot.base.joints else robot.root_body
-        self._entities = Entities(simulation.model, robot.root_body, frame)
+        self._thread = thread
+        self._entities = Entities(simulation.model, {
+            robot.robot_model.root_body: _frame_of(robot.robot_model)
+            for robot in simulation.robots.values()})
         self._stopped = False
         node.create_service(GetSimulatorFeatures, '~/get_simulator_features', self._features)
         self._offer(GetSimulationState, 'get_simulation_state', self._get_state)
@@ -131,9 +133,9 @@ class SimulationInterfaces:
     # ------------------------------------------------------------------ the simulation
 
     def _state(self) -> int:
-        if not self._runner.paused:
+        if not self._thread.paused:
             return int(SimulationState.STATE_PLAYING)
-        if self._stopped and self._runner.at_start:
+        if self._stopped and self._thread.at_start:
             return int(SimulationState.STATE_STOPPED)
         return int(SimulationState.STATE_PAUSED)
 
@@ -153,9 +155,9 @@ class SimulationInterfaces:
         if target == SimulationState.STATE_PLAYING and self._simulation.diverged is not None:
             raise _Refusal(SetSimulationState.Response.STATE_TRANSITION_ERROR,
                            f'{self._simulation.diverged}; reset it first')
-        self._runner.pause(target != SimulationState.STATE_PLAYING)
+        self._thread.pause(target != SimulationState.STATE_PLAYING)
         if target == SimulationState.STATE_STOPPED:
-            self._runner.reset(restart_time=True)
+            self._thread.reset(restart_time=True)
         self._stopped = target == SimulationState.STATE_STOPPED
 
     async def _step(self, request: Any, response: Any) -> None:
@@ -166,7 +168,7 @@ class SimulationInterfaces:
                            'the simulation is stopped: pause it first')
         for done in range(request.steps):
             try:
-                self._runner.step()
+                self._thread.step()
             except CommandError as error:
                 after = f' (after {done} of {request.steps} steps)' if done else ''
                 raise CommandError(f'{error}{after}') from error
@@ -181,7 +183,7 @@ class SimulationInterfaces:
             raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                            f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
                            'STATE with TIME (3)')
-        self._runner.reset(
+        self._thread.reset(
             restart_time=everything or bool(scope & ResetSimulation.Request.SCOPE_TIME))
 
     # ------------------------------------------------------------------ the entities
@@ -203,7 +205,7 @@ class SimulationInterfaces:
 
     async def _get_entity_state(self, request: Any, response: Any) -> None:
         name, simulation = request.entity, self._simulation
-        time_ns, state = self._runner.call(
+        time_ns, state = self._thread.call(
             lambda: (simulation.time_ns, self._entities.read(simulation.data, name)))
         message = response.state
         message.header.stamp, message.header.frame_id = stamp_of(time_ns), WORLD
@@ -230,7 +232,14 @@ class SimulationInterfaces:
                 raise _Refusal(Result.RESULT_INCORRECT_STATE,
                                f'{self._simulation.diverged}; reset it first')
             self._entities.place(self._simulation.data, name, pose, twist)
-        self._runner.call(place)
+        self._thread.call(place)
+
+
+def _frame_of(robot: RobotModel) -> str:
+    """Return the body that says where a robot is, such as its mobile base."""
+    if robot.base is not None and robot.base.joints:
+        return robot.base.root_body
+    return robot.root_body
 
 
 def _filled(message: Any, values: Any) -> Any:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,27 +105,28 @@ class EntityState:
 
 class Entities:
     """
-    A robot, which stands for all that is mounted on it, and the free bodies of the arena.
+    Robots, each of which stands for all that is mounted on it, and the free bodies of the arena.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param robot: name of the robot's root body
-    :param frame: the body that says where the robot is, such as its mobile base
+    :param robots: the body that says where a robot is, such as its mobile base, by the name of
+        the robot's root body
     """
 
-    def __init__(self, model: Any, robot: str, frame: str) -> None:
+    def __init__(self, model: Any, robots: Mapping[str, str]) -> None:
         self._model = model
-        self._bodies: dict[str, int] = {robot: model.body(frame).id}
+        self._bodies: dict[str, int] = {
+            robot: model.body(frame).id for robot, frame in robots.items()}
         self._joints: dict[str, tuple[int, int]] = {}
         for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
             body = model.body(model.jnt_bodyid[joint])
-            if body.name and body.name != robot:
+            if body.name and body.name not in robots:
                 self._bodies[body.name] = body.id
                 self._joints[body.name] = (int(model.jnt_qposadr[joint]),
                                            int(model.jnt_dofadr[joint]))
 
     @property
     def names(self) -> list[str]:
-        """All of them, the robot first."""
+        """All of them, the robots first."""
         return list(self._bodies)
 
     def is_free(self, name: str) -> bool:

@@ -90,7 +90,7 @@ class GripperRig:
         self.gripper = robot.grippers['right']
         self.simulation = Simulation(World([robot], arena))
         self.model, self.data = self.simulation.model, self.simulation.data
-        self.fingers = self.simulation.grippers['right/gripper']
+        self.fingers = self.simulation.robot.grippers['right/gripper']
         self.height_m, self.action = PARK_HEIGHT_M, None
 
     def apply(self, action):
@@ -101,13 +101,13 @@ class GripperRig:
         """
         if self.action is None or not np.array_equal(action, self.action):
             self.action = np.array(action)
-            self.simulation.apply(self.simulation.parse.action(
+            self.simulation.robot.apply(self.simulation.robot.parse.action(
                 'right/gripper', np.broadcast_to(self.action, (self.gripper.dof,))))
 
     def command(self, positions):
         """Command finger joints, by name [rad or m]."""
         self.action = None
-        self.simulation.apply(*self.simulation.parse.joint_command(
+        self.simulation.robot.apply(*self.simulation.robot.parse.joint_command(
             list(positions), list(positions.values()), [], []))
 
     def advance(self, action, duration_s):
@@ -131,7 +131,7 @@ class GripperRig:
 
     def move(self, height_m, action):
         """Move the carriage, applying an action meanwhile."""
-        self.simulation.apply(*self.simulation.parse.joint_command(
+        self.simulation.robot.apply(*self.simulation.robot.parse.joint_command(
             ['robot0_carriage'], [height_m], [], []))
         duration_s = abs(height_m - self.height_m) / CARRIAGE_SPEED + 0.3
         self.height_m = height_m

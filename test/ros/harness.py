@@ -121,4 +121,4 @@ class Served:
         self.node.stop()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
-        assert self.node.runner.error is None
+        assert self.node.thread.error is None

@@ -88,7 +88,7 @@ def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
     node = serve()
     start = client.state()
     part = topic.rsplit('/', 1)[0] if '/' in topic else topic
-    statistics = node.commands.statistics[part]
+    statistics = node.commands[0].statistics[part]
     for message, reason in REFUSED[topic]:
         # What is like the one before is told a second later.
         while not any(reason in line for line in log):
@@ -110,7 +110,7 @@ def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
 def test_huge_numbers_are_clamped_and_the_state_stays_finite(topic, message, serve, client):
     node = serve(stepping='free')
     client.publish(topic, message)
-    client.spin_until(lambda: sum(s.clamped for s in node.commands.statistics.values()) > 0)
+    client.spin_until(lambda: sum(s.clamped for s in node.commands[0].statistics.values()) > 0)
     states = client.listen(JointState, 'joint_states', 10)
     client.spin_until(lambda: len(states) > 200)
     for state in states[-5:]:
@@ -126,7 +126,7 @@ def test_ten_thousand_messages_in_a_second_are_survived(serve, client):
     begin = time.monotonic()
     for n in range(10_000):
         publisher.publish(bad if n % 2 else good)
-    statistics = node.commands.statistics['arm']
+    statistics = node.commands[0].statistics['arm']
     # The last one is kept, whatever came before it.
     client.spin_until(lambda: statistics.refused > 0)
     publisher.publish(good)

@@ -52,7 +52,7 @@ def test_a_mobile_base_drives_along_its_own_axes(serve, client):
     client.spin_until(lambda: client.state('base/joint_states').position[1] > 0.3)
     x, y, _ = client.state('base/joint_states').position
     assert abs(np.arctan2(y, x) - yaw) < 0.05
-    assert node.simulation.joints.mode_of('mobilebase0_joint_mobile_yaw') == 'velocity'
+    assert node.simulation.robot.joints.mode_of('mobilebase0_joint_mobile_yaw') == 'velocity'
 
 
 def test_the_base_stops_without_fresh_commands(serve, client):

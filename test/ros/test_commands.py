@@ -117,7 +117,7 @@ def test_a_position_past_its_limit_is_clamped_and_told(serve, client):
     node = serve()
     client.publish('arm/joint_command', JointState(name=['robot0_joint6'], position=[9.0]))
     client.spin_until(lambda: abs(arm_position(client)[5] - UPPER[5]) < 2e-3)
-    assert node.commands.statistics['arm'].clamped == 1
+    assert node.commands[0].statistics['arm'].clamped == 1
     client.spin_until(lambda: any('clamped' in line for line in log))
 
 
@@ -161,7 +161,7 @@ def test_a_trajectory_that_is_too_fast_is_slowed_down_and_told(serve, client):
         joint_names=['robot0_joint1'], points=[point([1.5], 0.2)]))
     client.spin_until(lambda: any('slowed a trajectory' in line for line in log))
     client.spin_until(lambda: abs(arm_position(client)[0] - 1.5) < 2e-3)
-    assert node.commands.statistics['arm'].slowed == 1
+    assert node.commands[0].statistics['arm'].slowed == 1
 
 
 def test_each_arm_of_two_is_commanded_alone_and_both_together(serve, client):
@@ -190,7 +190,7 @@ def test_an_arm_does_not_take_the_joints_of_the_other(serve, client):
     node = serve(robot='Baxter')
     client.publish('right/joint_command', JointState(name=['robot0_left_s0'], position=[0.1]))
     client.spin_until(lambda: any("right has no joint 'robot0_left_s0'" in line for line in log))
-    assert node.commands.statistics['right'].refused == 1
+    assert node.commands[0].statistics['right'].refused == 1
 
 
 def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serve, client):
@@ -199,7 +199,7 @@ def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serv
         Float64MultiArray, 'arm/command', QoSProfile(
             depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     client.spin_until(lambda: best_effort.get_subscription_count() > 0)
-    statistics = node.commands.statistics['arm']
+    statistics = node.commands[0].statistics['arm']
     client.spin_until(lambda: best_effort.publish(Float64MultiArray(data=[0.0] * 7))
                       or statistics.accepted > 0)
     before = client.settled(lambda: statistics.accepted)
@@ -221,7 +221,7 @@ def test_the_state_of_a_controller_says_what_is_wanted_and_what_is(serve, client
         last['error'].positions, atol=1e-12)
     moving = [wanted(state)['reference'].velocities[0] for state in states]
     assert 0.5 < max(moving) <= 2.175
-    assert len(last['output'].effort) == len(node.simulation.parts['arm'].joints)
+    assert len(last['output'].effort) == len(node.simulation.robot.parts['arm'].joints)
 
 
 def wanted(message):

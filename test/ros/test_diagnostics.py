@@ -18,7 +18,7 @@ def values(status):
 def test_commands_are_counted_by_part(serve, client):
     node = serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
-    statistics = node.commands.statistics['arm']
+    statistics = node.commands[0].statistics['arm']
     # One at a time, because the node keeps the last one only.
     for message, arrived in (([0.0] * 7, lambda: statistics.accepted == 1),
                              ([2.0] * 7, lambda: statistics.accepted == 2),
@@ -76,12 +76,12 @@ def test_a_pause_is_told_and_is_no_lost_time(serve, client):
     def seen(message):
         return any(array.status[0].message == message for array in arrays)
     client.spin_until(lambda: seen('running'))
-    node.runner.pause(True)
+    node.thread.pause(True)
     arrays.clear()
     client.spin_until(lambda: len(arrays) > 2)
     assert arrays[-1].status[0].message == 'paused'
     assert float(values(arrays[-1].status[0])['real_time_factor']) == 0.0
-    node.runner.pause(False)
+    node.thread.pause(False)
     client.spin_until(lambda: arrays[-1].status[0].message == 'running')
     seen_before = len(arrays)
     client.spin_until(lambda: len(arrays) > seen_before + 2)
@@ -147,7 +147,7 @@ def test_a_machine_that_cannot_keep_up_is_told(serve, client):
     node = serve(publish_rate=500)
     arrays = client.listen(DiagnosticArray, '/diagnostics')
     client.spin_until(lambda: bool(arrays))
-    node.runner.call(lambda: time.sleep(1.0))
+    node.thread.call(lambda: time.sleep(1.0))
     client.spin_until(lambda: any(
         s.level == DiagnosticStatus.WARN and 'dropped' in s.message
         for array in arrays for s in array.status))

@@ -93,13 +93,13 @@ def test_a_command_for_another_instant_does_not_count(serve, client):
     client.publish('arm/joint_command', stale)
     client.spin_until(lambda: any('the present state is that of' in line for line in log))
     assert node.simulation.step_count == 5
-    assert node.commands.statistics['arm'].refused == 1
+    assert node.commands[0].statistics['arm'].refused == 1
 
 
 def test_every_lockstep_part_needs_a_command(serve, client):
     node = serve(stepping='lockstep', lockstep_parts=['arm', 'right/gripper'])
     client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
-    client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
     client.state()
     assert node.simulation.step_count == 5
     client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
@@ -160,7 +160,7 @@ def test_a_trajectory_is_the_command_of_its_part_until_it_ends(serve, client):
     client.state()
     # Then the part waits for its next command.
     assert node.simulation.step_count == 255
-    assert abs(node.simulation.state().position[0] - 0.2) < 0.01
+    assert abs(node.simulation.robot.state().position[0] - 0.2) < 0.01
 
 
 def test_a_late_client_sees_a_paused_state(serve, client):

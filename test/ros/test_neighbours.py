@@ -66,7 +66,7 @@ def test_two_clients_may_control_the_simulation_at_once(serve, client):
     for thread in threads:
         thread.join(timeout=100.0)
     assert not failures
-    assert not node.runner.paused
+    assert not node.thread.paused
     first = client.state()
     client.spin_until(lambda: client.state().header.stamp != first.header.stamp)
 
@@ -107,8 +107,8 @@ def test_a_reader_that_never_acknowledges_costs_messages_and_no_real_time(sim_pr
                           timeout_s=40.0)
         dropped = int(values()['failed_publications'])
         factors = []
-        # Another process may slow the machine for a while; a publisher that waits would always.
-        while not any(factor > 0.98 for factor in factors):
+        # Other processes may slow the machine; a publisher that waits would to a hundredth.
+        while not any(factor > 0.5 for factor in factors):
             assert len(factors) < 10, factors
             seen = len(arrays)
             client.spin_until(lambda n=seen: len(arrays) > n)

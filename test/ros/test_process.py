@@ -24,7 +24,7 @@ def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_pr
     node.send_signal(number)
     begin = time.monotonic()
     _, errors = node.communicate(timeout=10.0)
-    assert time.monotonic() - begin < 2.0
+    assert time.monotonic() - begin < 5.0
     assert node.returncode == 0, errors
     assert 'Traceback' not in errors
 

@@ -76,10 +76,10 @@ def test_start_paused_waits_at_the_first_instant(serve, client):
 def test_a_command_that_came_while_paused_is_used_by_the_next_step(serve, client):
     node = serve(start_paused=True)
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
-    client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
     for _ in range(8):
         trigger(client, 'step')
-    assert node.simulation.state().position[0] > 0.01
+    assert node.simulation.robot.state().position[0] > 0.01
 
 
 def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
@@ -92,17 +92,17 @@ def test_reset_puts_the_robot_back_while_time_goes_on(serve, client):
     after = client.state()
     assert nanoseconds(after) > nanoseconds(start)
     np.testing.assert_allclose(after.position, start.position, atol=1e-3)
-    assert not node.simulation.grippers['right/gripper'].moving
+    assert not node.simulation.robot.grippers['right/gripper'].moving
 
 
 def test_commands_that_wait_are_dropped_by_a_reset(serve, client):
     node = serve(start_paused=True)
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
-    client.spin_until(lambda: node.commands.statistics['arm'].accepted == 1)
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
     trigger(client, 'reset')
     for _ in range(5):
         trigger(client, 'step')
-    assert abs(node.simulation.state().position[0]) < 1e-4
+    assert abs(node.simulation.robot.state().position[0]) < 1e-4
 
 
 def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):
@@ -112,7 +112,7 @@ def test_a_diverged_simulation_is_held_told_and_mended_by_reset(serve, client):
 
     def explode():
         node.simulation.data.qvel[0] = 1e9
-    node.runner.call(explode)
+    node.thread.call(explode)
     client.spin_until(lambda: any('the physics diverged' in line for line in log))
     state = client.state()
     assert np.isfinite([state.position, state.velocity, state.effort]).all()
@@ -131,14 +131,13 @@ def test_a_held_simulation_repeats_its_state_and_leaves_the_machine_alone(serve,
 
     def explode():
         node.simulation.data.qvel[0] = 1e9
-    node.runner.call(explode)
+    node.thread.call(explode)
     client.spin_until(lambda: node.simulation.diverged is not None)
     states = client.listen(JointState, 'joint_states')
     client.spin_until(lambda: len(states) >= 5)
     assert len({nanoseconds(state) for state in states[-5:]}) == 1
     shown = []
-    publish = node.runner._publish
-    node.runner._publish = lambda state: (shown.append(state), publish(state))
+    node.thread.observe(shown.append)
     count = len(states)
     client.spin_until(lambda: len(states) >= count + 5)
     assert len(shown) < 20
@@ -157,7 +156,7 @@ def test_tare_lets_the_external_wrench_read_zero(serve, client):
     def norm(message):
         force = message.wrench.force
         return np.linalg.norm([force.x, force.y, force.z])
-    node.runner.call(push)
+    node.thread.call(push)
     client.spin_until(lambda: bool(wrenches) and abs(norm(wrenches[-1]) - 5.0) < 0.1)
     assert trigger(client, 'tare_wrench').success
     client.spin_until(lambda: norm(wrenches[-1]) < 0.05)
@@ -180,7 +179,7 @@ def test_parameters_change_while_the_node_runs(serve, client):
             parameters=[Parameter(name, value=value).to_parameter_msg()])
         return client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
     assert set_parameter('control_mode.arm', 'effort').successful
-    client.spin_until(lambda: node.simulation.joints.mode_of('robot0_joint1') == 'effort')
+    client.spin_until(lambda: node.simulation.robot.joints.mode_of('robot0_joint1') == 'effort')
     np.testing.assert_allclose(client.state().position, state.position, atol=1e-3)
     assert set_parameter('real_time_factor', 2).successful
     wrong = set_parameter('control_mode.arm', 'torque')

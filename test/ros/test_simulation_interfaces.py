@@ -244,7 +244,7 @@ def test_a_simulation_that_diverged_can_be_reset_only(serve, client):
 
     def explode():
         node.simulation.data.qvel[-1] = 1e9
-    node.runner.call(explode)
+    node.thread.call(explode)
     client.spin_until(lambda: node.simulation.diverged is not None)
     assert set_state(client, PAUSED).result == OK
     playing = set_state(client, PLAYING)
@@ -332,7 +332,7 @@ def test_a_turning_cube_turns_about_the_axis_of_the_world(serve, client):
 def test_the_robot_stands_still_where_it_is_mounted(serve, client):
     node = serve(start_paused=True)
     state = entity_state(client, 'robot0_base').state
-    expected = node.simulation.robot.base_xpos_offset['empty']
+    expected = node.simulation.robot.robot_model.base_xpos_offset['empty']
     np.testing.assert_allclose(numbers(state.pose.position)[:2], expected[:2], atol=1e-9)
     for field in (state.twist, state.acceleration):
         np.testing.assert_allclose(numbers(field.linear) + numbers(field.angular), 0.0, atol=1e-9)

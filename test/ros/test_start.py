@@ -61,7 +61,9 @@ def first_joint_and_warnings(process, client, *arguments):
     node.send_signal(signal.SIGINT)
     _, errors = node.communicate(timeout=30.0)
     assert node.returncode == 0
-    return joint, [line for line in errors.splitlines() if '[WARN]' in line]
+    # That other processes slow the machine is no matter of the arguments.
+    return joint, [line for line in errors.splitlines()
+                   if '[WARN]' in line and 'too slow' not in line]
 
 
 def test_an_empty_list_of_lockstep_parts_is_a_list(process, client):

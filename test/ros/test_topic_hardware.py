@@ -55,7 +55,7 @@ def reaches(hardware, goal, tolerance=ARM_TOLERANCE):
 
 
 def rejected(node):
-    return sum(statistics.refused for statistics in node.commands.statistics.values())
+    return sum(statistics.refused for statistics in node.commands[0].statistics.values())
 
 
 # What the hardware sends.
@@ -144,7 +144,7 @@ def test_before_any_controller_is_active_nothing_moves(serve, client, connect, u
     node = serve(prefix='panda_')
     hardware = connect(tag(ARM + FINGERS, 'position'))
     start = positions(hardware, ARM + FINGERS)
-    until(hardware, lambda: node.commands.statistics['joint_command'].refused > 20)
+    until(hardware, lambda: node.commands[0].statistics['joint_command'].refused > 20)
     assert all(np.isnan(message.position).all() for message in hardware.sent)
     assert reaches(hardware, start, FINGER_TOLERANCE)()
     client.spin_until(lambda: any('joint_command' in line and 'NaN' in line for line in log))
@@ -259,7 +259,7 @@ def test_a_velocity_in_position_mode_is_refused_with_the_reason(serve, client, c
     start = positions(hardware, ARM)
     hardware.claim('position', shifted(hardware, ARM, 0.05))
     hardware.claim('velocity', dict.fromkeys(ARM, 0.0))
-    until(hardware, lambda: node.commands.statistics['joint_command'].refused > 5)
+    until(hardware, lambda: node.commands[0].statistics['joint_command'].refused > 5)
     client.spin_until(lambda: any('joint_command' in line and 'velocity' in line for line in log))
     hardware.read()
     assert reaches(hardware, start, FINGER_TOLERANCE)()
@@ -272,7 +272,7 @@ def test_an_infinite_command_is_refused_as_a_whole(infinity, serve, client, conn
     hardware = connect(tag(ARM, 'position'))
     start = positions(hardware, ARM)
     hardware.claim('position', shifted(hardware, ARM, 0.05) | {ARM[3]: infinity})
-    until(hardware, lambda: node.commands.statistics['joint_command'].refused > 5)
+    until(hardware, lambda: node.commands[0].statistics['joint_command'].refused > 5)
     client.spin_until(lambda: any('must be finite' in line for line in log))
     hardware.read()
     assert reaches(hardware, start, FINGER_TOLERANCE)()
@@ -283,7 +283,7 @@ def test_an_infinite_command_is_refused_as_a_whole(infinity, serve, client, conn
 def test_a_message_that_cannot_be_matched_is_refused(names, position, serve, client):
     node = serve(prefix='panda_')
     client.publish('joint_command', JointState(name=names, position=position))
-    client.spin_until(lambda: node.commands.statistics['joint_command'].refused == 1)
+    client.spin_until(lambda: node.commands[0].statistics['joint_command'].refused == 1)
 
 
 def test_a_moving_command_is_followed_at_the_rate_of_the_hardware(serve, client, connect, until):

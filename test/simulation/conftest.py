@@ -20,7 +20,7 @@ class Operator:
 
     def joints_of(self, part):
         """Return the names of a part's driven joints."""
-        return list(self.simulation.parts[part].driven_joints)
+        return list(self.simulation.robot.parts[part].driven_joints)
 
     def where(self, *joints):
         """Return where joints are [rad or m]."""
@@ -32,17 +32,17 @@ class Operator:
 
     def go(self, joints, mode='position', **parse):
         """Apply goals by joint in a mode; return the handles."""
-        commands = self.simulation.parse.joint_command(
+        commands = self.simulation.robot.parse.joint_command(
             list(joints), **{mode: list(joints.values())}, **parse)
-        self.simulation.apply(*commands, period_s=0.01)
+        self.simulation.robot.apply(*commands, period_s=0.01)
         return [command.handle for command in commands]
 
     def follow(self, part, joints, times_s, positions, *derivatives, start_ns=0):
         """Apply a trajectory; return the command."""
-        command = self.simulation.parse.trajectory(
+        command = self.simulation.robot.parse.trajectory(
             part, joints, times_s, positions, *derivatives, start_ns=start_ns,
             now_ns=self.simulation.time_ns)
-        self.simulation.apply(command, period_s=0.01)
+        self.simulation.robot.apply(command, period_s=0.01)
         return command
 
     def run(self, seconds, each_period=None):

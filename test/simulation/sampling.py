@@ -34,9 +34,9 @@ class Driven:
 
     def __init__(self, simulation, part=None):
         self.simulation, model = simulation, simulation.model
-        parts = [part] if part else [n for n, p in simulation.parts.items()
+        parts = [part] if part else [n for n, p in simulation.robot.parts.items()
                                      if p.atomic == (n,) and p.gripper is None]
-        self.names = [j for p in parts for j in simulation.parts[p].driven_joints]
+        self.names = [j for p in parts for j in simulation.robot.parts[p].driven_joints]
         joints = [model.joint(name) for name in self.names]
         self.qpos = np.array([j.qposadr[0] for j in joints])
         self.dofs = np.array([j.dofadr[0] for j in joints])
@@ -54,8 +54,8 @@ class Driven:
     def command(self, mode, values, joints=None, period_s=0.01):
         """Apply goals for all joints, or for some, in a mode."""
         names = self.names if joints is None else joints
-        self.simulation.apply(*self.simulation.parse.joint_command(names, **{mode: values}),
-                              period_s=period_s)
+        robot = self.simulation.robot
+        robot.apply(*robot.parse.joint_command(names, **{mode: values}), period_s=period_s)
 
     def within(self, start, offset):
         """Return an offset that is turned round or shortened where it would leave the range."""
@@ -77,7 +77,7 @@ class Samples:
     def __init__(self, driven, wrench=False):
         self._driven = driven
         self._rows = []
-        end = driven.simulation.end_effectors.get('right') if wrench else None
+        end = driven.simulation.robot.end_effectors.get('right') if wrench else None
         self._wrench = end and [*range(end._force, end._force + 3),
                                 *range(end._torque, end._torque + 3)]
 

@@ -34,7 +34,7 @@ def test_parts_of_two_arms_do_not_overlap_and_arm_is_both(op):
     assert not set(right) & set(left)
     for arm, joints in (('right', right), ('left', left)):
         # What moves the arm's gripper is the arm's.
-        body = op.simulation.model.body(op.simulation.robot.eef_name[arm]).id
+        body = op.simulation.model.body(op.simulation.robot.robot_model.eef_name[arm]).id
         movers = set()
         while body:
             first = op.simulation.model.body_jntadr[body]
@@ -46,19 +46,20 @@ def test_parts_of_two_arms_do_not_overlap_and_arm_is_both(op):
 
 def test_a_single_arm_is_also_the_right_one(panda_op):
     assert panda_op.joints_of('right') == panda_op.joints_of('arm')
-    panda_op.simulation.apply(panda_op.simulation.parse.action('right', [0.1] * 7))
-    panda_op.simulation.set_control_mode('right', 'velocity')
-    assert panda_op.simulation.joints.mode_of(panda_op.joints_of('arm')[0]) == 'velocity'
+    panda_op.simulation.robot.apply(panda_op.simulation.robot.parse.action('right', [0.1] * 7))
+    panda_op.simulation.robot.set_control_mode('right', 'velocity')
+    assert panda_op.simulation.robot.joints.mode_of(panda_op.joints_of('arm')[0]) == 'velocity'
 
 
 @pytest.mark.parametrize('part', ['right', 'left'])
 def test_command_of_one_arm_does_not_move_the_setpoints_of_the_other(op, part):
     other = {'right': 'left', 'left': 'right'}[part]
-    before = op.simulation.controller_state(other).reference.position
+    before = op.simulation.robot.controller_state(other).reference.position
     goals = goals_of(op, part)
     (handle,) = op.go(goals, part=part)
     op.run(2.0)
-    np.testing.assert_array_equal(op.simulation.controller_state(other).reference.position, before)
+    np.testing.assert_array_equal(
+        op.simulation.robot.controller_state(other).reference.position, before)
     np.testing.assert_allclose(op.where(*goals), list(goals.values()), atol=2e-3)
     assert handle.status is Status.DONE
 
@@ -79,7 +80,7 @@ def test_two_controllers_of_one_arm_each_give_what_one_of_both_gives(operator_of
                                          key=lambda pair: pair[1], reverse=k % 2 == 1):
                     op.go(goal, part=part)
             op.run(0.01)
-        positions.append(op.simulation.state().position)
+        positions.append(op.simulation.robot.state().position)
     np.testing.assert_array_equal(*positions)
 
 
@@ -93,11 +94,11 @@ def test_arm_reaches_both(op):
 
 def test_action_of_one_arm_spans_its_ranges_alone(op):
     simulation = op.simulation
-    command = simulation.parse.action('left', np.ones(7))
+    command = simulation.robot.parse.action('left', np.ones(7))
     low, high = np.array([simulation.model.joint(j).range for j in op.joints_of('left')]).T
     np.testing.assert_allclose(command.values, high)
     assert command.parts == {'left'}
-    both = simulation.parse.action('arm', np.concatenate([np.ones(7), -np.ones(7)]))
+    both = simulation.robot.parse.action('arm', np.concatenate([np.ones(7), -np.ones(7)]))
     assert both.parts == {'left', 'right'}
     joints = op.joints_of('arm')
     np.testing.assert_allclose(both.values[7:], [simulation.model.joint(j).range[0]
@@ -107,23 +108,24 @@ def test_action_of_one_arm_spans_its_ranges_alone(op):
 def test_joint_of_the_other_arm_is_refused(op):
     joint = op.joints_of('left')[0]
     with pytest.raises(CommandError, match=f"^right has no joint '{joint}' that can be commanded"):
-        op.simulation.parse.joint_command([joint], [0.0], part='right')
+        op.simulation.robot.parse.joint_command([joint], [0.0], part='right')
     with pytest.raises(CommandError, match=f"^right has no joint '{joint}' that can be commanded"):
-        op.simulation.parse.trajectory('right', [joint], [1.0], [[0.0]])
+        op.simulation.robot.parse.trajectory('right', [joint], [1.0], [[0.0]])
 
 
 def test_modes_and_timeouts_are_those_of_each_arm(op):
     simulation = op.simulation
-    simulation.set_control_mode('left', 'velocity')
-    modes = simulation.joints.modes_of(simulation.joints.indices_of('arm'))
+    simulation.robot.set_control_mode('left', 'velocity')
+    modes = simulation.robot.joints.modes_of(simulation.robot.joints.indices_of('arm'))
     assert sorted(modes) == ['position'] * 7 + ['velocity'] * 7
-    simulation.set_command_timeout('left', 0.1)
+    simulation.robot.set_command_timeout('left', 0.1)
     op.go(goals_of(op, 'right'))
     op.go(dict.fromkeys(op.joints_of('left'), 0.05), 'velocity')
     op.run(0.3)
-    assert (simulation.joints.timeouts['left'], simulation.joints.timeouts['right']) == (1, 0)
-    simulation.set_control_mode('arm', 'effort')
-    assert set(simulation.joints.modes_of(simulation.joints.indices_of('arm'))) == {'effort'}
+    joints = simulation.robot.joints
+    assert (joints.timeouts['left'], joints.timeouts['right']) == (1, 0)
+    simulation.robot.set_control_mode('arm', 'effort')
+    assert set(joints.modes_of(joints.indices_of('arm'))) == {'effort'}
 
 
 def test_trajectories_of_both_arms_run_side_by_side(op):
@@ -188,25 +190,25 @@ def test_empty_trajectory_of_one_arm_leaves_the_other(op):
 
 
 def test_busy_parts_are_those_that_follow_or_await_a_trajectory(op):
-    assert op.simulation.joints.busy_parts == set()
+    assert op.simulation.robot.joints.busy_parts == set()
     goals = goals_of(op, 'left')
     op.follow('left', list(goals), [0.5], [list(goals.values())])
-    assert op.simulation.joints.busy_parts == {'left'}
+    assert op.simulation.robot.joints.busy_parts == {'left'}
     op.run(0.2)
-    assert op.simulation.joints.busy_parts == {'left'}
+    assert op.simulation.robot.joints.busy_parts == {'left'}
     op.run(0.5)
-    assert op.simulation.joints.busy_parts == set()
+    assert op.simulation.robot.joints.busy_parts == set()
     later_ns = op.simulation.time_ns + 10**9
     op.follow('left', list(goals), [0.5], [list(goals.values())], start_ns=later_ns)
-    assert op.simulation.joints.busy_parts == {'left'}
+    assert op.simulation.robot.joints.busy_parts == {'left'}
 
 
 @pytest.mark.parametrize('part', ['torso', 'head', 'legs', 'base'])
 def test_every_part_follows_a_trajectory(operator_of, part):
     op = operator_of({'torso': 'PandaOmron', 'base': 'PandaOmron'}.get(part, 'GR1'))
-    if part not in op.simulation.parts:
+    if part not in op.simulation.robot.parts:
         pytest.fail(f'no robot with {part}')
-    op.simulation.set_control_mode(part, 'position')
+    op.simulation.robot.set_control_mode(part, 'position')
     goals = goals_of(op, part, 0.05)
     handle = op.follow(part, list(goals), [1.0], [list(goals.values())]).handle
     op.run(2.0)

@@ -19,7 +19,7 @@ NAN = np.nan
 @pytest.fixture
 def parse(panda_sim):
     """Return what makes commands for the Panda, whose arm is in position mode."""
-    return panda_sim.parse
+    return panda_sim.robot.parse
 
 
 @pytest.mark.parametrize(('action', 'message'), [
@@ -40,8 +40,8 @@ def test_action_for_an_unknown_part_tells_what_there_is(parse):
 @pytest.mark.parametrize('part', ['arm', 'right'])
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
 def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mode, part):
-    panda_sim.set_control_mode(part, mode)
-    low, high = panda_sim.joints.ranges(np.arange(7)).T
+    panda_sim.robot.set_control_mode(part, mode)
+    low, high = panda_sim.robot.joints.ranges(np.arange(7)).T
     goal = parse.action(part, [-1.0, 1.0, 0.0, 5.0, -9.0, 1.0, 1.0])
     assert goal.clamped == 2
     assert goal.modes == (mode,) * 7
@@ -85,7 +85,7 @@ def test_joint_command_is_clamped_and_the_clamps_are_counted(parse):
 
 @pytest.mark.parametrize(('mode', 'limit'), [('velocity', 2.175), ('effort', 87.0)])
 def test_velocity_and_effort_are_clamped_to_the_data_sheet(panda_sim, parse, mode, limit):
-    panda_sim.set_control_mode('arm', mode)
+    panda_sim.robot.set_control_mode('arm', mode)
     for sign in (-1.0, 1.0):
         (goal,) = parse.joint_command([J1], **{mode: [sign * 1e9]})
         np.testing.assert_allclose(goal.values, [sign * limit])
@@ -96,25 +96,25 @@ def test_position_of_an_unlimited_joint_is_not_clamped(one_joint_arm, run):
     robot = one_joint_arm()
     robot.spec.joint('joint1').limited = 0
     simulation = Simulation(World([robot]))
-    (goal,) = simulation.parse.joint_command([J1], [9.0])
+    (goal,) = simulation.robot.parse.joint_command([J1], [9.0])
     assert (goal.clamped, list(goal.values)) == (0, [9.0])
-    simulation.apply(goal)
+    simulation.robot.apply(goal)
     run(simulation, 4.0)
-    assert simulation.state().position[0] == pytest.approx(9.0, abs=1e-3)
+    assert simulation.robot.state().position[0] == pytest.approx(9.0, abs=1e-3)
 
 
 def test_nan_is_no_command_for_a_joint(panda_sim, parse, run):
-    start = panda_sim.state().position
+    start = panda_sim.robot.state().position
     (goal,) = parse.joint_command([J1, J2], [NAN, 0.3], velocity=[NAN, NAN])
     assert list(goal.indices) == [1]
-    panda_sim.apply(goal)
+    panda_sim.robot.apply(goal)
     run(panda_sim, 1.0)
-    np.testing.assert_allclose(panda_sim.state().position[:7], [start[0], 0.3, *start[2:7]],
+    np.testing.assert_allclose(panda_sim.robot.state().position[:7], [start[0], 0.3, *start[2:7]],
                                atol=1e-3)
 
 
 def test_joints_of_one_part_in_different_fields_each_take_the_one_of_their_mode(panda_sim, parse):
-    panda_sim.set_control_mode('arm', 'velocity')
+    panda_sim.robot.set_control_mode('arm', 'velocity')
     joint, finger = parse.joint_command([J1, FINGER], [NAN, 0.01], [0.3, NAN])
     assert (type(joint), type(finger)) == (JointSetpoint, GripperSetpoint)
     assert joint.modes == ('velocity',)
@@ -123,7 +123,7 @@ def test_joints_of_one_part_in_different_fields_each_take_the_one_of_their_mode(
 
 
 def test_field_may_have_numbers_of_the_joints_that_use_it_alone(panda_sim, parse):
-    panda_sim.set_control_mode('arm', 'velocity')
+    panda_sim.robot.set_control_mode('arm', 'velocity')
     joint, finger = parse.joint_command([J1, FINGER, J2], [0.01], [0.3, -0.2])
     assert joint.indices.tolist() == [0, 1]
     np.testing.assert_allclose(joint.values, [0.3, -0.2])
@@ -137,27 +137,27 @@ def test_field_with_too_few_numbers_is_refused(panda_sim, parse):
 
 
 def test_refused_command_changes_nothing(panda_sim, parse, run):
-    start = panda_sim.state().position
+    start = panda_sim.robot.state().position
     with pytest.raises(CommandError):
         parse.joint_command([J1, J2], [0.5, np.inf])
     run(panda_sim, 0.3)
-    np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
+    np.testing.assert_allclose(panda_sim.robot.state().position, start, atol=1e-6)
 
 
 def test_command_for_some_joints_leaves_the_others(panda_sim, parse, run):
-    start = panda_sim.state().position
-    panda_sim.apply(*parse.joint_command([J2], [0.3]))
+    start = panda_sim.robot.state().position
+    panda_sim.robot.apply(*parse.joint_command([J2], [0.3]))
     run(panda_sim, 0.2)
-    panda_sim.apply(*parse.joint_command([J1], [0.4]))
+    panda_sim.robot.apply(*parse.joint_command([J1], [0.4]))
     run(panda_sim, 1.0)
-    np.testing.assert_allclose(panda_sim.state().position[:7],
+    np.testing.assert_allclose(panda_sim.robot.state().position[:7],
                                [0.4, 0.3, *start[2:7]], atol=1e-3)
 
 
 def test_command_for_joints_of_several_parts_moves_them_all(panda_sim, parse, run):
     goals = parse.joint_command([FINGER, J1, FINGER.replace('1', '2')], [0.01, 0.2, -0.01])
     assert {part for goal in goals for part in goal.parts} == {'arm', 'right/gripper'}
-    panda_sim.apply(*goals)
+    panda_sim.robot.apply(*goals)
     run(panda_sim, 1.0)
     assert panda_sim.data.joint(J1).qpos[0] == pytest.approx(0.2, abs=1e-3)
     assert panda_sim.data.joint(FINGER).qpos[0] == pytest.approx(0.01, abs=1e-3)
@@ -167,24 +167,24 @@ def test_command_for_joints_of_several_parts_moves_them_all(panda_sim, parse, ru
 def test_command_that_was_meant_for_another_mode_is_aborted(panda_sim, parse, run, mode):
     (goal,) = parse.joint_command([J1], [0.5])
     motion = parse.trajectory('arm', [J1], [0.2], [[0.5]])
-    panda_sim.set_control_mode('arm', mode)
-    panda_sim.apply(goal, motion)
+    panda_sim.robot.set_control_mode('arm', mode)
+    panda_sim.robot.apply(goal, motion)
     run(panda_sim, 0.3)
-    assert abs(panda_sim.state().position[0]) < 1e-6
+    assert abs(panda_sim.robot.state().position[0]) < 1e-6
     for command in (goal, motion):
         assert command.handle.status is Status.ABORTED
         assert command.handle.reason == 'the control mode has changed'
 
 
 def test_of_a_command_only_the_joints_whose_mode_changed_are_lost(panda_sim, parse, run):
-    start = panda_sim.state().position
+    start = panda_sim.robot.state().position
     (goal,) = parse.joint_command([J1, FINGER], [0.4, 0.01])[:1]
     both = JointSetpoint(parts=goal.parts, indices=np.array([0, 1]), values=np.array([0.4, 0.3]),
                          modes=('position', 'velocity'))
-    panda_sim.apply(both)
+    panda_sim.robot.apply(both)
     run(panda_sim, 1.0)
     assert both.handle.status is Status.DONE
-    np.testing.assert_allclose(panda_sim.state().position[:2], [0.4, start[1]], atol=1e-3)
+    np.testing.assert_allclose(panda_sim.robot.state().position[:2], [0.4, start[1]], atol=1e-3)
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
@@ -215,7 +215,7 @@ def test_gripper_takes_no_trajectory(parse):
 
 
 def test_trajectory_needs_position_mode(panda_sim, parse):
-    panda_sim.set_control_mode('arm', 'velocity')
+    panda_sim.robot.set_control_mode('arm', 'velocity')
     with pytest.raises(CommandError, match=r'^arm follows trajectories in position mode only, '
                                            r"joint 'robot0_joint1' is in velocity mode$"):
         parse.trajectory('arm', [J1], [1.0], [[0.1]])

@@ -53,7 +53,7 @@ def test_effort_at_constant_speed_is_that_of_the_damping(rate):
         for _ in range(round(1.6 * rate)):
             arm.command('position', [start + 0.4 * simulation.time_s], arm.names[:1], 1.0 / rate)
             simulation.advance(steps)
-            published = simulation.state().effort[0]
+            published = simulation.robot.state().effort[0]
     np.testing.assert_allclose(samples.effort[-200:, 0], 0.4 * arm.damping[0], atol=0.05)
     assert published == pytest.approx(0.4 * arm.damping[0], abs=0.05)
 
@@ -63,8 +63,8 @@ def test_effort_at_constant_speed_is_that_of_the_damping(rate):
 @pytest.mark.parametrize('repeated', [False, True])
 def test_goal_on_all_joints_at_once_does_not_overshoot_or_overspeed(name, distance, repeated):
     simulation = whole_robot(name)
-    if 'base' in simulation.parts:
-        simulation.set_control_mode('base', 'position')
+    if 'base' in simulation.robot.parts:
+        simulation.robot.set_control_mode('base', 'position')
     joints = Driven(simulation)
     start = joints.position
     sign = np.where(np.arange(len(start)) % 3 == 1, -1.0, 1.0)
@@ -159,7 +159,7 @@ def test_wrench_of_a_smooth_free_motion_has_no_ripple(name, how):
 
     if how == 'trajectory':
         zero = np.zeros((1, len(start)))
-        simulation.apply(simulation.parse.trajectory(
+        simulation.robot.apply(simulation.robot.parse.trajectory(
             'right', arm.names, [duration_s], [start + offset], zero, zero))
     with sampled(arm, wrench=True) as samples:
         for _ in range(200):
@@ -183,7 +183,7 @@ def put_somewhere(simulation, joints, random):
     low, high = np.maximum(joints.low, -2.0), np.minimum(joints.high, 2.0)
     simulation.data.qpos[joints.qpos] = low + (high - low) * random.uniform(0.25, 0.75, len(low))
     mujoco.mj_forward(simulation.model, simulation.data)
-    simulation.joints.reset(simulation.data)
+    simulation.robot.joints.reset(simulation.data)
 
 
 @pytest.mark.timeout(300)
@@ -192,8 +192,8 @@ def test_stops_and_reversals_come_to_rest(name):
     simulation, random = whole_robot(name), np.random.default_rng(7)
     joints = Driven(simulation)
     for part in ('arm', 'base', 'torso', 'head', 'legs'):
-        if part in simulation.parts:
-            simulation.set_control_mode(part, 'velocity')
+        if part in simulation.robot.parts:
+            simulation.robot.set_control_mode(part, 'velocity')
     for _ in range(500 // len(ROBOTS) + 1):
         put_somewhere(simulation, joints, random)
         count = len(joints.names)
@@ -215,7 +215,7 @@ def test_stops_and_reversals_come_to_rest(name):
 def test_mean_speed_is_the_commanded_one(name, share):
     simulation = whole_robot(name)
     arm = Driven(simulation, 'right')
-    simulation.set_control_mode('arm', 'velocity')
+    simulation.robot.set_control_mode('arm', 'velocity')
     for joint, limit in enumerate(arm.velocity_limit):
         simulation.reset()
         up = arm.high[joint] - arm.position[joint] > arm.position[joint] - arm.low[joint]
@@ -233,9 +233,9 @@ def test_mean_speed_is_the_commanded_one(name, share):
 
 
 def test_velocity_stops_softly_before_the_range_ends(panda_sim, run):
-    panda_sim.set_control_mode('arm', 'velocity')
+    panda_sim.robot.set_control_mode('arm', 'velocity')
     joint = 'robot0_joint1'
-    panda_sim.apply(*panda_sim.parse.joint_command([joint], velocity=[2.0]))
+    panda_sim.robot.apply(*panda_sim.robot.parse.joint_command([joint], velocity=[2.0]))
     arm, efforts = Driven(panda_sim, 'arm'), []
     with sampled(arm) as samples:
         run(panda_sim, 3.0)
@@ -252,7 +252,7 @@ def test_streamed_sine_of_velocities_is_followed_in_full_and_on_time(name, frequ
     arm = Driven(simulation, 'right')
     angle_rate = 2.0 * np.pi * frequency_hz
     amplitude = feasible_amplitude(arm, frequency_hz, 0.1) * angle_rate
-    simulation.set_control_mode('arm', 'velocity')
+    simulation.robot.set_control_mode('arm', 'velocity')
     everything = list(range(len(amplitude)))
     for joints in [everything] if frequency_hz <= 1.0 else [[joint] for joint in everything]:
         simulation.reset()

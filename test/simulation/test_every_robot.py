@@ -18,16 +18,17 @@ def simulation(request):
 
 
 def test_robot_holds_its_start_for_two_seconds(simulation, run):
-    own = [simulation.joint_names.index(name) for name in simulation.robot.joints]
-    start = simulation.state().position[own]
-    np.testing.assert_allclose(start, simulation.robot.init_qpos)
+    robot = simulation.robot
+    own = [robot.joint_names.index(name) for name in robot.robot_model.joints]
+    start = simulation.robot.state().position[own]
+    np.testing.assert_allclose(start, simulation.robot.robot_model.init_qpos)
     run(simulation, 2.0)
-    np.testing.assert_allclose(simulation.state().position[own], start, atol=1e-3)
+    np.testing.assert_allclose(simulation.robot.state().position[own], start, atol=1e-3)
 
 
 def test_nothing_touches_the_tool_at_the_start(simulation, run):
     run(simulation, 0.5)
-    for end in simulation.state().end_effectors.values():
+    for end in simulation.robot.state().end_effectors.values():
         np.testing.assert_allclose(end.external_wrench.force, np.zeros(3), atol=0.01)
 
 
@@ -37,11 +38,11 @@ def full_stroke_s(gripper):
 
 
 def test_grippers_close_after_one_message(simulation, run):
-    for part, gripper in simulation.grippers.items():
+    for part, gripper in simulation.robot.grippers.items():
         ids, goal = gripper.part.actuator_ids, np.ones(gripper.dof)
         opened = []
         for action in (-goal, goal):
-            simulation.apply(simulation.parse.action(part, action))
+            simulation.robot.apply(simulation.robot.parse.action(part, action))
             run(simulation, full_stroke_s(gripper.part.gripper))
             opened.append(simulation.data.act[simulation.model.actuator_actadr[ids]].copy())
         assert (np.abs(opened[1] - opened[0]) > 0.9 * np.ptp(
@@ -50,11 +51,11 @@ def test_grippers_close_after_one_message(simulation, run):
 
 def test_torque_limits_hold_on_a_step_command(simulation, run):
     arm = Driven(simulation, 'arm')
-    simulation.set_control_mode('arm', 'effort')
-    low, high = simulation.joints.ranges(simulation.joints.indices_of('arm')).T
-    simulation.set_control_mode('arm', 'position')
+    simulation.robot.set_control_mode('arm', 'effort')
+    low, high = simulation.robot.joints.ranges(simulation.robot.joints.indices_of('arm')).T
+    simulation.robot.set_control_mode('arm', 'position')
     count = len(arm.names)
-    simulation.apply(simulation.parse.action('arm', np.resize([0.5, -0.5], count)))
+    simulation.robot.apply(simulation.robot.parse.action('arm', np.resize([0.5, -0.5], count)))
     with sampled(arm) as samples:
         run(simulation, 0.5)
     assert (samples.effort <= high + 1e-9).all() and (samples.effort >= low - 1e-9).all()

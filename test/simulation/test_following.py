@@ -42,10 +42,10 @@ def test_arm_follows_a_trajectory_of_two_joints(op):
 
 
 def test_joints_that_are_not_named_stay(op):
-    before = op.simulation.state().position
+    before = op.simulation.robot.state().position
     op.follow('arm', [J2], [0.5], [[0.4]])
     op.run(1.0)
-    others = np.delete(op.simulation.state().position - before, 1)
+    others = np.delete(op.simulation.robot.state().position - before, 1)
     np.testing.assert_allclose(others, 0.0, atol=1e-3)
 
 
@@ -190,7 +190,7 @@ def test_stream_of_trajectories_that_overlap_is_smooth(op):
 def test_goal_takes_over_from_a_trajectory_without_a_jolt(op):
     arm = Driven(op.simulation, 'arm')
     handle = op.follow('arm', [J1], [1.0], [[0.5]]).handle
-    limit = op.simulation.joints._servos.acceleration_limit[0]
+    limit = op.simulation.robot.joints._servos.acceleration_limit[0]
     with sampled(arm) as samples:
         op.run(0.5)
         op.go({J1: 0.1})
@@ -202,7 +202,7 @@ def test_goal_takes_over_from_a_trajectory_without_a_jolt(op):
 
 def test_end_velocity_brakes_softly_and_comes_back_to_the_last_point(op):
     arm = Driven(op.simulation, 'arm')
-    limit = op.simulation.joints._servos.acceleration_limit[0]
+    limit = op.simulation.robot.joints._servos.acceleration_limit[0]
     handle = op.follow('arm', [J1], [0.8], [[0.4]], [[1.0]]).handle
     with sampled(arm) as samples:
         op.run(0.8)
@@ -274,7 +274,7 @@ def test_positions_past_the_limits_are_clamped_and_counted(op):
 
 def test_empty_trajectory_for_some_joints_stops_those_softly(op):
     arm = Driven(op.simulation, 'arm')
-    limit = op.simulation.joints._servos.acceleration_limit
+    limit = op.simulation.robot.joints._servos.acceleration_limit
     command = op.follow('arm', [J1, J2], [1.0], [[0.5, 0.5]])
     with sampled(arm) as samples:
         op.run(0.5)
@@ -290,7 +290,8 @@ def test_empty_trajectory_for_some_joints_stops_those_softly(op):
 
 def test_trajectory_of_many_points_is_ready_within_a_moment(op):
     times = np.arange(1, 10_001) * 0.01
-    points = 0.3 * np.sin(times)[:, None] * np.ones((1, 7)) + op.simulation.robot.init_qpos
+    start = op.simulation.robot.robot_model.init_qpos
+    points = 0.3 * np.sin(times)[:, None] * np.ones((1, 7)) + start
     command = op.follow('arm', op.joints_of('arm'), times, points)
     op.run(0.2)
     assert command.handle.status is Status.RUNNING

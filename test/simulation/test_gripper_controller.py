@@ -16,7 +16,7 @@ LEFT, RIGHT = 'gripper0_right_finger_joint1', 'gripper0_right_finger_joint2'
 
 def setpoints(simulation):
     """Return the setpoints of the two fingers [m]."""
-    ids = simulation.parts[GRIPPER].actuator_ids
+    ids = simulation.robot.parts[GRIPPER].actuator_ids
     return simulation.data.act[simulation.model.actuator_actadr[ids]].copy()
 
 
@@ -27,15 +27,15 @@ def periods_until(simulation, wanted, steps, message_every=None, action=1.0, spe
         if np.allclose(setpoints(simulation), wanted, atol=1e-9):
             return simulation.step_count - start
         if period == 0 or (message_every and period % message_every == 0):
-            simulation.apply(simulation.parse.action(GRIPPER, [action]))
+            simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [action]))
         simulation.advance(steps)
         if speeds is not None:
-            speeds.append(np.abs(simulation.state().velocity[-2:]).max())
+            speeds.append(np.abs(simulation.robot.state().velocity[-2:]).max())
     raise AssertionError(f'the fingers never had the setpoint {wanted}')
 
 
 def open_fully(simulation, run):
-    simulation.apply(simulation.parse.action(GRIPPER, [-1.0]))
+    simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [-1.0]))
     run(simulation, 1.5)
     np.testing.assert_allclose(setpoints(simulation), [0.04, -0.04])
 
@@ -55,7 +55,7 @@ def test_full_stroke_takes_as_long_as_the_data_sheet_says_whatever_the_message_r
 
 @pytest.mark.parametrize('steps', [1, 4, 5, 25])
 def test_format_action_is_called_twenty_times_a_second(panda_sim, run, steps):
-    gripper, calls = panda_sim.robot.grippers['right'], []
+    gripper, calls = panda_sim.robot.robot_model.grippers['right'], []
 
     def slowly_open(action):
         if action[0] == 1.0:
@@ -63,7 +63,7 @@ def test_format_action_is_called_twenty_times_a_second(panda_sim, run, steps):
         return [0.1 + 0.001 * len(calls), -0.1 - 0.001 * len(calls)]
 
     gripper.format_action = slowly_open
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     for _ in range(1000 // steps):
         panda_sim.advance(steps)
     assert len(calls) == 40
@@ -71,29 +71,29 @@ def test_format_action_is_called_twenty_times_a_second(panda_sim, run, steps):
 
 
 def test_fingers_close_after_one_message(panda_sim, run):
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 1.5)
-    assert np.abs(panda_sim.state().position[7:]).max() < 1e-3
+    assert np.abs(panda_sim.robot.state().position[7:]).max() < 1e-3
 
 
 def test_fingers_are_held_at_the_start_without_a_message(panda_sim, run, reference):
     run(panda_sim, 1.0)
-    np.testing.assert_allclose(panda_sim.state().position[7:], reference['gripper']['init_qpos'],
-                               atol=1e-5)
+    np.testing.assert_allclose(panda_sim.robot.state().position[7:],
+                               reference['gripper']['init_qpos'], atol=1e-5)
 
 
 def test_idle_action_does_not_move_the_fingers(panda_sim, run):
-    before = panda_sim.state().position
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [0.0]))
+    before = panda_sim.robot.state().position
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [0.0]))
     run(panda_sim, 0.5)
-    np.testing.assert_allclose(panda_sim.state().position, before, atol=1e-5)
+    np.testing.assert_allclose(panda_sim.robot.state().position, before, atol=1e-5)
 
 
 def test_idle_action_stops_the_fingers_halfway(panda_sim, run):
     open_fully(panda_sim, run)
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.22)
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [0.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [0.0]))
     run(panda_sim, 1.0)
     # Five calls of 0.2 from +1.
     np.testing.assert_allclose(setpoints(panda_sim), [0.02, -0.02], atol=1e-9)
@@ -101,9 +101,9 @@ def test_idle_action_stops_the_fingers_halfway(panda_sim, run):
 
 def test_reversing_goes_on_from_where_the_fingers_are(panda_sim, run):
     open_fully(panda_sim, run)
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.4)
-    finger = panda_sim.state().position[-2]
+    finger = panda_sim.robot.state().position[-2]
     assert finger == pytest.approx(0.02, abs=0.002)
     # The goal of the action is farther: eight calls are 32 mm. Back it goes without delay.
     steps = periods_until(panda_sim, [0.04, -0.04], 5, action=-1.0)
@@ -111,12 +111,13 @@ def test_reversing_goes_on_from_where_the_fingers_are(panda_sim, run):
 
 
 def test_action_goes_on_from_a_joint_command(panda_sim, run):
-    panda_sim.apply(*panda_sim.parse.joint_command([LEFT, RIGHT], [0.03, -0.03], [], []))
+    robot = panda_sim.robot
+    robot.apply(*robot.parse.joint_command([LEFT, RIGHT], [0.03, -0.03], [], []))
     run(panda_sim, 1.0)
-    np.testing.assert_allclose(panda_sim.state().position[7:], [0.03, -0.03], atol=1e-3)
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    np.testing.assert_allclose(panda_sim.robot.state().position[7:], [0.03, -0.03], atol=1e-3)
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     panda_sim.advance(1)
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [0.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [0.0]))
     run(panda_sim, 0.5)
     # One call of 0.2 is a tenth of the stroke of 0.04 m.
     np.testing.assert_allclose(setpoints(panda_sim), [0.026, -0.026], atol=1e-9)
@@ -124,28 +125,28 @@ def test_action_goes_on_from_a_joint_command(panda_sim, run):
 
 def test_joint_command_is_approached_no_faster_than_the_fingers_may_move(panda_sim, run):
     open_fully(panda_sim, run)
-    panda_sim.apply(*panda_sim.parse.joint_command([LEFT, RIGHT], [0.0, 0.0], [], []))
+    panda_sim.robot.apply(*panda_sim.robot.parse.joint_command([LEFT, RIGHT], [0.0, 0.0], [], []))
     speeds = []
     for _ in range(100):
         panda_sim.advance(5)
-        speeds.append(np.abs(panda_sim.state().velocity[-2:]).max())
+        speeds.append(np.abs(panda_sim.robot.state().velocity[-2:]).max())
     assert 0.045 < max(speeds) < 0.055
     run(panda_sim, 0.5)
     np.testing.assert_allclose(setpoints(panda_sim), [0.0, 0.0], atol=1e-12)
 
 
 def test_joint_command_ends_an_action(panda_sim, run):
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.1)
-    panda_sim.apply(*panda_sim.parse.joint_command([LEFT], [0.035], [], []))
+    panda_sim.robot.apply(*panda_sim.robot.parse.joint_command([LEFT], [0.035], [], []))
     run(panda_sim, 1.0)
     assert setpoints(panda_sim)[0] == pytest.approx(0.035)
 
 
 def test_fingers_cannot_be_pushed_past_their_force_limit(panda_sim, run):
     efforts = []
-    panda_sim.apply(panda_sim.parse.action(GRIPPER, [1.0]))
-    run(panda_sim, 0.6, lambda: efforts.append(np.abs(panda_sim.state().effort[7:]).max()))
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
+    run(panda_sim, 0.6, lambda: efforts.append(np.abs(panda_sim.robot.state().effort[7:]).max()))
     assert max(efforts) <= 70.0 + 1.0  # The data sheet's, and the weight that is compensated.
 
 
@@ -155,7 +156,7 @@ def test_fingers_cannot_be_pushed_past_their_force_limit(panda_sim, run):
     ([np.nan], r'^right/gripper: an action must be finite, got nan at index 0$')])
 def test_action_that_does_not_fit_is_refused(panda_sim, action, message):
     with pytest.raises(CommandError, match=message):
-        panda_sim.parse.action(GRIPPER, action)
+        panda_sim.robot.parse.action(GRIPPER, action)
 
 
 @pytest.mark.parametrize(('names', 'fields', 'message'), [
@@ -167,13 +168,13 @@ def test_action_that_does_not_fit_is_refused(panda_sim, action, message):
      r'mode, which does not use the field velocity')])
 def test_joint_command_that_does_not_fit_is_refused(panda_sim, names, fields, message):
     with pytest.raises(CommandError, match=message):
-        panda_sim.parse.joint_command(names, *fields, part=GRIPPER)
+        panda_sim.robot.parse.joint_command(names, *fields, part=GRIPPER)
 
 
 def test_values_past_the_limits_are_clamped_and_counted(panda_sim):
-    action = panda_sim.parse.action(GRIPPER, [7.0])
+    action = panda_sim.robot.parse.action(GRIPPER, [7.0])
     assert (list(action.action), action.clamped) == ([1.0], 1)
-    (goal,) = panda_sim.parse.joint_command([LEFT, RIGHT], [0.5, -0.01], [], [])
+    (goal,) = panda_sim.robot.parse.joint_command([LEFT, RIGHT], [0.5, -0.01], [], [])
     np.testing.assert_allclose(goal.values, [0.04, -0.01])
     assert goal.clamped == 1
 
@@ -193,7 +194,7 @@ def user_sim(one_joint_arm, gripper_class, gripper_file):
 
 def test_gripper_that_is_written_for_the_reference_is_driven(user_sim, run):
     simulation = user_sim()
-    simulation.apply(simulation.parse.action(GRIPPER, [1.0]))
+    simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [1.0]))
     run(simulation, 1.5)
     assert simulation.data.joint('gripper0_slide').qpos[0] == pytest.approx(0.03, abs=1e-4)
 
@@ -202,12 +203,12 @@ def test_gripper_that_returns_a_list_is_driven(user_sim, gripper_class, run):
     formatted = gripper_class.format_action
     gripper_class.format_action = lambda self, action: list(formatted(self, action))
     simulation = user_sim()
-    simulation.apply(simulation.parse.action(GRIPPER, [-1.0]))
+    simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [-1.0]))
     run(simulation, 1.5)
     assert simulation.data.joint('gripper0_slide').qpos[0] == pytest.approx(-0.02, abs=1e-4)
 
 
 def test_unlimited_gripper_joint_is_not_clamped_to_zero(user_sim):
     simulation = user_sim(unlimited=True)
-    (goal,) = simulation.parse.joint_command(['gripper0_slide'], [0.02], [], [])
+    (goal,) = simulation.robot.parse.joint_command(['gripper0_slide'], [0.02], [], [])
     assert (list(goal.values), goal.clamped) == ([0.02], 0)

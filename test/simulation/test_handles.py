@@ -12,10 +12,10 @@ J1, J2, J3 = 'robot0_joint1', 'robot0_joint2', 'robot0_joint3'
 
 
 def test_command_waits_until_it_is_applied(panda_sim):
-    (command,) = panda_sim.parse.joint_command([J1], [0.2])
+    (command,) = panda_sim.robot.parse.joint_command([J1], [0.2])
     assert command.handle.status is Status.WAITING
     assert command.handle.is_active
-    panda_sim.apply(command)
+    panda_sim.robot.apply(command)
     assert command.handle.status is Status.RUNNING
     assert command.handle.is_active
 
@@ -45,7 +45,7 @@ def test_error_of_a_goal_that_cannot_be_reached_is_told(panda_op):
 
 @pytest.mark.parametrize('mode', ['velocity', 'effort'])
 def test_velocities_and_efforts_last(panda_op, mode):
-    panda_op.simulation.set_control_mode('arm', mode)
+    panda_op.simulation.robot.set_control_mode('arm', mode)
     (handle,) = panda_op.go({J1: 0.05}, mode)
     panda_op.run(1.0)
     assert handle.status is Status.RUNNING
@@ -94,7 +94,7 @@ def test_change_of_mode_aborts(panda_op, mode):
     motion = panda_op.follow('arm', [J1], [1.0], [[0.5]]).handle
     later = panda_op.follow('arm', [J3], [1.0], [[0.5]], start_ns=10**9).handle
     panda_op.run(0.1)
-    panda_op.simulation.set_control_mode('arm', mode)
+    panda_op.simulation.robot.set_control_mode('arm', mode)
     for handle in (goal, motion, later):
         assert handle.status is Status.ABORTED
         assert handle.reason == f'the control mode is {mode} now'
@@ -103,7 +103,7 @@ def test_change_of_mode_aborts(panda_op, mode):
 def test_setting_the_present_mode_leaves_a_trajectory_alone(panda_op):
     handle = panda_op.follow('arm', [J1], [0.5], [[0.4]]).handle
     panda_op.run(0.2)
-    panda_op.simulation.set_control_mode('arm', 'position')
+    panda_op.simulation.robot.set_control_mode('arm', 'position')
     assert handle.status is Status.RUNNING
     panda_op.run(0.5)
     assert handle.status is Status.DONE
@@ -111,7 +111,7 @@ def test_setting_the_present_mode_leaves_a_trajectory_alone(panda_op):
 
 
 def test_time_out_aborts(panda_op):
-    panda_op.simulation.set_command_timeout('arm', 0.2)
+    panda_op.simulation.robot.set_command_timeout('arm', 0.2)
     (handle,) = panda_op.go({J1: 1.5})
     panda_op.run(0.15)
     assert handle.status is Status.RUNNING

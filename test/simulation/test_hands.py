@@ -33,12 +33,12 @@ def fingers(simulation):
 
 def command(simulation, **positions):
     """Command fingers by the names of their file [m]."""
-    simulation.apply(*simulation.parse.joint_command(
+    simulation.robot.apply(*simulation.robot.parse.joint_command(
         [f'gripper0_{side}' for side in positions], list(positions.values()), [], []))
 
 
 def act(simulation, action):
-    simulation.apply(simulation.parse.action(GRIPPER, [action]))
+    simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [action]))
 
 
 def speeds_during(simulation, run, seconds):
@@ -70,14 +70,14 @@ def test_unnamed_finger_follows_the_one_that_it_is_coupled_to(one_joint_arm, run
     robot = one_joint_arm()
     robot.add_gripper(create_gripper(name))
     simulation = Simulation(World([robot]))
-    simulation.apply(*simulation.parse.joint_command(
+    simulation.robot.apply(*simulation.robot.parse.joint_command(
         [f'gripper0_{joint}'], [goal], [], []))
     run(simulation, 2.0)
     for other, position in {joint: goal, **others}.items():
         assert simulation.data.joint(f'gripper0_{other}').qpos[0] == pytest.approx(
             position, abs=2e-3), other
     # Motors that fight would use a good part of their force, which none needs to hold still.
-    ids = simulation.parts[GRIPPER].actuator_ids
+    ids = simulation.robot.parts[GRIPPER].actuator_ids
     limit = simulation.model.actuator_forcerange[ids, 1]
     assert (np.abs(simulation.data.actuator_force[ids]) < 0.02 * limit).all()
 
@@ -120,7 +120,7 @@ def test_coupled_finger_follows_any_polynomial_both_ways(hand_sim, hand_class, r
 def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(hand_sim, run, named):
     simulation = hand_sim(TENDON_SERVO, TENDON)
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
-    assert simulation.grippers[GRIPPER].commanded_joints == (LEFT, RIGHT)
+    assert simulation.robot.grippers[GRIPPER].commanded_joints == (LEFT, RIGHT)
     command(simulation, left=0.0)
     assert speeds_during(simulation, run, 0.3) == pytest.approx(0.05, rel=0.02)
     run(simulation, 1.0)
@@ -186,8 +186,8 @@ def test_fingers_on_a_tendon_follow_actions_at_their_speed(hand_sim, run):
 
 def test_joints_on_a_tendon_take_joint_commands_beside_those_of_other_parts(hand_sim, run):
     simulation = hand_sim(TENDON_SERVO, TENDON)
-    for goal in simulation.parse.joint_command([LEFT, 'robot0_joint1'], [0.03, 0.1]):
-        simulation.apply(goal)
+    for goal in simulation.robot.parse.joint_command([LEFT, 'robot0_joint1'], [0.03, 0.1]):
+        simulation.robot.apply(goal)
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.03, 0.03], atol=2e-4)
 
@@ -216,8 +216,8 @@ def test_motors_take_actions_as_forces(hand_sim, run):
     simulation = hand_sim(MOTORS)
     act(simulation, 1.0)
     run(simulation, 1.0)
-    np.testing.assert_array_equal(simulation.data.ctrl[simulation.parts[GRIPPER].actuator_ids],
-                                  [-3.0, -3.0])
+    actuators = simulation.robot.parts[GRIPPER].actuator_ids
+    np.testing.assert_array_equal(simulation.data.ctrl[actuators], [-3.0, -3.0])
     np.testing.assert_allclose(fingers(simulation), [0.0, 0.0], atol=1e-3)
 
 
@@ -231,7 +231,7 @@ def test_joint_command_to_what_is_no_position_servo_is_refused(hand_sim, actuato
                                            f'{reason}: use actions$'):
         command(simulation, left=0.01)
     with pytest.raises(CommandError, match='takes no position'):
-        simulation.parse.joint_command([LEFT], [0.01])
+        simulation.robot.parse.joint_command([LEFT], [0.01])
 
 
 @pytest.mark.parametrize('second', [
@@ -268,14 +268,14 @@ def test_servo_with_a_velocity_as_control_goes_to_positions(hand_sim, run):
     block(simulation, 0.015)
     act(simulation, 1.0)
     run(simulation, 3.0)
-    assert not simulation.grippers[GRIPPER].moving
+    assert not simulation.robot.grippers[GRIPPER].moving
 
 
 def test_servo_with_a_filter_of_its_own_keeps_it(hand_sim, run):
     simulation = hand_sim(''.join(
         f'<position name="{side}" joint="{side}" kp="1000" kv="20" ctrlrange="0 0.04" '
         'timeconst="0.1"/>' for side in ('left', 'right')))
-    kinds = simulation.model.actuator_dyntype[simulation.parts[GRIPPER].actuator_ids]
+    kinds = simulation.model.actuator_dyntype[simulation.robot.parts[GRIPPER].actuator_ids]
     assert {int(kind) for kind in kinds} == {int(mujoco.mjtDyn.mjDYN_FILTEREXACT)}
     run(simulation, 0.5)
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
@@ -325,9 +325,9 @@ def test_fingers_that_are_stopped_press_with_the_full_force_of_their_side(
     block(simulation, width_m)
     act(simulation, 1.0)
     run(simulation, 1.5)
-    pressing = simulation.data.actuator_force[simulation.parts[GRIPPER].actuator_ids]
+    pressing = simulation.data.actuator_force[simulation.robot.parts[GRIPPER].actuator_ids]
     np.testing.assert_allclose(pressing, [-force, -force], rtol=1e-3)
-    assert not simulation.grippers[GRIPPER].moving
+    assert not simulation.robot.grippers[GRIPPER].moving
     before = fingers(simulation)
     act(simulation, -1.0)
     run(simulation, 0.1)
@@ -345,7 +345,7 @@ def test_force_limit_of_the_joint_counts_as_well(hand_sim, run):
     block(simulation, 0.02)
     act(simulation, 1.0)
     run(simulation, 1.5)
-    np.testing.assert_allclose(simulation.state().effort[-2:], [-8.0, -8.0], rtol=1e-3)
+    np.testing.assert_allclose(simulation.robot.state().effort[-2:], [-8.0, -8.0], rtol=1e-3)
     lead = fingers(simulation) - simulation.data.act[-2:]
     np.testing.assert_allclose(lead, 8e-3 + fingers(simulation), rtol=1e-3)
 
@@ -358,7 +358,7 @@ def test_joint_command_presses_no_more_than_its_error_asks_for(hand_sim, run):
     block(simulation, 0.01)
     run(simulation, 2.0)
     np.testing.assert_allclose(simulation.data.actuator_force[
-        simulation.parts[GRIPPER].actuator_ids], [-5.0, -5.0], rtol=0.02)
+        simulation.robot.parts[GRIPPER].actuator_ids], [-5.0, -5.0], rtol=0.02)
 
 
 @pytest.mark.parametrize(('returned', 'what'), [
@@ -387,22 +387,23 @@ def test_check_at_the_start_changes_no_state_of_the_gripper(hand_sim, hand_class
     hand_class.format_action = counted
     hand_class.start_at = lambda self, command: None
     simulation = hand_sim(SERVOS)
-    np.testing.assert_array_equal(simulation.robot.grippers['right'].current_action, [0.0, 0.0])
+    gripper = simulation.robot.robot_model.grippers['right']
+    np.testing.assert_array_equal(gripper.current_action, [0.0, 0.0])
     assert calls == [1]
-    assert not hasattr(simulation.robot.grippers['right'], 'count')
+    assert not hasattr(gripper, 'count')
 
 
 @pytest.mark.parametrize('bad', [[np.nan, np.nan], [0.0], [[0.0], [0.0]], 'nonsense'])
 def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, bad):
     simulation = hand_sim(SERVOS)
-    gripper = simulation.robot.grippers['right']
+    gripper = simulation.robot.robot_model.grippers['right']
     good = gripper.format_action
     act(simulation, -1.0)
     run(simulation, 0.2)
     gripper.format_action = lambda action: bad
     run(simulation, 0.2)
     held = simulation.data.act.copy()
-    assert simulation.grippers[GRIPPER].faults == 4
+    assert simulation.robot.grippers[GRIPPER].faults == 4
     run(simulation, 0.5)
     np.testing.assert_array_equal(simulation.data.act, held)
     assert simulation.diverged is None
@@ -410,7 +411,7 @@ def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, 
     gripper.format_action = good
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.04, 0.04], atol=1e-3)
-    assert simulation.grippers[GRIPPER].faults == 14
+    assert simulation.robot.grippers[GRIPPER].faults == 14
 
 
 def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
@@ -419,13 +420,13 @@ def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
     def raising(*args):
         raise RuntimeError('broken')
 
-    gripper = simulation.robot.grippers['right']
+    gripper = simulation.robot.robot_model.grippers['right']
     gripper.format_action = gripper.start_at = raising
     act(simulation, -1.0)
     run(simulation, 0.5)
-    assert simulation.grippers[GRIPPER].faults == 10
+    assert simulation.robot.grippers[GRIPPER].faults == 10
     simulation.reset()
-    assert simulation.grippers[GRIPPER].faults == 11
+    assert simulation.robot.grippers[GRIPPER].faults == 11
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
 
 
@@ -437,14 +438,14 @@ def test_start_that_is_not_finite_ends_it(hand_sim, hand_class):
 
 def test_resting_fingers_need_no_ticks(hand_sim, run):
     simulation = hand_sim(SERVOS)
-    drive = simulation.grippers[GRIPPER]
+    drive = simulation.robot.grippers[GRIPPER]
     assert not drive.moving
     for action in (-1.0, 1.0):
         act(simulation, action)
         assert drive.moving
         run(simulation, 2.5)
         assert not drive.moving
-        ids = simulation.parts[GRIPPER].actuator_ids
+        ids = simulation.robot.parts[GRIPPER].actuator_ids
         np.testing.assert_array_equal(simulation.data.ctrl[ids], [0.0, 0.0])
 
 
@@ -453,7 +454,7 @@ def test_activation_leaves_the_forces_of_servos_as_they_are(name):
     robot = create_robot(name)
     robot.add_gripper(create_gripper('RethinkGripper'))
     simulation = Simulation(World([robot]))
-    ids = simulation.parts[GRIPPER].actuator_ids
+    ids = simulation.robot.parts[GRIPPER].actuator_ids
     goal = np.array([0.004, 0.002])
     simulation.data.act[simulation.model.actuator_actadr[ids]] = goal
     mujoco.mj_forward(simulation.model, simulation.data)

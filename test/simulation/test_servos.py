@@ -51,49 +51,51 @@ def sim_of(one_joint_arm):
 
 def command(simulation, mode, joint, value):
     """Apply a goal for one joint in a mode."""
-    simulation.apply(*simulation.parse.joint_command([joint], **{mode: [value]}))
+    simulation.robot.apply(*simulation.robot.parse.joint_command([joint], **{mode: [value]}))
 
 
 @pytest.mark.parametrize('joint', range(7))
 def test_position_mode_follows_a_sine(panda_sim, joint):
-    name, middle = panda_sim.joint_names[joint], panda_sim.robot.init_qpos[joint]
+    robot = panda_sim.robot
+    name, middle = robot.joint_names[joint], robot.robot_model.init_qpos[joint]
     errors = []
     for k in range(300):
         goal = middle + 0.2 * (1.0 - np.cos(2.0 * np.pi * 0.5 * k * 0.01)) / 2.0
         command(panda_sim, 'position', name, goal)
         panda_sim.advance(5)
-        errors.append(panda_sim.state().position[joint] - goal)
+        errors.append(panda_sim.robot.state().position[joint] - goal)
     # The goal moves at up to 0.31 rad/s and is met 15 to 20 ms late.
     assert np.sqrt(np.mean(np.square(errors))) < 0.006
 
 
 def test_effort_mode_floats_with_zero_effort(panda_sim, run):
-    panda_sim.set_control_mode('arm', 'effort')
-    start = panda_sim.state().position
-    command(panda_sim, 'effort', panda_sim.joint_names[0], 0.0)
+    panda_sim.robot.set_control_mode('arm', 'effort')
+    start = panda_sim.robot.state().position
+    command(panda_sim, 'effort', panda_sim.robot.joint_names[0], 0.0)
     run(panda_sim, 5.0)
-    np.testing.assert_allclose(panda_sim.state().position, start, atol=0.01)
-    gives = panda_sim.controller_state('arm').reference.gives_effort
+    np.testing.assert_allclose(panda_sim.robot.state().position, start, atol=0.01)
+    gives = panda_sim.robot.controller_state('arm').reference.gives_effort
     assert gives.tolist() == [True] + [False] * 6
 
 
 @pytest.mark.parametrize('joint', range(7))
 def test_velocity_mode_meets_the_velocity(panda_sim, run, joint):
-    panda_sim.set_control_mode('arm', 'velocity')
-    command(panda_sim, 'velocity', panda_sim.joint_names[joint], 0.2)
+    panda_sim.robot.set_control_mode('arm', 'velocity')
+    command(panda_sim, 'velocity', panda_sim.robot.joint_names[joint], 0.2)
     run(panda_sim, 0.5)
-    np.testing.assert_allclose(panda_sim.state().velocity[joint], 0.2, rtol=5e-3)
-    others = np.delete(panda_sim.state().velocity[:7], joint)
+    np.testing.assert_allclose(panda_sim.robot.state().velocity[joint], 0.2, rtol=5e-3)
+    others = np.delete(panda_sim.robot.state().velocity[:7], joint)
     assert np.abs(others).max() < 0.01
 
 
 @pytest.mark.parametrize('mode', ['position', 'velocity', 'effort'])
 def test_torque_limits_hold_in_every_mode(panda_sim, mode):
-    panda_sim.set_control_mode('arm', mode)
+    panda_sim.robot.set_control_mode('arm', mode)
     largest = np.zeros(7)
     for k in range(80):
         sign = 1.0 if k // 20 % 2 else -1.0
-        panda_sim.apply(panda_sim.parse.action('arm', sign * np.array([1, -1, 1, -1, 1, -1, 1])))
+        action = sign * np.array([1, -1, 1, -1, 1, -1, 1])
+        panda_sim.robot.apply(panda_sim.robot.parse.action('arm', action))
         panda_sim.advance(5)
         largest = np.maximum(largest, np.abs(panda_sim.data.qfrc_actuator[:7]))
     assert (largest <= TORQUE_LIMITS_N_M + 1e-9).all()
@@ -104,51 +106,51 @@ def test_torque_limits_hold_in_every_mode(panda_sim, mode):
 @pytest.mark.parametrize('actuator', ['motor', 'motor with slow gear', 'position servo'])
 def test_torque_limit_of_the_actuator_holds_a_blocked_joint(sim_of, actuator, mode):
     simulation = sim_of(ACTUATORS[actuator])
-    simulation.set_control_mode('arm', mode)
+    simulation.robot.set_control_mode('arm', mode)
     simulation.data.xfrc_applied[simulation.model.body('robot0_link1').id, 4] = -500.0
-    simulation.apply(simulation.parse.action('arm', [1.0]))
+    simulation.robot.apply(simulation.robot.parse.action('arm', [1.0]))
     efforts = []
     for _ in range(10):
         simulation.advance(5)
-        efforts.append(abs(simulation.state().effort[0]))
+        efforts.append(abs(simulation.robot.state().effort[0]))
     assert max(efforts) == pytest.approx(30.0)
 
 
 @pytest.mark.parametrize('first', ['position', 'velocity', 'effort'])
 @pytest.mark.parametrize('second', ['position', 'velocity', 'effort'])
 def test_mode_change_holds_the_robot_without_a_jump(panda_sim, run, first, second):
-    panda_sim.set_control_mode('arm', first)
+    panda_sim.robot.set_control_mode('arm', first)
     run(panda_sim, 0.1)
-    panda_sim.set_control_mode('arm', second)
-    before = panda_sim.state().position
-    assert panda_sim.joints.mode_of(panda_sim.joint_names[0]) == second
+    panda_sim.robot.set_control_mode('arm', second)
+    before = panda_sim.robot.state().position
+    assert panda_sim.robot.joints.mode_of(panda_sim.robot.joint_names[0]) == second
     run(panda_sim, 0.5)
-    np.testing.assert_allclose(panda_sim.state().position, before, atol=1e-4)
+    np.testing.assert_allclose(panda_sim.robot.state().position, before, atol=1e-4)
 
 
 def test_mode_change_while_moving_stops_within_a_few_centiradians(panda_sim, run):
-    panda_sim.set_control_mode('arm', 'velocity')
-    command(panda_sim, 'velocity', panda_sim.joint_names[0], 0.5)
+    panda_sim.robot.set_control_mode('arm', 'velocity')
+    command(panda_sim, 'velocity', panda_sim.robot.joint_names[0], 0.5)
     run(panda_sim, 0.3)
-    here = panda_sim.state().position[0]
-    panda_sim.set_control_mode('arm', 'position')
+    here = panda_sim.robot.state().position[0]
+    panda_sim.robot.set_control_mode('arm', 'position')
     run(panda_sim, 0.5)
-    assert abs(panda_sim.state().velocity[0]) < 1e-3
-    assert abs(panda_sim.state().position[0] - here) < 0.02
+    assert abs(panda_sim.robot.state().velocity[0]) < 1e-3
+    assert abs(panda_sim.robot.state().position[0] - here) < 0.02
 
 
 def test_unknown_mode_tells_the_three(panda_sim):
     with pytest.raises(UnknownNameError, match=r"^unknown control mode 'torque': .*"
                                                r'available: position, velocity, effort$'):
-        panda_sim.set_control_mode('arm', 'torque')
-    assert panda_sim.joints.mode_of(panda_sim.joint_names[0]) == 'position'
+        panda_sim.robot.set_control_mode('arm', 'torque')
+    assert panda_sim.robot.joints.mode_of(panda_sim.robot.joint_names[0]) == 'position'
 
 
 @pytest.mark.parametrize('actuator', ACTUATORS)
 def test_every_kind_of_actuator_comes_to_a_position(sim_of, run, actuator):
     simulation, positions = sim_of(ACTUATORS[actuator]), []
     command(simulation, 'position', 'robot0_joint1', 0.5)
-    run(simulation, 1.0, lambda: positions.append(simulation.state().position[0]))
+    run(simulation, 1.0, lambda: positions.append(simulation.robot.state().position[0]))
     assert positions[-1] == pytest.approx(0.5, abs=1e-4)
     assert max(positions) < 0.501
 
@@ -156,10 +158,10 @@ def test_every_kind_of_actuator_comes_to_a_position(sim_of, run, actuator):
 @pytest.mark.parametrize('actuator', ACTUATORS)
 def test_every_kind_of_actuator_meets_a_velocity(sim_of, run, actuator):
     simulation = sim_of(ACTUATORS[actuator])
-    simulation.set_control_mode('arm', 'velocity')
+    simulation.robot.set_control_mode('arm', 'velocity')
     command(simulation, 'velocity', 'robot0_joint1', 0.4)
     run(simulation, 0.5)
-    assert simulation.state().velocity[0] == pytest.approx(0.4, rel=0.02)
+    assert simulation.robot.state().velocity[0] == pytest.approx(0.4, rel=0.02)
 
 
 @pytest.mark.parametrize('actuator', ACTUATORS)
@@ -167,23 +169,23 @@ def test_damping_of_the_joint_does_not_slow_a_velocity(one_joint_arm, run, actua
     robot = one_joint_arm(ACTUATORS[actuator])
     robot.set_joint_attribute('damping', [20.0])
     simulation = Simulation(World([robot]))
-    simulation.set_control_mode('arm', 'velocity')
+    simulation.robot.set_control_mode('arm', 'velocity')
     command(simulation, 'velocity', 'robot0_joint1', 0.4)
     run(simulation, 0.5)
-    assert simulation.state().velocity[0] == pytest.approx(0.4, rel=2e-3)
+    assert simulation.robot.state().velocity[0] == pytest.approx(0.4, rel=2e-3)
     # Nor does it make the joint lag behind its setpoint.
-    setpoint = simulation.controller_state('arm').reference.position[0]
-    assert simulation.state().position[0] == pytest.approx(setpoint, abs=1e-4)
+    setpoint = simulation.robot.controller_state('arm').reference.position[0]
+    assert simulation.robot.state().position[0] == pytest.approx(setpoint, abs=1e-4)
 
 
 @pytest.mark.parametrize('actuator', ACTUATORS)
 def test_every_kind_of_actuator_gives_an_effort(sim_of, actuator):
     simulation = sim_of(ACTUATORS[actuator])
-    simulation.set_control_mode('arm', 'effort')
+    simulation.robot.set_control_mode('arm', 'effort')
     command(simulation, 'effort', 'robot0_joint1', 0.7)
     simulation.advance(5)
     gravity = simulation.data.qfrc_gravcomp[0]
-    assert simulation.state().effort[0] - gravity == pytest.approx(0.7)
+    assert simulation.robot.state().effort[0] - gravity == pytest.approx(0.7)
 
 
 def test_gear_does_not_change_the_motion_of_a_motor(sim_of, run):
@@ -192,7 +194,7 @@ def test_gear_does_not_change_the_motion_of_a_motor(sim_of, run):
         simulation = sim_of(ACTUATORS[actuator])
         command(simulation, 'position', 'robot0_joint1', 0.5)
         run(simulation, 0.12)
-        ends.append(simulation.state().position[0])
+        ends.append(simulation.robot.state().position[0])
     np.testing.assert_allclose(ends, ends[0], rtol=1e-9)
 
 
@@ -203,8 +205,9 @@ def test_gear_does_not_change_the_motion_of_a_motor(sim_of, run):
 def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
     simulation = sim_of(ACTUATORS[actuator])
     for mode, limit in limits.items():
-        simulation.set_control_mode('arm', mode)
-        np.testing.assert_allclose(simulation.joints.ranges(np.array([0])), [[-limit, limit]])
+        simulation.robot.set_control_mode('arm', mode)
+        ranges = simulation.robot.joints.ranges(np.array([0]))
+        np.testing.assert_allclose(ranges, [[-limit, limit]])
 
 
 @pytest.mark.parametrize('actuator', [
@@ -242,23 +245,23 @@ def test_muscle_is_refused_by_name(one_joint_arm):
 def test_torque_limits_keep_their_two_sides(one_joint_arm, joint, actuator, limits):
     worldbody = LINK.replace('name="joint1"', f'name="joint1" {joint}')
     simulation = Simulation(World([one_joint_arm(actuator, worldbody)]))
-    start = simulation.state().position[0]
+    start = simulation.robot.state().position[0]
     for _ in range(50):
         simulation.advance(5)
     # The weight of the arm, -2.5 N m, is within all of them.
-    assert simulation.state().position[0] == pytest.approx(start, abs=5e-3)
-    simulation.set_control_mode('arm', 'effort')
-    np.testing.assert_allclose(simulation.joints.ranges(np.array([0])), [limits])
+    assert simulation.robot.state().position[0] == pytest.approx(start, abs=5e-3)
+    simulation.robot.set_control_mode('arm', 'effort')
+    np.testing.assert_allclose(simulation.robot.joints.ranges(np.array([0])), [limits])
     for sign, limit in zip((-1.0, 1.0), limits):
-        (pushed,) = simulation.parse.joint_command(['robot0_joint1'], effort=[sign * 1e3])
+        (pushed,) = simulation.robot.parse.joint_command(['robot0_joint1'], effort=[sign * 1e3])
         np.testing.assert_allclose(pushed.values, [limit])
-    simulation.set_control_mode('arm', 'position')
+    simulation.robot.set_control_mode('arm', 'position')
     simulation.data.xfrc_applied[simulation.model.body('robot0_link1').id, 4] = 500.0
     simulation.advance(5)
-    assert simulation.state().effort[0] == pytest.approx(limits[0])
+    assert simulation.robot.state().effort[0] == pytest.approx(limits[0])
     simulation.data.xfrc_applied[simulation.model.body('robot0_link1').id, 4] = -500.0
     simulation.advance(200)
-    assert simulation.state().effort[0] == pytest.approx(limits[1])
+    assert simulation.robot.state().effort[0] == pytest.approx(limits[1])
 
 
 def test_joint_without_an_actuator_is_seen_but_not_driven(one_joint_arm):
@@ -266,13 +269,13 @@ def test_joint_without_an_actuator_is_seen_but_not_driven(one_joint_arm):
     simulation.advance(50)
     expected = mujoco.MjData(simulation.model)
     mujoco.mj_step(simulation.model, expected, 50)
-    assert simulation.state().position[0] == expected.qpos[0] > 1e-3
+    assert simulation.robot.state().position[0] == expected.qpos[0] > 1e-3
 
 
 def test_effort_is_what_the_equations_of_motion_need_to_the_last_digit():
     simulation, random = whole_robot('Panda'), np.random.default_rng(2)
     arm, model, data = Driven(simulation, 'arm'), simulation.model, simulation.data
-    simulation.set_control_mode('arm', 'effort')
+    simulation.robot.set_control_mode('arm', 'effort')
     for _ in range(20):
         effort = random.uniform(-3.0, 3.0, 7)
         arm.command('effort', effort)
@@ -295,14 +298,14 @@ def test_mode_change_in_motion_does_not_jolt(first, second):
         return
     simulation = whole_robot('Panda')
     arm = Driven(simulation, 'arm')
-    simulation.set_control_mode('arm', first)
-    limit = simulation.joints._servos.acceleration_limit[0]
+    simulation.robot.set_control_mode('arm', first)
+    limit = simulation.robot.joints._servos.acceleration_limit[0]
     with sampled(arm) as samples:
         arm.command(first, {'position': [2.0], 'velocity': [1.0], 'effort': [4.0]}[first],
                     arm.names[:1])
         for _ in range(30):
             simulation.advance(5)
-        simulation.set_control_mode('arm', second)
+        simulation.robot.set_control_mode('arm', second)
         for _ in range(100):
             simulation.advance(5)
     begin, velocity = samples.velocity[149, 0], samples.velocity[149:, 0]
@@ -328,12 +331,12 @@ def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(n
     force = simulation.model.jnt_actfrcrange[simulation.model.joint(arm.names[joint]).id, 1]
     limits[1] = start + 0.02
     if how == 'velocity':
-        simulation.set_control_mode('right', 'velocity')
+        simulation.robot.set_control_mode('right', 'velocity')
         arm.command('velocity', [0.5], arm.names[joint:joint + 1])
     elif how == 'goal':
         arm.command('position', [start + 1.0], arm.names[joint:joint + 1])
     elif how == 'trajectory':
-        simulation.apply(simulation.parse.trajectory(
+        simulation.robot.apply(simulation.robot.parse.trajectory(
             'right', arm.names[joint:joint + 1], [1.2], [[start + 1.0]]))
     with sampled(arm) as samples:
         for k in range(200):
@@ -353,19 +356,19 @@ def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(n
 def test_twist_is_clamped_in_the_frame_of_the_base_and_counted():
     simulation = whole_robot('PandaOmron')
     base, speeds = Driven(simulation, 'base'), []
-    simulation.set_control_mode('base', 'velocity')
+    simulation.robot.set_control_mode('base', 'velocity')
     names = [next(j for j in base.names if word in j) for word in ('forward', 'side', 'yaw')]
-    part, model = simulation.parts['base'], simulation.model
+    part, model = simulation.robot.parts['base'], simulation.model
     wheels = dict(zip(part.driven_joints, model.actuator_ctrlrange[part.actuator_ids, 1]))
     limit = {name: min(speed, wheels[name])
              for name, speed in zip(base.names, base.velocity_limit)}
     simulation.data.joint(names[2]).qpos[0] = np.pi / 4.0
     mujoco.mj_forward(model, simulation.data)
-    simulation.joints.reset(simulation.data)
-    command = simulation.parse.twist(9.0, -9.0, 0.1)
+    simulation.robot.joints.reset(simulation.data)
+    command = simulation.robot.parse.twist(9.0, -9.0, 0.1)
     assert command.clamped == 2
-    assert simulation.parse.twist(0.1, 0.1, 0.1).clamped == 0
-    simulation.apply(command)
+    assert simulation.robot.parse.twist(0.1, 0.1, 0.1).clamped == 0
+    simulation.robot.apply(command)
     for _ in range(150):
         simulation.advance(5)
         yaw = simulation.data.joint(names[2]).qpos[0]
@@ -376,19 +379,19 @@ def test_twist_is_clamped_in_the_frame_of_the_base_and_counted():
 
 def test_twist_needs_velocity_mode():
     simulation = whole_robot('PandaOmron')
-    simulation.set_control_mode('base', 'position')
+    simulation.robot.set_control_mode('base', 'position')
     with pytest.raises(CommandError, match=r'^base takes a twist in velocity mode only, it is in '
                                            r'position mode$'):
-        simulation.parse.twist(0.1, 0.0, 0.0)
-    simulation.set_control_mode('base', 'velocity')
+        simulation.robot.parse.twist(0.1, 0.0, 0.0)
+    simulation.robot.set_control_mode('base', 'velocity')
     with pytest.raises(CommandError, match=r'^base: a twist must be finite, got nan at index 1$'):
-        simulation.parse.twist(0.1, np.nan, 0.0)
+        simulation.robot.parse.twist(0.1, np.nan, 0.0)
 
 
 def test_torque_limit_of_a_strong_joint_is_kept(sim_of):
     simulation = sim_of('<motor name="a" joint="joint1" ctrlrange="-1500 1500"/>')
-    simulation.set_control_mode('arm', 'effort')
-    np.testing.assert_array_equal(simulation.limits('arm'), [[-1500.0, 1500.0]])
+    simulation.robot.set_control_mode('arm', 'effort')
+    np.testing.assert_array_equal(simulation.robot.limits('arm'), [[-1500.0, 1500.0]])
 
 
 def test_step_keeps_to_what_the_torque_can_do_against_the_damping(one_joint_arm, run):
@@ -398,10 +401,10 @@ def test_step_keeps_to_what_the_torque_can_do_against_the_damping(one_joint_arm,
     command(simulation, 'position', 'robot0_joint1', 1.0)
 
     def look():
-        efforts.append(abs(simulation.state().effort[0]))
-        speeds.append(simulation.state().velocity[0])
+        efforts.append(abs(simulation.robot.state().effort[0]))
+        speeds.append(simulation.robot.state().velocity[0])
     run(simulation, 4.0, look)
     # 30 N m against 40 N m s/rad, less the weight of the arm.
     assert 0.3 < max(speeds) < 0.75
     assert max(efforts) < 30.0
-    assert simulation.state().position[0] == pytest.approx(1.0, abs=1e-4)
+    assert simulation.robot.state().position[0] == pytest.approx(1.0, abs=1e-4)

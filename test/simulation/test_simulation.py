@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models import compose_robot
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.bases import RethinkMount
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
@@ -34,29 +34,30 @@ def numbers_of(state):
 
 def move(simulation):
     """Disturb everything that a reset has to restore."""
-    simulation.apply(simulation.parse.action('arm', [0.3, 0.9, 0.2, 0.1, 0.5, -0.4, 0.2]))
-    simulation.apply(simulation.parse.action('right/gripper', [1.0]))
+    robot = simulation.robot
+    robot.apply(robot.parse.action('arm', [0.3, 0.9, 0.2, 0.1, 0.5, -0.4, 0.2]))
+    robot.apply(robot.parse.action('right/gripper', [1.0]))
     simulation.data.joint('cube_joint').qvel[:3] = [0.5, 0.2, 0.1]
     for _ in range(30):
         simulation.advance(5)
 
 
 def test_start_pose_is_held_for_ten_seconds(panda_sim, run):
-    start = np.concatenate([panda_sim.robot.init_qpos, PandaGripper().init_qpos])
-    np.testing.assert_array_equal(panda_sim.state().position, start)
+    start = np.concatenate([panda_sim.robot.robot_model.init_qpos, PandaGripper().init_qpos])
+    np.testing.assert_array_equal(panda_sim.robot.state().position, start)
     run(panda_sim, 10.0)
-    np.testing.assert_allclose(panda_sim.state().position[:7], start[:7], atol=1e-3)
-    np.testing.assert_allclose(panda_sim.state().position[7:], start[7:], atol=1e-4)
+    np.testing.assert_allclose(panda_sim.robot.state().position[:7], start[:7], atol=1e-3)
+    np.testing.assert_allclose(panda_sim.robot.state().position[7:], start[7:], atol=1e-4)
 
 
 def test_state_is_that_of_one_instant(panda_sim, run):
-    panda_sim.apply(panda_sim.parse.action('arm', [0.3] * 7))
+    panda_sim.robot.apply(panda_sim.robot.parse.action('arm', [0.3] * 7))
     run(panda_sim, 0.1)
     fresh = mujoco.MjData(panda_sim.model)
     for field in ('qpos', 'qvel', 'act', 'ctrl'):
         getattr(fresh, field)[:] = getattr(panda_sim.data, field)
     mujoco.mj_forward(panda_sim.model, fresh)
-    state = panda_sim.state()
+    state = panda_sim.robot.state()
     end = state.end_effectors['right']
     assert np.abs(state.velocity).max() > 0.1
     np.testing.assert_allclose(end.wrench.force, fresh.sensor('gripper0_right_force_ee').data,
@@ -68,53 +69,53 @@ def test_state_is_that_of_one_instant(panda_sim, run):
 
 
 def test_state_is_a_copy(panda_sim, run):
-    panda_sim.apply(panda_sim.parse.action('arm', [0.3] * 7))
+    panda_sim.robot.apply(panda_sim.robot.parse.action('arm', [0.3] * 7))
     run(panda_sim, 0.05)
-    state = panda_sim.state()
+    state = panda_sim.robot.state()
     before = numbers_of(state).copy()
     run(panda_sim, 0.05)
     np.testing.assert_array_equal(numbers_of(state), before)
-    assert np.abs(numbers_of(panda_sim.state()) - before).max() > 0.01
+    assert np.abs(numbers_of(panda_sim.robot.state()) - before).max() > 0.01
 
 
 def test_joints_are_listed_by_part_with_positions_in_the_same_order(panda_sim, reference):
-    assert list(panda_sim.joint_names) == reference['joint_order_in_model']
-    assert {part: list(indices) for part, indices in panda_sim.indices_of.items()} == {
+    assert list(panda_sim.robot.joint_names) == reference['joint_order_in_model']
+    assert {part: list(indices) for part, indices in panda_sim.robot.indices_of.items()} == {
         'arm': list(range(7)), 'right': list(range(7)), 'right/gripper': [7, 8]}
-    for name, position in zip(panda_sim.joint_names, panda_sim.state().position):
+    for name, position in zip(panda_sim.robot.joint_names, panda_sim.robot.state().position):
         assert panda_sim.data.joint(name).qpos[0] == position
 
 
 def test_reset_restores_everything_but_the_time(cube_sim):
-    before, cube = numbers_of(cube_sim.state()), cube_sim.data.body('cube').xpos.copy()
-    gripper = cube_sim.robot.grippers['right']
+    before, cube = numbers_of(cube_sim.robot.state()), cube_sim.data.body('cube').xpos.copy()
+    gripper = cube_sim.robot.robot_model.grippers['right']
     action_state = gripper.current_action.copy()
     move(cube_sim)
     assert np.abs(gripper.current_action - action_state).max() > 0.1
-    cube_sim.tare_wrench()
+    cube_sim.robot.tare_wrench()
     assert np.abs(cube_sim.data.body('cube').xpos - cube).max() > 0.01
     cube_sim.reset()
-    np.testing.assert_array_equal(numbers_of(cube_sim.state()), before)
+    np.testing.assert_array_equal(numbers_of(cube_sim.robot.state()), before)
     np.testing.assert_array_equal(cube_sim.data.body('cube').xpos, cube)
     np.testing.assert_array_equal(gripper.current_action, action_state)
-    assert cube_sim.state().time_ns == 30 * 5 * 2_000_000
+    assert cube_sim.robot.state().time_ns == 30 * 5 * 2_000_000
 
 
 def test_what_follows_a_reset_is_what_followed_the_start(cube_sim):
     move(cube_sim)
-    first = numbers_of(cube_sim.state())
+    first = numbers_of(cube_sim.robot.state())
     cube_sim.reset()
     move(cube_sim)
-    np.testing.assert_array_equal(numbers_of(cube_sim.state()), first)
+    np.testing.assert_array_equal(numbers_of(cube_sim.robot.state()), first)
 
 
 def test_reset_drops_commands(panda_sim, run):
-    start = panda_sim.state().position
-    panda_sim.apply(panda_sim.parse.action('arm', [0.3] * 7))
-    panda_sim.apply(panda_sim.parse.action('right/gripper', [1.0]))
+    start = panda_sim.robot.state().position
+    panda_sim.robot.apply(panda_sim.robot.parse.action('arm', [0.3] * 7))
+    panda_sim.robot.apply(panda_sim.robot.parse.action('right/gripper', [1.0]))
     panda_sim.reset()
     run(panda_sim, 0.5)
-    np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
+    np.testing.assert_allclose(panda_sim.robot.state().position, start, atol=1e-6)
 
 
 def test_time_counts_steps_exactly(panda):
@@ -122,7 +123,7 @@ def test_time_counts_steps_exactly(panda):
     for _ in range(7):
         simulation.advance(3)
     assert simulation.step_count == 21
-    assert simulation.state().time_ns == 31_500_000
+    assert simulation.robot.state().time_ns == 31_500_000
 
 
 def test_same_commands_give_bit_identical_states():
@@ -132,22 +133,29 @@ def test_same_commands_give_bit_identical_states():
         robot.add_gripper(PandaGripper(idn='0_right'))
         simulation = Simulation(World([robot], TableArena(cube=True)))
         move(simulation)
-        states.append(numbers_of(simulation.state()))
+        states.append(numbers_of(simulation.robot.state()))
     np.testing.assert_array_equal(*states)
 
 
-def test_other_robots_hold_where_they_start(panda, run):
-    class FarPanda(Panda):
-        base_xpos_offset = {'empty': (0.0, 3.0, 0.0)}
-
-    other = FarPanda(idn=1)
-    other.add_base(RethinkMount(idn=1))
-    other.add_gripper(PandaGripper(idn='1_right'))
+def test_each_of_two_robots_is_commanded_for_itself(panda, run):
+    other = compose_robot('UR5e', idn=1)
+    other.set_base_xpos([0.0, 3.0, 0.0])
     simulation = Simulation(World([panda, other]))
-    run(simulation, 1.0)
-    positions = [simulation.data.joint(name).qpos[0] for name in other.joints]
-    np.testing.assert_allclose(positions, other.init_qpos, atol=1e-3)
-    assert set(simulation.parts) == {'arm', 'right', 'right/gripper'}
+    first, second = simulation.robots.values()
+    assert list(simulation.robots) == ['robot0', 'robot1']
+    assert not set(first.joint_names) & set(second.joint_names)
+    start, goal = first.state().position, second.state().position[:6] + 0.1
+    second.apply(*second.parse.joint_command(second.joints.names, goal))
+    run(simulation, 2.0)
+    np.testing.assert_allclose(second.state().position[:6], goal, atol=1e-3)
+    np.testing.assert_allclose(first.state().position, start, atol=1e-3)
+
+
+def test_the_only_robot_is_asked_for_where_there_are_two(panda):
+    other = compose_robot('UR5e', idn=1)
+    other.set_base_xpos([0.0, 3.0, 0.0])
+    with pytest.raises(ModelError, match='one robot is meant, but the world has robot0, robot1'):
+        _ = Simulation(World([panda, other])).robot
 
 
 def make_velocity_absurd(simulation):
@@ -167,22 +175,22 @@ def test_divergence_is_noticed_and_held_with_a_finite_state(panda_sim, run, dist
     disturb(panda_sim)
     run(panda_sim, 0.05)
     assert panda_sim.diverged.startswith('the physics diverged at 0.1')
-    held = numbers_of(panda_sim.state())
+    held = numbers_of(panda_sim.robot.state())
     assert np.isfinite(held).all()
-    assert not panda_sim.state().velocity.any()
+    assert not panda_sim.robot.state().velocity.any()
     run(panda_sim, 0.1)
-    np.testing.assert_array_equal(numbers_of(panda_sim.state()), held)
+    np.testing.assert_array_equal(numbers_of(panda_sim.robot.state()), held)
 
 
 def test_absurd_velocity_of_a_free_object_is_told_as_such(cube_sim):
     cube_sim.data.joint('cube_joint').qvel[2] = 5e4
     cube_sim.advance(5)
     assert cube_sim.diverged == 'the physics diverged at 0.010 s: a velocity is above 10000'
-    assert np.isfinite(numbers_of(cube_sim.state())).all()
+    assert np.isfinite(numbers_of(cube_sim.robot.state())).all()
 
 
 def test_divergence_is_mended_by_reset(panda_sim, run):
-    start = panda_sim.state().position
+    start = panda_sim.robot.state().position
     make_velocity_absurd(panda_sim)
     run(panda_sim, 0.05)
     assert panda_sim.diverged is not None
@@ -190,24 +198,24 @@ def test_divergence_is_mended_by_reset(panda_sim, run):
     assert panda_sim.diverged is None
     run(panda_sim, 0.5)
     assert panda_sim.diverged is None
-    np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
+    np.testing.assert_allclose(panda_sim.robot.state().position, start, atol=1e-6)
 
 
 def test_unknown_part_tells_what_there_is(panda_sim):
     with pytest.raises(UnknownNameError, match=r"^unknown part 'arms': did you mean 'arm'\? "
                                                r'available: arm, right$'):
-        panda_sim.joints.indices_of('arms')
+        panda_sim.robot.joints.indices_of('arms')
 
 
 def test_mode_and_timeout_of_a_gripper_cannot_be_set(panda_sim):
     message = r'^right/gripper is a gripper, which is always in position mode$'
     with pytest.raises(CommandError, match=message):
-        panda_sim.set_control_mode('right/gripper', 'effort')
+        panda_sim.robot.set_control_mode('right/gripper', 'effort')
     with pytest.raises(CommandError, match=message):
-        panda_sim.set_command_timeout('right/gripper', 1.0)
+        panda_sim.robot.set_command_timeout('right/gripper', 1.0)
 
 
 def test_robot_without_grippers_has_no_end_effectors(one_joint_arm):
     simulation = Simulation(World([one_joint_arm()]))
     simulation.advance(1)
-    assert simulation.state().end_effectors == {}
+    assert simulation.robot.state().end_effectors == {}

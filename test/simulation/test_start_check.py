@@ -19,7 +19,7 @@ BALL = '<geom name="{}" size="0.05" pos="{} 0 0"/>'
 
 def told(simulation):
     """Return what is wrong with the start of a simulation's robot."""
-    return check_start(simulation.model, simulation.data, [simulation.robot.root_body])
+    return check_start(simulation.model, simulation.data, [simulation.robot.robot_model.root_body])
 
 
 def told_of(worldbody, sections=''):
@@ -124,8 +124,8 @@ def test_check_changes_neither_the_model_nor_the_state():
     robot.add_gripper(create_gripper('FourierRightHand'))
     simulation = Simulation(World([robot]))
     flags, force = simulation.model.opt.disableflags, simulation.data.qfrc_applied.copy()
-    before = simulation.state().position.copy()
+    before = simulation.robot.state().position.copy()
     assert told(simulation) == told(simulation)
     assert simulation.model.opt.disableflags == flags
     assert (simulation.data.qfrc_applied == force).all()
-    assert (simulation.state().position == before).all()
+    assert (simulation.robot.state().position == before).all()

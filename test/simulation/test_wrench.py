@@ -38,12 +38,12 @@ def take_pose(simulation, qpos):
     """Put the arm at rest at a pose and hold it there."""
     simulation.reset()
     simulation.data.qpos[:7] = qpos
-    simulation.joints.reset(simulation.data)
-    for gripper in simulation.grippers.values():
+    simulation.robot.joints.reset(simulation.data)
+    for gripper in simulation.robot.grippers.values():
         gripper.reset(simulation.data)
     for _ in range(20):
         simulation.advance(5)
-    return simulation.state().end_effectors['right']
+    return simulation.robot.state().end_effectors['right']
 
 
 def frame_of(simulation):
@@ -57,7 +57,7 @@ def push(simulation, force_in_world, body=EEF):
     simulation.data.body(body).xfrc_applied[:3] = force_in_world
     for _ in range(100):
         simulation.advance(5)
-    return simulation.state().end_effectors['right']
+    return simulation.robot.state().end_effectors['right']
 
 
 @pytest.mark.parametrize('pose', POSES)
@@ -111,16 +111,16 @@ def test_push_on_a_link_before_the_sensor_does_not_count(panda_sim):
 
 def test_push_is_read_within_five_percent_while_the_arm_moves(panda_sim, run):
     take_pose(panda_sim, POSES[0])
-    panda_sim.set_control_mode('arm', 'velocity')
+    panda_sim.robot.set_control_mode('arm', 'velocity')
     force = np.array([0.0, 0.0, 5.0])
-    panda_sim.apply(*panda_sim.parse.joint_command(
-        panda_sim.joint_names[:7], velocity=[0.5, -0.3, 0.4, 0.5, -0.8, 0.5, 1.0]))
+    panda_sim.robot.apply(*panda_sim.robot.parse.joint_command(
+        panda_sim.robot.joint_names[:7], velocity=[0.5, -0.3, 0.4, 0.5, -0.8, 0.5, 1.0]))
     panda_sim.data.body(EEF).xfrc_applied[:3] = force
     errors, speeds = [], []
 
     def compare():
         _, rotation = frame_of(panda_sim)
-        end = panda_sim.state().end_effectors['right']
+        end = panda_sim.robot.state().end_effectors['right']
         errors.append(np.linalg.norm(end.external_wrench.force - rotation.T @ force))
         speeds.append(np.linalg.norm(end.linear_velocity))
 
@@ -130,10 +130,10 @@ def test_push_is_read_within_five_percent_while_the_arm_moves(panda_sim, run):
 
 
 def test_fingers_that_press_on_each_other_are_no_external_force(panda_sim, run):
-    panda_sim.apply(panda_sim.parse.action('right/gripper', [1.0]))
+    panda_sim.robot.apply(panda_sim.robot.parse.action('right/gripper', [1.0]))
     run(panda_sim, 1.0)
-    assert panda_sim.data.ncon > 0 or np.abs(panda_sim.state().position[7:]).max() < 1e-3
-    force = panda_sim.state().end_effectors['right'].external_wrench.force
+    assert panda_sim.data.ncon > 0 or np.abs(panda_sim.robot.state().position[7:]).max() < 1e-3
+    force = panda_sim.robot.state().end_effectors['right'].external_wrench.force
     np.testing.assert_allclose(force, np.zeros(3), atol=1e-6)
 
 
@@ -143,7 +143,7 @@ def test_contact_with_a_table_reads_as_a_push(panda):
     for _ in range(100):
         simulation.advance(5)
     _, rotation = frame_of(simulation)
-    force = rotation @ simulation.state().end_effectors['right'].external_wrench.force
+    force = rotation @ simulation.robot.state().end_effectors['right'].external_wrench.force
     table, total = simulation.model.geom('table_collision').id, np.zeros(3)
     for index in range(simulation.data.ncon):
         contact, result = simulation.data.contact[index], np.empty(6)
@@ -159,25 +159,25 @@ def test_tare_zeroes_the_present_wrench_and_reset_forgets_it(panda_sim):
     take_pose(panda_sim, POSES[0])
     _, rotation = frame_of(panda_sim)
     push(panda_sim, rotation[:, 2] * 5.0)
-    panda_sim.tare_wrench()
-    tared = panda_sim.state().end_effectors['right']
+    panda_sim.robot.tare_wrench()
+    tared = panda_sim.robot.state().end_effectors['right']
     np.testing.assert_array_equal(tared.external_wrench.force, np.zeros(3))
     np.testing.assert_array_equal(tared.external_wrench.torque, np.zeros(3))
     released = push(panda_sim, np.zeros(3))
     np.testing.assert_allclose(released.external_wrench.force, [0, 0, -5.0], atol=0.1)
     panda_sim.reset()
-    after = panda_sim.state().end_effectors['right'].external_wrench.force
+    after = panda_sim.robot.state().end_effectors['right'].external_wrench.force
     np.testing.assert_allclose(after, np.zeros(3), atol=1e-6)
 
 
 def test_velocity_and_pose_agree_with_finite_differences(panda_sim, run):
-    panda_sim.set_control_mode('arm', 'velocity')
-    panda_sim.apply(*panda_sim.parse.joint_command(
-        panda_sim.joint_names[:7], velocity=[0.5, -0.3, 0.4, 0.3, -0.8, 0.5, 1.0]))
+    panda_sim.robot.set_control_mode('arm', 'velocity')
+    panda_sim.robot.apply(*panda_sim.robot.parse.joint_command(
+        panda_sim.robot.joint_names[:7], velocity=[0.5, -0.3, 0.4, 0.3, -0.8, 0.5, 1.0]))
     run(panda_sim, 0.3)
     ends = []
     for _ in range(3):
-        ends.append(panda_sim.state().end_effectors['right'])
+        ends.append(panda_sim.robot.state().end_effectors['right'])
         panda_sim.advance(1)
     before, now, after = ends
     linear = (after.position - before.position) / 0.004
@@ -188,6 +188,6 @@ def test_velocity_and_pose_agree_with_finite_differences(panda_sim, run):
 
 
 def test_frame_of_the_wrench_is_the_grippers(panda_sim):
-    assert panda_sim.end_effectors['right'].ft_frame == 'gripper0_right_ft_frame'
+    assert panda_sim.robot.end_effectors['right'].ft_frame == 'gripper0_right_ft_frame'
     assert panda_sim.model.site('gripper0_right_ft_frame').bodyid[0] == (
         panda_sim.model.body(PALM).id)

@@ -1,11 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The thread that owns the simulation: it waits, advances and publishes; others ask it."""
+"""The thread that owns a simulation: it waits, advances and shows; others ask it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 import threading
@@ -13,12 +13,14 @@ import time
 from typing import TypeVar
 
 from manip_sim.errors import CommandError, SimulationEnded
-from manip_sim.simulation import Simulation, State
-from manip_sim.simulation.command_buffer import CommandBuffer
+from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.runtime.pacing import Pacer
+from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
-from manip_sim.simulation.pacing import Pacer
 
 T = TypeVar('T')
+#: Is called with the simulation at the end of control periods, in the simulation's thread.
+Observer = Callable[[Simulation], None]
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -40,33 +42,35 @@ class Progress:
     lost_s: float = 0.0
 
 
-class Runner:
+class SimulationThread:
     """
     Runs a simulation in a thread of its own.
 
     :param simulation: used by this thread alone while it runs
-    :param publish: is handed the state of each control period, in this thread
     :param steps: physics steps of a control period
     :param stepping: ``realtime``, ``free`` or ``lockstep``
     :param real_time_factor: for ``realtime``
-    :param lockstep_parts: the parts that must have had a command in ``lockstep``
+    :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
     :param tell_failure: is told, in this thread, which command failed and how
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
 
-    def __init__(self, simulation: Simulation, publish: Callable[[State], None], steps: int,
-                 stepping: str = 'realtime', real_time_factor: float = 1.0,
-                 lockstep_parts: Iterable[str] = (), paused: bool = False,
+    def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
+                 real_time_factor: float = 1.0,
+                 lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
                  tell_failure: Callable[[Command, Exception], None] | None = None) -> None:
         self._simulation = simulation
-        self._publish = publish
         self._steps = steps
         self._stepping = stepping
         self._tell_failure = tell_failure
-        self._buffer = CommandBuffer(
-            atomic for part in lockstep_parts for atomic in simulation.parts[part].atomic)
+        self._observers: list[tuple[Observer, int]] = []
+        needed = lockstep_parts or {}
+        self._buffers = {
+            name: CommandBuffer(atomic for part in needed.get(name, ())
+                                for atomic in robot.parts[part].atomic)
+            for name, robot in simulation.robots.items()}
         # A stamp of zero means none, so the first instant is that after one period.
         simulation.step_count = max(simulation.step_count, steps)
         self._paused = paused
@@ -82,8 +86,23 @@ class Runner:
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
 
+    def observe(self, observer: Observer, every: int = 1) -> None:
+        """
+        Let a function see the simulation at the end of control periods, from now on.
+
+        It sees each period whose number, counted from the beginning of simulation time, is a
+        multiple of ``every``; the states of a start, a reset and a pause are seen in any case.
+
+        :param observer: is called in the simulation's thread, which waits for it
+        :param every: divider of the control periods, 1 or more
+        :raises ValueError: if the divider is less than 1
+        """
+        if every < 1:
+            raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
+        self._observers = [*self._observers, (observer, every)]
+
     def start(self) -> None:
-        """Publish the first state and begin."""
+        """Show the first state and begin."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -122,22 +141,25 @@ class Runner:
         """Whether the simulation waits for :meth:`pause` or :meth:`step`."""
         return self._paused
 
-    def submit(self, commands: Iterable[Command], stamp_ns: int = 0) -> list[CommandHandle]:
+    def submit(self, commands: Iterable[Command], stamp_ns: int = 0, robot: str | None = None
+               ) -> list[CommandHandle]:
         """
         Hand over validated commands; the next control period uses them.
 
         :param stamp_ns: in lockstep, the state that they are the answer to; 0 if they do not say
+        :param robot: its name; None is the only one
         :returns: what becomes of each command
         :raises CommandError: in lockstep, if that is not the present state, or it has been
             answered already
         """
+        buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
         with self._wake:
             if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
                 raise CommandError(f'lockstep: the command answers the state of '
                                    f'{stamp_ns / 1e9:.9f} s, {self._present()}')
             handles = []
             for command in commands:
-                self._buffer.add(command)
+                buffer.add(command)
                 handles.append(command.handle)
             if self._stepping == 'lockstep':
                 self._wake.notify()
@@ -181,7 +203,7 @@ class Runner:
 
     def step(self) -> None:
         """
-        Advance by one control period and publish its state.
+        Advance by one control period and show its state.
 
         :raises CommandError: if the simulation is not paused, or has diverged
         """
@@ -195,14 +217,15 @@ class Runner:
 
     def reset(self, restart_time: bool = False) -> None:
         """
-        Put the simulation back to its start, drop commands that wait, publish the state.
+        Put the simulation back to its start, drop commands that wait, show the state.
 
         :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
             with self._wake:
                 self._present_ns = None
-                self._buffer.clear('the simulation was reset')
+                for buffer in self._buffers.values():
+                    buffer.clear('the simulation was reset')
             self._simulation.reset()
             # A state of its own needs a stamp of its own, and zero is none.
             self._simulation.step_count += self._steps
@@ -216,14 +239,6 @@ class Runner:
     def set_real_time_factor(self, factor: float) -> None:
         """Go on at another speed, from now."""
         self.call(lambda: self._pacer.set_real_time_factor(factor, time.monotonic()))
-
-    def set_control_mode(self, part: str, mode: str) -> None:
-        """Change how a subsystem is controlled; it stays where it is."""
-        self.call(lambda: self._simulation.set_control_mode(part, mode))
-
-    def set_command_timeout(self, part: str, timeout_s: float) -> None:
-        """Change after how much simulation time without a command a subsystem rests [s]."""
-        self.call(lambda: self._simulation.set_command_timeout(part, timeout_s))
 
     # ------------------------------------------------------------------ in the thread
 
@@ -253,7 +268,7 @@ class Runner:
             now = time.monotonic()
             if self._repeats:
                 held = self._paused or self._simulation.diverged is not None
-                if not held and self._buffer.ready(self._simulation.joints.busy_parts):
+                if not held and self._all_commanded():
                     return True
                 if now >= self._repeat_at:
                     return False
@@ -264,6 +279,10 @@ class Runner:
                 self._wake.wait(self._pacer.deadline_s - now)
         return False
 
+    def _all_commanded(self) -> bool:
+        return all(buffer.ready(self._simulation.robots[name].joints.busy_parts)
+                   for name, buffer in self._buffers.items())
+
     @property
     def _repeats(self) -> bool:
         """Whether the present state is shown again and again: nothing is due by itself."""
@@ -273,27 +292,32 @@ class Runner:
     def _period(self) -> None:
         with self._wake:
             self._present_ns = None
-            commands = self._buffer.take()
-        period_s = self._steps * self._simulation.timestep_s
-        for command in commands:
-            try:
-                self._simulation.apply(command, period_s=period_s)
-            except Exception as error:
-                command.handle.end(Status.ABORTED, str(error))
-                if self._tell_failure is not None:
-                    self._tell_failure(command, error)
+            commands = {name: buffer.take() for name, buffer in self._buffers.items()}
+        for name, taken in commands.items():
+            for command in taken:
+                self._apply(name, command)
         self._simulation.advance(self._steps)
         self.at_start = False
-        self._show()
+        self._show(number=self._simulation.step_count // self._steps)
 
-    def _show(self) -> None:
-        state = self._simulation.state()
+    def _apply(self, robot: str, command: Command) -> None:
+        try:
+            self._simulation.robots[robot].apply(command, period_s=self.period_s)
+        except Exception as error:
+            command.handle.end(Status.ABORTED, str(error))
+            if self._tell_failure is not None:
+                self._tell_failure(command, error)
+
+    def _show(self, number: int = 0) -> None:
+        time_ns = self._simulation.time_ns
         with self._wake:
-            self._present_ns = state.time_ns
+            self._present_ns = time_ns
         now = time.monotonic()
-        self.progress = Progress(now, state.time_ns, self._pacer.missed, self._pacer.lost_s)
+        self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S
-        self._publish(state)
+        for observer, every in self._observers:
+            if number % every == 0:
+                observer(self._simulation)
 
 
 def _answer(function: Callable[[], object], future: Future[object]) -> None:

@@ -5,7 +5,7 @@
 
 import pytest
 
-from manip_sim.simulation.pacing import Pacer
+from manip_sim.runtime.pacing import Pacer
 
 
 def count_due(pacer, until_s, tick_s, start_s=0.0):

@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from manip_sim.simulation.command_buffer import CommandBuffer
+from manip_sim.runtime.command_buffer import CommandBuffer
 from manip_sim.simulation.commands import (
     BaseTwist, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory, Status,
     TrajectoryStop)

@@ -1,0 +1,72 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compose the world that the parameters ask for: one robot, or several by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import re
+
+from manip_sim.errors import ParameterError
+from manip_sim.models import Arena, compose_robot, create_arena, World
+from manip_sim.models.robots import RobotModel
+from manip_sim.quoting import quoted
+from manip_sim.ros.parameters import composition_parameters, Parameters, place_parameters
+from manip_sim.ros.scope import Scope
+
+#: Robots that the user does not place stand side by side [m].
+_SPACING_M = 1.0
+#: What a namespace, a parameter and the names of joints may all begin with.
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
+#: What else is in the node's namespace or begins names of parameters.
+_RESERVED = ('arena', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
+
+
+def compose_world(parameters: Parameters) -> tuple[list[Scope], World]:
+    """
+    Declare what says which robots there are and where, and compose their world.
+
+    :returns: where each robot's topics and parameters are, and the world with the robots in this
+        order
+    :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
+    """
+    value = parameters.value
+    scopes = [Scope(name) for name in _robot_names(value('robots'))] or [Scope()]
+    robots = []
+    for scope in scopes:
+        parameters.declare(composition_parameters(scope))
+        robot, gripper, base, prefix = (
+            value(scope.parameter(name)) for name in ('robot', 'gripper', 'base', 'prefix'))
+        robots.append(compose_robot(robot, gripper, base, prefix=prefix,
+                                    idn=value('idn') if not scope.name else scope.name))
+    options = {'cube': value('cube')} if value('arena') == 'table' else {}
+    arena = create_arena(value('arena'), **options)
+    for scope, robot, position in zip(scopes, robots, _side_by_side(arena, robots)):
+        parameters.declare(place_parameters(scope, position))
+        robot.set_base_xpos(value(scope.parameter('position')))
+        if any(value(scope.parameter('orientation'))):
+            robot.set_base_ori(value(scope.parameter('orientation')))
+    return scopes, World(robots, arena, timestep_s=value('timestep'),
+                         gravity_compensation=value('gravity_compensation'))
+
+
+def _robot_names(given: Sequence[str]) -> list[str]:
+    # An empty list of strings is a list with an empty string in ROS.
+    names = [name for name in given if name]
+    for name in names:
+        if not _NAME.fullmatch(name) or len(name) > 60 or name in _RESERVED:
+            raise ParameterError(
+                f"parameter 'robots': {quoted(name)} cannot be the name of a robot: it needs a "
+                'letter, then letters, digits and single underscores, and must not be one of '
+                + ', '.join(_RESERVED))
+    if len(set(names)) != len(names):
+        raise ParameterError("parameter 'robots': the names must differ, got " + ', '.join(names))
+    return names
+
+
+def _side_by_side(arena: Arena, robots: Sequence[RobotModel]) -> list[list[float]]:
+    """Return where each robot stands: at the arena's place, several in a row along y [m]."""
+    middle = (len(robots) - 1) / 2.0
+    return [(arena.robot_position(robot) + [0.0, (middle - i) * _SPACING_M, 0.0]).tolist()
+            for i, robot in enumerate(robots)]

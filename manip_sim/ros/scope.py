@@ -1,0 +1,27 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names of topics and parameters of one robot among several."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Scope:
+    """
+    The namespace of a robot within the node.
+
+    :ivar name: of the robot; empty for the only robot of a node, whose names have no namespace
+    """
+
+    name: str = ''
+
+    def topic(self, name: str) -> str:
+        """Return the name of a topic of the robot."""
+        return f'{self.name}/{name}' if self.name else name
+
+    def parameter(self, name: str) -> str:
+        """Return the name of a parameter of the robot."""
+        return f'{self.name}.{name}' if self.name else name

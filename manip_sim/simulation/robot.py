@@ -1,0 +1,188 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One robot of a simulated world: its parts, their controllers, its end effectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from manip_sim.errors import CommandError
+from manip_sim.models.robots import RobotModel
+from manip_sim.simulation.command_parser import CommandParser
+from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint
+from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.parts import find_parts, Part
+from manip_sim.simulation.state import ControllerState, State
+from manip_sim.simulation.wrench import EndEffectorReader
+from manip_sim.typing import FloatArray
+
+
+class SimulatedRobot:
+    """
+    What is commanded and seen of one robot.
+
+    Commands are validated by :attr:`parse`, which only reads, and take effect with :meth:`apply`.
+    Made and driven by a ``Simulation``, which owns the physics.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
+    :param robot: is in the model
+    :param now_ns: tells the simulation time [ns]
+    :ivar robot_model: the robot, with its base and its grippers
+    :ivar parts: by name
+    :ivar joints: controls the joints
+    :ivar grippers: by part
+    :ivar end_effectors: by arm, of the arms with a gripper
+    :ivar parse: makes commands
+    :ivar joint_names: all scalar joints, in the order of the states
+    :ivar indices_of: where the joints of each part are among these, by part
+    """
+
+    def __init__(self, model: Any, data: Any, robot: RobotModel, now_ns: Callable[[], int]
+                 ) -> None:
+        self._data = data
+        self._now_ns = now_ns
+        self._timestep_s = self._period_s = float(model.opt.timestep)
+        self.robot_model = robot
+        self.parts: dict[str, Part] = find_parts(model, robot)
+        atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
+        self.joints = JointController(
+            model, data, {name: p for name, p in self.parts.items() if p.gripper is None},
+            [part.name for part in atomic if part.gripper is None])
+        self.grippers = {part.name: GripperController(model, part, self._timestep_s)
+                         for part in atomic if part.gripper is not None}
+        self.end_effectors = {
+            name.split('/')[0]: EndEffectorReader(model, part.gripper)
+            for name, part in self.parts.items() if part.gripper is not None}
+        self.parse = CommandParser(robot, self.joints, self.grippers)
+        self._index_joints(atomic)
+
+    def _index_joints(self, atomic: list[Part]) -> None:
+        self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
+        self._qpos_addresses = np.concatenate([part.qpos_addresses for part in atomic])
+        self._dof_addresses = np.concatenate([part.dof_addresses for part in atomic])
+        place = {name: index for index, name in enumerate(self.joint_names)}
+        self.indices_of = {name: np.array([place[j] for j in part.joints], dtype=np.int64)
+                           for name, part in self.parts.items()}
+
+    @property
+    def name(self) -> str:
+        """What its names begin with, without the underscore that follows."""
+        return self.robot_model.naming_prefix.rstrip('_')
+
+    @property
+    def moving(self) -> bool:
+        """Whether setpoints change, or may, in the next interval."""
+        return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())
+
+    # ------------------------------------------------------------------ what is commanded
+
+    def apply(self, *commands: Command, period_s: float | None = None) -> None:
+        """
+        Let validated commands take effect with the next control period.
+
+        :param period_s: length of a control period [s]; None is that of the last one
+        """
+        if period_s is not None:
+            self._period_s = period_s
+        now_s = self._now_ns() * 1e-9
+        for command in commands:
+            if isinstance(command, (GripperAction, GripperSetpoint)):
+                (part,) = command.parts
+                self.grippers[part].apply(command, self._data)
+            else:
+                self.joints.apply(command, self._data, now_s, self._period_s)
+
+    def limits(self, part: str) -> FloatArray:
+        """
+        Return the range of each driven joint's goal in its present mode, shape (n, 2), a copy.
+
+        :raises UnknownNameError: if there are no such joints
+        """
+        return self.joints.ranges(self.joints.indices_of(part))
+
+    def set_control_mode(self, part: str, mode: str) -> None:
+        """
+        Change how a part is controlled; it comes to rest.
+
+        :param mode: ``position``, ``velocity`` or ``effort``
+        :raises CommandError: if the part is a gripper
+        :raises UnknownNameError: if there is no such part or mode
+        """
+        self._check_no_gripper(part)
+        self.joints.set_mode(part, mode, self._data)
+
+    def set_command_timeout(self, part: str, timeout_s: float) -> None:
+        """
+        Change after how long without a fresh command a part rests.
+
+        :param timeout_s: simulation time [s]; 0 is never
+        :raises CommandError: if the part is a gripper
+        :raises UnknownNameError: if there is no such part
+        """
+        self._check_no_gripper(part)
+        self.joints.set_timeout(part, timeout_s)
+
+    def _check_no_gripper(self, part: str) -> None:
+        if part in self.grippers:
+            raise CommandError(f'{part} is a gripper, which is always in position mode')
+
+    def tare_wrench(self) -> None:
+        """Let the present external wrench of every arm read zero."""
+        for reader in self.end_effectors.values():
+            reader.tare(self._data)
+
+    # ------------------------------------------------------------------ what is seen
+
+    def state(self) -> State:
+        """Return a snapshot of the present instant."""
+        data = self._data
+        return State(
+            time_ns=self._now_ns(),
+            position=data.qpos[self._qpos_addresses],
+            velocity=data.qvel[self._dof_addresses],
+            effort=data.qfrc_actuator[self._dof_addresses],
+            end_effectors={arm: reader.read(data) for arm, reader in self.end_effectors.items()})
+
+    def controller_state(self, part: str) -> ControllerState:
+        """
+        Return what the controllers of a part's driven joints want and get, copies.
+
+        :raises UnknownNameError: if there are no such joints
+        """
+        return self.joints.controller_state(part, self._data)
+
+    # ------------------------------------------------------------------ in the physics loop
+
+    def begin_period(self, period_s: float) -> None:
+        """
+        See which commands are done or too old.
+
+        :param period_s: length of the control period [s]
+        """
+        self._period_s = period_s
+        self.joints.begin_period(self._data, self._now_ns() * 1e-9)
+
+    def tick(self, duration_s: float) -> None:
+        """
+        Write the controls of the next interval.
+
+        :param duration_s: [s]
+        """
+        self.joints.tick(self._data, self._now_ns() * 1e-9, duration_s)
+        for gripper in self.grippers.values():
+            if gripper.moving:
+                gripper.tick(self._data, duration_s)
+
+    def reset(self) -> None:
+        """Drop all commands, hold the joints where they are, forget the tare; modes stay."""
+        self.joints.reset(self._data)
+        for gripper in self.grippers.values():
+            gripper.reset(self._data)
+        for reader in self.end_effectors.values():
+            reader.reset()

@@ -1,0 +1,180 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The thread that runs the simulation: how it ends for those who ask it something."""
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+import time
+
+import numpy as np
+import pytest
+
+from manip_sim.errors import CommandError, SimulationEnded
+from manip_sim.models import World
+from manip_sim.models.robots import Panda, UR5e
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Status
+
+
+@pytest.fixture
+def thread():
+    return SimulationThread(Simulation(World([Panda()])), steps=5)
+
+
+def test_a_call_after_the_end_is_refused(thread):
+    thread.stop()
+    with pytest.raises(SimulationEnded, match='the simulation has ended'):
+        thread.call(lambda: None)
+
+
+def test_a_call_before_the_start_is_answered_at_once(thread):
+    assert thread.call(lambda: 7) == 7
+    thread.set_real_time_factor(2.0)
+    assert thread.real_time_factor == 2.0
+
+
+def test_a_call_that_waits_is_refused_at_the_end():
+    published, released = Event(), Event()
+
+    def publish(_):
+        published.set()
+        released.wait(10.0)
+
+    thread = SimulationThread(Simulation(World([Panda()])), steps=5)
+    thread.observe(publish)
+    thread.start()
+    assert published.wait(10.0)
+    with ThreadPoolExecutor(2) as pool:
+        waiting = pool.submit(thread.call, lambda: None)
+        wait_until(lambda: thread._calls)
+        ending = pool.submit(thread.stop)
+        wait_until(lambda: thread._stopping)
+        released.set()
+        with pytest.raises(SimulationEnded, match='the simulation has ended'):
+            waiting.result(timeout=10.0)
+        ending.result(timeout=10.0)
+
+
+def wait_until(condition):
+    end = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end, 'timed out'
+
+
+def test_a_command_that_fails_is_told_and_the_simulation_goes_on():
+    simulation, told = Simulation(World([Panda()])), []
+    thread = SimulationThread(
+        simulation, steps=5, paused=True,
+        tell_failure=lambda command, error: told.append((command, str(error))))
+    command = simulation.robot.parse.action('arm', [0.0] * 7)
+
+    def fail(*_, **__):
+        raise RuntimeError('broken')
+    simulation.robot.joints.apply = fail
+    thread.start()
+    (handle,) = thread.submit([command])
+    thread.step()
+    thread.step()
+    thread.stop()
+    assert told == [(command, 'broken')]
+    assert (handle.status, handle.reason) == (Status.ABORTED, 'broken')
+    assert thread.error is None
+
+
+@pytest.fixture
+def free():
+    """Return a function that makes a thread for some robots, ended after the test."""
+    threads = []
+
+    def start(*robots, **arguments):
+        threads.append(SimulationThread(Simulation(World(robots or [Panda()])), steps=5,
+                                        **arguments))
+        return threads[-1]
+    yield start
+    for thread in threads:
+        thread.stop()
+
+
+def test_each_observer_sees_the_periods_that_are_multiples_of_its_divider(free):
+    thread, seen = free(paused=True), {1: [], 3: [], 4: []}
+    for every, times in seen.items():
+        thread.observe(lambda simulation, times=times: times.append(simulation.time_ns), every)
+    thread.start()
+    for _ in range(12):
+        thread.step()
+    thread.stop()
+    # Beside these, the present state is repeated while nothing moves it on.
+    stepped = {every: list(dict.fromkeys(times))[1:] for every, times in seen.items()}
+    period_ns = 10_000_000
+    assert stepped[1] == [period_ns * n for n in range(2, 14)]
+    for every in (3, 4):
+        multiples = [t for t in stepped[1] if t // period_ns % every == 0]
+        assert set(multiples) <= set(stepped[every])
+    assert len(stepped[4]) < len(stepped[3]) < 12
+
+
+def test_observers_see_a_reset_whatever_their_divider(free):
+    thread, seen = free(paused=True), []
+    thread.observe(lambda simulation: seen.append(simulation.time_ns), every=1000)
+    thread.start()
+    thread.call(lambda: None)
+    before = thread.progress.time_ns
+    thread.reset()
+    assert before + 10_000_000 in seen
+
+
+def test_a_divider_below_one_is_refused(free):
+    with pytest.raises(ValueError, match='divider of an observer must be 1 or more, got 0'):
+        free().observe(lambda simulation: None, every=0)
+
+
+def test_an_observer_that_fails_ends_the_thread_and_is_told(free):
+    thread = free()
+
+    def fail(_):
+        raise RuntimeError('broken')
+    thread.observe(fail)
+    thread.start()
+    wait_until(lambda: thread.error is not None)
+    assert str(thread.error) == 'broken'
+    with pytest.raises(SimulationEnded):
+        thread.call(lambda: None)
+
+
+def test_each_of_two_robots_gets_its_own_commands(free):
+    panda, ur5e = Panda(), UR5e(idn=1)
+    ur5e.set_base_xpos([0.0, 2.0, 0.0])
+    thread = free(panda, ur5e, paused=True)
+    simulation = thread._simulation
+    start = {name: robot.state().position.copy() for name, robot in simulation.robots.items()}
+    goal = start['robot1'][:6] + 0.01
+    thread.start()
+    command = simulation.robots['robot1'].parse.joint_command(
+        simulation.robots['robot1'].joints.names, goal)
+    (handle,) = thread.submit(command, robot='robot1')
+    for _ in range(100):
+        thread.step()
+    thread.stop()
+    assert handle.status is Status.DONE
+    np.testing.assert_allclose(simulation.robots['robot1'].state().position[:6], goal, atol=1e-3)
+    np.testing.assert_allclose(simulation.robots['robot0'].state().position, start['robot0'],
+                               atol=1e-3)
+
+
+def test_lockstep_waits_for_the_parts_of_every_robot(free):
+    thread = free(Panda(), UR5e(idn=1), stepping='lockstep',
+                  lockstep_parts={'robot0': ['arm'], 'robot1': ['arm']})
+    simulation = thread._simulation
+    thread.start()
+    stamp = thread.call(lambda: simulation.time_ns)
+    answers = {name: [robot.parse.action('arm', np.zeros(len(robot.joints.names)))]
+               for name, robot in simulation.robots.items()}
+    thread.submit(answers['robot0'], stamp, 'robot0')
+    time.sleep(0.05)
+    assert thread.call(lambda: simulation.time_ns) == stamp
+    thread.submit(answers['robot1'], stamp, 'robot1')
+    wait_until(lambda: thread.progress.time_ns == stamp + 10_000_000)
+    with pytest.raises(CommandError, match='the present state is that of'):
+        thread.submit(answers['robot1'], stamp, 'robot1')
