@@ -78,7 +78,7 @@ def main() -> None:
     bare = best_s(lambda: mujoco.mj_step(model, data, STEPS))
     rows = [(f'mj_step, {STEPS} steps', bare),
             ('Simulation.advance', best_s(lambda: simulation.advance(STEPS))),
-            ('Simulation.state', best_s(simulation.state)),
+            ('SimulatedRobot.state', best_s(simulation.robot.state)),
             ('streamed goals, advance', best_s(streaming(simulation)))]
     publish = publishing(simulation)
     if publish is not None:
