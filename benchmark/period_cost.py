@@ -62,10 +62,11 @@ def publishing(simulation: Simulation) -> Callable[[], object] | None:
         return None
     from manip_sim.ros.log import RejectionLog
     from manip_sim.ros.publishers import StatePublishers
+    from manip_sim.ros.scope import Scope
     rclpy.init()
     node = rclpy.create_node('benchmark')
-    publishers = StatePublishers(node, simulation, True, RejectionLog(node.get_logger()))
-    return lambda: publishers.publish(simulation.robot.state())
+    publishers = StatePublishers(node, simulation.robot, Scope(), RejectionLog(node.get_logger()))
+    return lambda: publishers.publish(simulation)
 
 
 def main() -> None:
