@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import inspect
+from os import PathLike
 from typing import Any, ClassVar
 
 import mujoco
@@ -25,8 +27,10 @@ class Arena(MujocoXMLModel):
     """
     A world without robots; its names have no prefix.
 
-    A subclass gives :attr:`arena_name`: the folder of its file and its key in a robot's
-    ``base_xpos_offset``.
+    A subclass gives :attr:`arena_name`: its key in a robot's ``base_xpos_offset`` and the name
+    that it is created by; one that inherits it is not created by name.
+
+    :param fname: path of an MJCF file; by default that of our assets that has the arena's name
     """
 
     arena_name: ClassVar[str]
@@ -35,8 +39,8 @@ class Arena(MujocoXMLModel):
         super().__init_subclass__(**kwargs)
         ARENAS.register(cls)
 
-    def __init__(self) -> None:
-        super().__init__(asset_path('arenas', self.arena_name))
+    def __init__(self, fname: str | PathLike[str] | None = None) -> None:
+        super().__init__(fname or asset_path('arenas', self.arena_name))
 
     @property
     def naming_prefix(self) -> str:
@@ -58,7 +62,8 @@ class Arena(MujocoXMLModel):
         return self._spec.copy()
 
 
-ARENAS: Registry[Arena] = Registry('arena')
+ARENAS: Registry[Arena] = Registry(
+    'arena', Arena, takes=(), key=lambda cls: cls.__dict__.get('arena_name'))
 
 
 class EmptyArena(Arena):
@@ -81,7 +86,7 @@ class TableArena(Arena):
 
     def __init__(self, table_length_m: float = 0.8, table_height_m: float = 0.8,
                  cube: bool = False) -> None:
-        super().__init__()
+        super().__init__(asset_path('arenas', 'table'))
         thickness = 2.0 * self.spec.geom('table_collision').size[2]
         if not (table_length_m > 0.0 and table_height_m > thickness):
             raise ModelError(f'a table needs a length above 0 and a height above {thickness:g} m, '
@@ -123,16 +128,20 @@ class BinsArena(Arena):
 
 def arena_names() -> list[str]:
     """Return the names that :func:`create_arena` takes."""
-    return sorted(ARENAS.get(name).arena_name for name in ARENAS.names())
+    return ARENAS.names()
 
 
 def create_arena(name: str, **parameters: Any) -> Arena:
     """
     Create an arena by its name, such as ``table``.
 
-    :raises UnknownNameError: naming the nearest ones
+    :param parameters: those of its constructor, such as ``table_height_m``
+    :raises UnknownNameError: naming the nearest ones, of the arena or a parameter
+    :raises ModelError: if it is one of another package and cannot be imported
     """
-    by_name = {ARENAS.get(cls).arena_name: ARENAS.get(cls) for cls in ARENAS.names()}
-    if name not in by_name:
-        raise UnknownNameError('arena', name, sorted(by_name))
-    return by_name[name](**parameters)
+    known = inspect.signature(ARENAS.get(name)).parameters
+    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
+        for parameter in parameters:
+            if parameter not in known:
+                raise UnknownNameError(f"parameter of arena '{name}'", parameter, known)
+    return ARENAS.create(name, **parameters)

@@ -1,48 +1,175 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find model classes by name; a class that is defined is a class that can be created."""
+"""Find model classes by name: those that are defined, and those that other packages offer."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import importlib
 import inspect
+import logging
 import pkgutil
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.entry_points import Offer, offers
 
 T = TypeVar('T')
+_LOGGER = logging.getLogger('manip_sim.models')
+#: The offers of other packages that are being imported, the latest last.
+_importing: list[Offer] = []
 
 
 class Registry(Generic[T]):
     """
-    Classes of one kind, by class name.
+    Classes of one kind by name; a class that is defined is known.
 
-    :param kind: what the classes are, for messages: ``robot``, ``gripper``, ``base``
+    Other packages offer theirs as entry points of the group ``manip_sim.{kind}s``. They are
+    imported when they are asked for by name, or all names are; one that cannot be used hides none
+    of the others, and replaces no class that is there already.
+
+    :param kind: what the classes are, for messages: ``robot``, ``gripper``, ``base``, ``arena``
+    :param base: what all of them derive from
+    :param takes: the keyword arguments that a class is created with by name
+    :param key: gives the name of a class, or None for a class without one
     """
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, base: type[T], takes: tuple[str, ...] = ('idn',),
+                 key: Callable[[type[T]], str | None] = lambda cls: cls.__name__) -> None:
         self.kind = kind
+        self._base = base
+        self._takes = takes
+        self._key = key
         self._classes: dict[str, type[T]] = {}
+        #: By offer, the class, or why there is none.
+        self._loaded: dict[Offer, type[T] | ModelError] = {}
 
     def register(self, cls: type[T]) -> None:
         """Make a class known under its name; a later class of that name replaces it."""
-        self._classes[cls.__name__] = cls
+        name = self._key(cls)
+        if name is None:
+            return
+        if _importing and self._is_another(name, cls):
+            _LOGGER.warning('%s defines a %s %r, which is there already and stays',
+                            _importing[-1], self.kind, name)
+            return
+        self._classes[name] = cls
+
+    def _is_another(self, name: str, cls: type[T]) -> bool:
+        there = self._classes.get(name)
+        return there is not None and (there.__module__, there.__qualname__) != (
+            cls.__module__, cls.__qualname__)
 
     def names(self) -> list[str]:
         """Return the names of all classes that can be created, sorted."""
-        return sorted(n for n, cls in self._classes.items() if not inspect.isabstract(cls))
+        for name, offer in offers(self._group).items():
+            first_time = offer not in self._loaded
+            try:
+                self._load(name, offer)
+            except ModelError as error:
+                if first_time:
+                    _LOGGER.warning('%s', error)
+        return sorted(name for name, cls in self._classes.items()
+                      if self._is_public(name, cls) and not self._missing_arguments(cls))
 
     def get(self, name: str) -> type[T]:
         """
         Return the class of a name.
 
         :raises UnknownNameError: naming the nearest ones
+        :raises ModelError: if it is a class that cannot be created by name, or another package
+            offers it and it cannot be imported
         """
-        if name not in self.names():
+        if name not in self._classes:
+            offer = offers(self._group).get(name)
+            if offer is not None:
+                return self._load(name, offer)
+        cls = self._classes.get(name)
+        if cls is None or not self._is_public(name, cls):
             raise UnknownNameError(self.kind, name, self.names())
-        return self._classes[name]
+        missing = self._missing_arguments(cls)
+        if missing:
+            raise ModelError(f"{self.kind} '{name}' cannot be created by its name: {missing}")
+        return cls
+
+    def create(self, name: str, **arguments: Any) -> T:
+        """Create an instance of the class of a name; raises what :meth:`get` does."""
+        create: Callable[..., T] = self.get(name)
+        return create(**arguments)
+
+    def attribute(self, module: str, name: str) -> type[T]:
+        """
+        Return the class of a name as an attribute of a module, for its ``__getattr__``.
+
+        :raises AttributeError: if there is none, as for any module
+        """
+        try:
+            if not name.startswith('_'):
+                return self.get(name)
+        except UnknownNameError:
+            pass
+        except ModelError as error:
+            raise AttributeError(f"module '{module}' has no '{name}': {error}") from error
+        raise AttributeError(f"module '{module}' has no attribute '{name}'")
+
+    @property
+    def _group(self) -> str:
+        return f'manip_sim.{self.kind}s'
+
+    def _load(self, name: str, offer: Offer) -> type[T]:
+        if offer not in self._loaded:
+            # Of an offer whose module asks for names while it is imported.
+            self._loaded[offer] = ModelError(f'{self.kind} {offer} is being imported')
+            try:
+                self._loaded[offer] = self._import(name, offer)
+            except ModelError as error:
+                self._loaded[offer] = error
+        cls = self._loaded[offer]
+        if isinstance(cls, ModelError):
+            raise ModelError(str(cls)) from cls.__cause__
+        self._classes.setdefault(name, cls)
+        return cls
+
+    def _import(self, name: str, offer: Offer) -> type[T]:
+        with _importing_from(offer):
+            try:
+                cls = offer.load()
+            except ModelError as error:
+                raise ModelError(f'{self.kind} {error}') from error.__cause__
+        if not (inspect.isclass(cls) and issubclass(cls, self._base)):
+            raise ModelError(f'{self.kind} {offer} must be a class that derives from '
+                             f'{self._base.__name__}, got {cls!r:.60}')
+        missing = self._missing_arguments(cls)
+        if missing or not self._is_public(name, cls):
+            raise ModelError(f'{self.kind} {offer} cannot be created by its name: '
+                             f'{missing or "it is abstract or private"}')
+        if self._classes.get(name, cls) is not cls:
+            raise ModelError(f'{self.kind} {offer} is left out: there is one of that name already')
+        return cls
+
+    @staticmethod
+    def _is_public(name: str, cls: type[T]) -> bool:
+        return not (name.startswith('_') or inspect.isabstract(cls))
+
+    def _missing_arguments(self, cls: type[T]) -> str:
+        """Say why a class cannot be created by name; empty where it can."""
+        takes = ', '.join(self._takes) or 'no argument'
+        try:
+            inspect.signature(cls).bind(**dict.fromkeys(self._takes))
+        except (TypeError, ValueError) as error:
+            return f'its constructor must take {takes}, and have defaults for all else ({error})'
+        return ''
+
+
+@contextmanager
+def _importing_from(offer: Offer) -> Iterator[None]:
+    _importing.append(offer)
+    try:
+        yield
+    finally:
+        _importing.pop()
 
 
 def import_submodules(package: str, path: list[str]) -> None:

@@ -7,9 +7,11 @@ import re
 
 import pytest
 
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import arenas, bases, grippers, robots
+from manip_sim.models.arenas import TableArena
 from manip_sim.models.registry import Registry
+from manip_sim.models.robots import Panda
 
 CATALOGUES = {
     'robot': (robots.robot_names, robots.create_robot, robots),
@@ -73,8 +75,47 @@ def test_class_that_a_user_defines_can_be_created_by_name(robot_class):
     assert robots.create_robot('MyRobot', idn=2).idn == 2
 
 
+def test_only_what_its_name_suffices_for_is_listed(robot_class, arm_class, gripper_class):
+    class _Hidden(Panda):
+        pass
+
+    class ByFile(Panda):
+        def __init__(self, fname, idn=0):
+            super().__init__(idn)
+
+    class WithoutNumber(Panda):
+        def __init__(self):
+            super().__init__()
+
+    class WithChoice(Panda):
+        def __init__(self, idn=0, tool='none'):
+            super().__init__(idn)
+
+    names = robots.robot_names()
+    assert {'_Hidden', 'ByFile', 'WithoutNumber', 'Robot', 'Arm'}.isdisjoint(names)
+    assert 'WithChoice' in names
+    assert 'MyGripper' not in grippers.gripper_names()
+
+
+def test_class_that_needs_more_than_a_name_says_what(arm_class):
+    with pytest.raises(ModelError, match=r"^robot 'Arm' cannot be created by its name: its "
+                                         r'constructor must take idn, and have defaults for all '
+                                         r"else \(missing a required argument: 'fname'\)$"):
+        robots.create_robot('Arm')
+    with pytest.raises(AttributeError, match=r"^module 'manip_sim.models.robots' has no 'Arm': "):
+        robots.Arm  # noqa: B018
+
+
+@pytest.mark.parametrize('module', [robots, grippers, bases])
+def test_every_shipped_class_is_an_export_with_its_own_type(module):
+    (names,) = (function for name, function in vars(module).items() if name.endswith('_names'))
+    shipped = {name for name in names()
+               if getattr(module, name).__module__.startswith('manip_sim.')}
+    assert shipped <= set(module.__all__) & set(vars(module))
+
+
 def test_later_class_of_a_name_replaces_the_earlier_one():
-    registry = Registry('thing')
+    registry = Registry('thing', object, takes=())
     first, second = type('Thing', (), {}), type('Thing', (), {})
     registry.register(first)
     registry.register(second)
@@ -84,7 +125,7 @@ def test_later_class_of_a_name_replaces_the_earlier_one():
 
 def test_empty_registry_says_so():
     with pytest.raises(UnknownNameError, match=r"^unknown thing 'a': available: none$"):
-        Registry('thing').get('a')
+        Registry('thing', object).get('a')
 
 
 @pytest.mark.parametrize('name', arenas.arena_names())
@@ -102,3 +143,23 @@ def test_unknown_arena_tells_the_nearest():
 
 def test_parameters_of_an_arena_are_passed_on():
     assert arenas.create_arena('table', table_length_m=1.1).table_length_m == 1.1
+
+
+def test_unknown_parameter_of_an_arena_tells_the_nearest():
+    with pytest.raises(UnknownNameError, match=r"^unknown parameter of arena 'table' "
+                                               r"'table_heigth_m': did you mean 'table_height_m'"):
+        arenas.create_arena('table', table_heigth_m=1.1)
+
+
+def test_arena_that_inherits_its_name_replaces_none():
+    class LongTable(TableArena):
+        pass
+
+    class Bench(TableArena):
+        arena_name = 'bench'
+
+        def __init__(self, length_m):
+            super().__init__(length_m)
+
+    assert type(arenas.create_arena('table')) is TableArena
+    assert {'LongTable', 'bench'}.isdisjoint(arenas.arena_names())

@@ -5,6 +5,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from manip_sim.models.bases.no_actuation_base import NoActuationBase
+from manip_sim.models.bases.null_mobile_base import NullMobileBase
+from manip_sim.models.bases.null_mount import NullMount
+from manip_sim.models.bases.omron_mobile_base import OmronMobileBase
+from manip_sim.models.bases.rethink_minimal_mount import RethinkMinimalMount
+from manip_sim.models.bases.rethink_mount import RethinkMount
 from manip_sim.models.bases.robot_base_model import (
     BASES, MobileBaseModel, MountModel, RobotBaseModel)
 from manip_sim.models.registry import import_submodules
@@ -19,17 +27,20 @@ def base_names() -> list[str]:
 
 def create_base(name: str, idn: int | str = 0) -> RobotBaseModel:
     """
-    Create a base by its class name.
+    Create a base by its name: that of its class, or of an entry point.
 
     :raises UnknownNameError: naming the nearest ones
+    :raises ModelError: if it is one of another package and cannot be imported
     """
-    return BASES.get(name)(idn=idn)  # type: ignore[call-arg]
+    return BASES.create(name, idn=idn)
 
 
-def __getattr__(name: str) -> type[RobotBaseModel]:
-    if name in BASES.names():
-        return BASES.get(name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+if not TYPE_CHECKING:
+    def __getattr__(name: str) -> type[RobotBaseModel]:
+        return BASES.attribute(__name__, name)
 
 
-__all__ = ['MobileBaseModel', 'MountModel', 'RobotBaseModel', 'base_names', 'create_base']
+__all__ = [
+    'MobileBaseModel', 'MountModel', 'NoActuationBase', 'NullMobileBase', 'NullMount',
+    'OmronMobileBase', 'RethinkMinimalMount', 'RethinkMount', 'RobotBaseModel', 'base_names',
+    'create_base']

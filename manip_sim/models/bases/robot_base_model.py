@@ -35,7 +35,7 @@ class RobotBaseModel(MujocoXMLModel):
         return np.array(self._top_offset)
 
 
-BASES: Registry[RobotBaseModel] = Registry('base')
+BASES: Registry[RobotBaseModel] = Registry('base', RobotBaseModel)
 
 
 class MountModel(RobotBaseModel, registered=False):

@@ -5,7 +5,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from manip_sim.models.grippers.fourier_hand import FourierLeftHand, FourierRightHand
 from manip_sim.models.grippers.gripper_model import GripperModel, GRIPPERS
+from manip_sim.models.grippers.jaco_three_finger_gripper import (
+    JacoThreeFingerDexterousGripper, JacoThreeFingerGripper)
+from manip_sim.models.grippers.null_gripper import NullGripper
+from manip_sim.models.grippers.panda_gripper import PandaGripper
+from manip_sim.models.grippers.rethink_gripper import RethinkGripper
+from manip_sim.models.grippers.robotiq_140_gripper import Robotiq140Gripper
+from manip_sim.models.grippers.robotiq_85_gripper import Robotiq85Gripper
+from manip_sim.models.grippers.robotiq_three_finger_gripper import (
+    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper)
+from manip_sim.models.grippers.wiping_gripper import WipingGripper
 from manip_sim.models.registry import import_submodules
 
 import_submodules(__name__, __path__)
@@ -18,17 +31,21 @@ def gripper_names() -> list[str]:
 
 def create_gripper(name: str, idn: int | str = 0) -> GripperModel:
     """
-    Create a gripper by its class name.
+    Create a gripper by its name: that of its class, or of an entry point.
 
     :raises UnknownNameError: naming the nearest ones
+    :raises ModelError: if it is one of another package and cannot be imported
     """
-    return GRIPPERS.get(name)(idn=idn)  # type: ignore[call-arg]
+    return GRIPPERS.create(name, idn=idn)
 
 
-def __getattr__(name: str) -> type[GripperModel]:
-    if name in GRIPPERS.names():
-        return GRIPPERS.get(name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+if not TYPE_CHECKING:
+    def __getattr__(name: str) -> type[GripperModel]:
+        return GRIPPERS.attribute(__name__, name)
 
 
-__all__ = ['GripperModel', 'create_gripper', 'gripper_names']
+__all__ = [
+    'FourierLeftHand', 'FourierRightHand', 'GripperModel', 'JacoThreeFingerDexterousGripper',
+    'JacoThreeFingerGripper', 'NullGripper', 'PandaGripper', 'RethinkGripper', 'Robotiq140Gripper',
+    'Robotiq85Gripper', 'RobotiqThreeFingerDexterousGripper', 'RobotiqThreeFingerGripper',
+    'WipingGripper', 'create_gripper', 'gripper_names']

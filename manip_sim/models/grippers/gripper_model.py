@@ -191,7 +191,8 @@ class GripperModel(MujocoXMLModel, ABC):
         return self.current_action.copy()
 
 
-GRIPPERS: Registry[GripperModel] = Registry('gripper')
+GRIPPERS: Registry[GripperModel] = Registry(
+    'gripper', GripperModel)  # type: ignore[type-abstract]
 
 
 def _add_site(body: Any, name: str, pos: ArrayLike) -> None:

@@ -5,9 +5,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from manip_sim.models.registry import import_submodules
+from manip_sim.models.robots.baxter import Baxter
+from manip_sim.models.robots.gr1 import GR1
+from manip_sim.models.robots.iiwa import IIWA
+from manip_sim.models.robots.jaco import Jaco
+from manip_sim.models.robots.kinova3 import Kinova3
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
+from manip_sim.models.robots.panda import Panda
+from manip_sim.models.robots.panda_omron import PandaOmron
 from manip_sim.models.robots.robot_model import RobotModel, ROBOTS
+from manip_sim.models.robots.sawyer import Sawyer
+from manip_sim.models.robots.ur5e import UR5e
 
 import_submodules(__name__, __path__)
 
@@ -19,24 +30,26 @@ def robot_names() -> list[str]:
 
 def create_robot(name: str, idn: int | str = 0, prefix: str = '') -> RobotModel:
     """
-    Create a robot by its class name.
+    Create a robot by its name: that of its class, or of an entry point.
 
     :param idn: number or word in the prefix ``robot{idn}_``
     :param prefix: instead of that, the beginning of all names of the robot and of all that is
         mounted on it, such as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
     :raises UnknownNameError: naming the nearest ones
-    :raises ModelError: if names cannot begin with the prefix
+    :raises ModelError: if names cannot begin with the prefix, or the robot is one of another
+        package and cannot be imported
     """
-    robot = ROBOTS.get(name)(idn=idn)  # type: ignore[call-arg]
+    robot = ROBOTS.create(name, idn=idn)
     if prefix:
         robot.set_naming_prefix(prefix)
     return robot
 
 
-def __getattr__(name: str) -> type[RobotModel]:
-    if name in ROBOTS.names():
-        return ROBOTS.get(name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+if not TYPE_CHECKING:
+    def __getattr__(name: str) -> type[RobotModel]:
+        return ROBOTS.attribute(__name__, name)
 
 
-__all__ = ['ManipulatorModel', 'RobotModel', 'create_robot', 'robot_names']
+__all__ = [
+    'Baxter', 'GR1', 'IIWA', 'Jaco', 'Kinova3', 'ManipulatorModel', 'Panda', 'PandaOmron',
+    'RobotModel', 'Sawyer', 'UR5e', 'create_robot', 'robot_names']

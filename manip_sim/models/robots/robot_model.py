@@ -333,4 +333,4 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         root.set_frame(self._spec.worldbody.add_frame())
 
 
-ROBOTS: Registry[RobotModel] = Registry('robot')
+ROBOTS: Registry[RobotModel] = Registry('robot', RobotModel)  # type: ignore[type-abstract]

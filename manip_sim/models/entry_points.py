@@ -1,0 +1,90 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find the classes that other packages offer as Python entry points; importing them is apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata
+import logging
+import sys
+from typing import Any
+
+from manip_sim.errors import ModelError
+
+_LOGGER = logging.getLogger('manip_sim.models')
+
+
+@dataclass(frozen=True)
+class Offer:
+    """
+    One entry point.
+
+    :ivar name: of the robot, gripper, base or arena
+    :ivar value: where its class is, such as ``my_robots.arms:MyArm``
+    :ivar package: name and version of the package that offers it
+    """
+
+    name: str
+    value: str
+    package: str
+    _entry_point: metadata.EntryPoint
+
+    def load(self) -> Any:
+        """
+        Import the module and return what the entry point names.
+
+        :raises ModelError: if that raises anything
+        """
+        try:
+            return self._entry_point.load()
+        except (Exception, SystemExit) as error:
+            what = ' '.join(str(error).split()) or 'no message'
+            raise ModelError(f'{self} cannot be imported: {type(error).__name__}: {what}'
+                             ) from error
+
+    def __str__(self) -> str:
+        return f"'{self.name}' of the package {self.package} ({self.value})"
+
+
+def offers(group: str) -> dict[str, Offer]:
+    """
+    Return what the packages on ``sys.path`` offer, by name; of two offers the first on the path.
+
+    :param group: such as ``manip_sim.robots``
+    """
+    found: dict[str, Offer] = {}
+    for entry_group, offer in _all_offers(tuple(sys.path)):
+        if entry_group == group:
+            found.setdefault(offer.name, offer)
+    return found
+
+
+@lru_cache(maxsize=4)
+def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
+    found, packages = [], set()
+    for distribution in metadata.distributions(path=list(path)):
+        try:
+            name, version = distribution.name, distribution.version
+            offered = list(_of_ours(distribution, f'{name} {version}'))
+        except Exception as error:
+            # One damaged package must not hide the others.
+            _LOGGER.warning('cannot read the entry points of %s: %s: %s',
+                            getattr(distribution, '_path', 'a package'), type(error).__name__,
+                            ' '.join(str(error).split()))
+            continue
+        if name not in packages:
+            packages.add(name)
+            found += offered
+    return tuple(found)
+
+
+def _of_ours(distribution: metadata.Distribution, package: str) -> Iterator[tuple[str, Offer]]:
+    if 'manip_sim' not in (distribution.read_text('entry_points.txt') or ''):
+        return
+    for point in distribution.entry_points:
+        if point.group.startswith('manip_sim.'):
+            yield point.group, Offer(point.name, point.value, package, point)

@@ -1,0 +1,53 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The types that users see: the Python examples of the README pass ``mypy --strict``."""
+
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BLOCKS = [block for block in re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(),
+                                        re.DOTALL) if 'manip_sim' in block]
+WRONG = """
+from manip_sim.models.robots import Panda, Pandda
+from manip_sim.models.grippers import PandaGripper
+Panda().add_gripper('PandaGripper')
+PandaGripper().add_base(None)
+"""
+
+
+@pytest.fixture
+def check(tmp_path):
+    """Return a function that checks code as a user does, without the settings of this project."""
+    pytest.importorskip('mypy', reason='mypy is not installed')
+
+    def run(code):
+        file = tmp_path / 'example.py'
+        file.write_text(code)
+        done = subprocess.run(
+            [sys.executable, '-m', 'mypy', '--strict', '--config-file=',
+             '--follow-imports=silent', str(file)],
+            capture_output=True, text=True, cwd=tmp_path, timeout=110,
+            env={**os.environ, 'MYPYPATH': str(ROOT)})
+        assert not done.stderr
+        return done.stdout
+    return run
+
+
+def test_the_python_examples_of_the_readme_are_well_typed(check):
+    assert BLOCKS
+    for block in BLOCKS:
+        assert check(block) == 'Success: no issues found in 1 source file\n'
+
+
+def test_a_wrong_name_or_argument_is_found(check):
+    found = check(WRONG)
+    assert 'has no attribute "Pandda"' in found
+    assert 'Argument 1 to "add_gripper"' in found
+    assert '"PandaGripper" has no attribute "add_base"' in found
