@@ -23,6 +23,11 @@ def quoted(text: object, limit: int = _TEXT_LIMIT) -> str:
     return f'{text[:limit]!r}{"..." if len(text) > limit else ""}'
 
 
+def shown(value: object, limit: int = _TEXT_LIMIT) -> str:
+    """Return a value that came from outside: a text in quotes, another one, cut, as it is."""
+    return quoted(value, limit) if isinstance(value, str) else one_line(str(value), limit)
+
+
 def quoted_names(names: Sequence[object], limit: int = _NAMES_LIMIT) -> str:
     """
     Return names in quotes, separated by commas.

@@ -9,11 +9,13 @@ import inspect
 from os import PathLike
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.arena_parameters import ArenaParameter, check_arguments
+from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.resources import asset_path
@@ -21,6 +23,10 @@ from manip_sim.typing import FloatArray
 
 CUBE_EDGE_M = 0.05
 CUBE_MASS_KG = 0.1
+#: From the edges of a table to the middle of its legs [m].
+_LEG_INSET_M = 0.1
+#: Of the bins' floors in their file [m].
+_BIN_HEIGHT_M = 0.82
 
 
 class Arena(MujocoXMLModel):
@@ -28,12 +34,14 @@ class Arena(MujocoXMLModel):
     A world without robots; its names have no prefix.
 
     A subclass gives :attr:`arena_name`: its key in a robot's ``base_xpos_offset`` and the name
-    that it is created by; one that inherits it is not created by name.
+    that it is created by, where it does not inherit it; and :attr:`parameters`, those of its
+    constructor.
 
     :param fname: path of an MJCF file; by default that of our assets that has the arena's name
     """
 
     arena_name: ClassVar[str]
+    parameters: ClassVar[tuple[ArenaParameter, ...]] = ()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -41,6 +49,12 @@ class Arena(MujocoXMLModel):
 
     def __init__(self, fname: str | PathLike[str] | None = None) -> None:
         super().__init__(fname or asset_path('arenas', self.arena_name))
+        self._objects: list[ObjectModel] = []
+
+    @property
+    def objects(self) -> list[ObjectModel]:
+        """The objects that belong to this arena, which worlds attach after the robots; a copy."""
+        return list(self._objects)
 
     @property
     def naming_prefix(self) -> str:
@@ -58,8 +72,30 @@ class Arena(MujocoXMLModel):
         return 0.0
 
     def compose(self) -> Any:
-        """Return a new ``mujoco.MjSpec`` of the arena alone."""
+        """Return a new ``mujoco.MjSpec`` of the arena alone, without its objects."""
         return self._spec.copy()
+
+    def compile(self) -> Any:
+        """
+        Compile the arena with its objects.
+
+        :returns: a new ``mujoco.MjModel``
+        :raises ModelError: with what MuJoCo says
+        """
+        return compile_spec(self._compose_all(), self.name)
+
+    def to_xml(self) -> str:
+        """Return the MJCF of the arena with its objects."""
+        spec = self._compose_all()
+        compile_spec(spec, self.name)
+        xml: str = spec.to_xml()
+        return xml
+
+    def _compose_all(self) -> Any:
+        spec = self.compose()
+        for item in self._objects:
+            item.attach(spec)
+        return spec
 
 
 ARENAS: Registry[Arena] = Registry(
@@ -74,45 +110,50 @@ class EmptyArena(Arena):
 
 class TableArena(Arena):
     """
-    A table in front of the robot.
+    A table in front of the robot, its middle at the origin.
 
     :param table_length_m: edge along x [m]
     :param table_height_m: of the top surface above the floor [m]
     :param cube: put a free cube of 0.05 m and 0.1 kg, ``cube``, on the middle of the table
-    :raises ModelError: if the table has no size
+    :param table_width_m: edge along y [m]
+    :param friction: sliding friction of the top
+    :raises ModelError: naming parameter and limits
     """
 
     arena_name = 'table'
+    parameters = (
+        ArenaParameter('table_length', 0.8, 'edge of the table along x', 'm', 0.3, 5.0,
+                       'table_length_m'),
+        ArenaParameter('table_width', 0.8, 'edge of the table along y', 'm', 0.3, 5.0,
+                       'table_width_m'),
+        ArenaParameter('table_height', 0.8, 'height of the top surface above the floor', 'm',
+                       0.1, 2.0, 'table_height_m'),
+        ArenaParameter('friction', 1.0, 'sliding friction of the top', '', 0.0, 10.0),
+        ArenaParameter('cube', False, 'put a free cube of 0.05 m and 0.1 kg on the table'))
 
     def __init__(self, table_length_m: float = 0.8, table_height_m: float = 0.8,
-                 cube: bool = False) -> None:
+                 cube: bool = False, *, table_width_m: float = 0.8, friction: float = 1.0) -> None:
+        check_arguments(self.parameters, self.arena_name, table_length_m=table_length_m,
+                        table_height_m=table_height_m, cube=cube, table_width_m=table_width_m,
+                        friction=friction)
         super().__init__(asset_path('arenas', 'table'))
-        thickness = 2.0 * self.spec.geom('table_collision').size[2]
-        if not (table_length_m > 0.0 and table_height_m > thickness):
-            raise ModelError(f'a table needs a length above 0 and a height above {thickness:g} m, '
-                             f'got {table_length_m:g} m and {table_height_m:g} m')
         self._length_m = table_length_m
-        self._fit_table(table_length_m, table_height_m, thickness)
+        self._fit_table(np.array([table_length_m, table_width_m]), table_height_m)
+        self.spec.geom('table_collision').friction[0] = friction
         if cube:
-            self._add_cube(table_height_m)
+            self._objects.append(_cube(table_height_m))
         self._record()
 
-    def _fit_table(self, length_m: float, height_m: float, thickness: float) -> None:
+    def _fit_table(self, edges_m: FloatArray, height_m: float) -> None:
         spec = self.spec
+        thickness = 2.0 * spec.geom('table_collision').size[2]
         spec.body('table').pos[2] = height_m - thickness / 2.0
-        spec.geom('table_collision').size[0] = length_m / 2.0
+        spec.geom('table_collision').size[:2] = edges_m / 2.0
         half_leg = (height_m - thickness) / 2.0
         for leg in (geom for geom in spec.geoms if geom.name.startswith('table_leg')):
-            leg.pos[0] = np.sign(leg.pos[0]) * (length_m / 2.0 - 0.1)
+            leg.pos[:2] = np.sign(leg.pos[:2]) * (edges_m / 2.0 - _LEG_INSET_M)
             leg.pos[2] = -thickness / 2.0 - half_leg
             leg.size[1] = half_leg
-
-    def _add_cube(self, table_height_m: float) -> None:
-        half = CUBE_EDGE_M / 2.0
-        cube = self.spec.worldbody.add_body(name='cube', pos=[0.0, 0.0, table_height_m + half])
-        cube.add_freejoint(name='cube_joint')
-        cube.add_geom(name='cube', type=mujoco.mjtGeom.mjGEOM_BOX, size=[half] * 3,
-                      mass=CUBE_MASS_KG, rgba=[0.8, 0.2, 0.15, 1.0], friction=[1.0, 0.005, 0.0001])
 
     @property
     def table_length_m(self) -> float:
@@ -120,10 +161,42 @@ class TableArena(Arena):
         return self._length_m
 
 
+def _cube(table_height_m: float) -> ObjectModel:
+    return create_object({
+        'name': 'cube', 'shape': 'box', 'size': [CUBE_EDGE_M] * 3, 'mass': CUBE_MASS_KG,
+        'position': [0.0, 0.0, table_height_m + CUBE_EDGE_M / 2.0],
+        'rgba': [0.8, 0.2, 0.15, 1.0], 'friction': [1.0, 0.005, 0.0001]})
+
+
 class BinsArena(Arena):
-    """An open bin, ``bin1``, and one with four compartments, ``bin2``, side by side."""
+    """
+    An open bin, ``bin1``, and one with four compartments, ``bin2``, side by side.
+
+    :param bin_height_m: of the bins' floors above the floor [m]
+    :param friction: sliding friction of floors and walls
+    :raises ModelError: naming parameter and limits
+    """
 
     arena_name = 'bins'
+    parameters = (
+        ArenaParameter('bin_height', _BIN_HEIGHT_M, "height of the bins' floors above the floor",
+                       'm', 0.1, 2.0, 'bin_height_m'),
+        ArenaParameter('friction', 1.0, 'sliding friction of floors and walls', '', 0.0, 10.0))
+
+    def __init__(self, bin_height_m: float = _BIN_HEIGHT_M, *, friction: float = 1.0) -> None:
+        check_arguments(self.parameters, self.arena_name, bin_height_m=bin_height_m,
+                        friction=friction)
+        super().__init__()
+        higher = bin_height_m - _BIN_HEIGHT_M
+        for bin_ in (self.spec.body('bin1'), self.spec.body('bin2')):
+            bin_.pos[2] += higher
+            for geom in bin_.geoms:
+                if geom.name.endswith('_visual'):
+                    geom.pos[2] -= higher / 2.0
+                    geom.size[1] += higher / 2.0
+                else:
+                    geom.friction[0] = friction
+        self._record()
 
 
 def arena_names() -> list[str]:
@@ -135,13 +208,33 @@ def create_arena(name: str, **parameters: Any) -> Arena:
     """
     Create an arena by its name, such as ``table``.
 
-    :param parameters: those of its constructor, such as ``table_height_m``
-    :raises UnknownNameError: naming the nearest ones, of the arena or a parameter
-    :raises ModelError: if it is one of another package and cannot be imported
+    :param parameters: as in the arena's :attr:`Arena.parameters`, by name or by the keyword of its
+        constructor
+    :raises UnknownNameError: if there is no such arena or parameter, naming the nearest ones
+    :raises ModelError: if a value is not within the limits of its parameter, or the arena is one
+        of another package and cannot be imported
     """
-    known = inspect.signature(ARENAS.get(name)).parameters
-    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values()):
-        for parameter in parameters:
-            if parameter not in known:
-                raise UnknownNameError(f"parameter of arena '{name}'", parameter, known)
-    return ARENAS.create(name, **parameters)
+    kind = ARENAS.get(name)
+    argument_of = {parameter.name: parameter.argument for parameter in kind.parameters}
+    keywords = inspect.signature(kind).parameters
+    takes_any = any(keyword.kind is keyword.VAR_KEYWORD for keyword in keywords.values())
+    arguments: dict[str, Any] = {}
+    for given, value in parameters.items():
+        argument = argument_of.get(given, given)
+        if argument not in keywords and not takes_any:
+            raise UnknownNameError(f'parameter of the arena {name}', given,
+                                   argument_of or keywords)
+        if argument in arguments:
+            raise ModelError(f"parameter '{given}' of the arena {name} is given twice")
+        arguments[argument] = value
+    return ARENAS.create(name, **arguments)
+
+
+def arena_parameters(name: str) -> tuple[ArenaParameter, ...]:
+    """
+    Return the parameters of an arena.
+
+    :raises UnknownNameError: naming the nearest ones
+    """
+    return ARENAS.get(name).parameters
+

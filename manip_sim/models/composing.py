@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Union
 
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.bases import create_base, RobotBaseModel
 from manip_sim.models.grippers import create_gripper, GripperModel
+from manip_sim.models.objects import Description
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.world import World
 
@@ -75,7 +76,9 @@ def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEF
             base: Base = DEFAULT, arena: str | Arena = 'empty', *, idn: int | str = 0,
             prefix: str = '', position: ArrayLike | None = None,
             orientation: ArrayLike | None = None, timestep_s: float = 0.002,
-            gravity_compensation: bool = True, **arena_parameters: Any) -> World:
+            gravity_compensation: bool = True, objects: Iterable[Description] = (),
+            initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
+            **arena_parameters: Any) -> World:
     """
     Return a world with one robot; the other parameters are those of :func:`compose_robot`.
 
@@ -85,7 +88,9 @@ def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEF
     :param orientation: roll, pitch, yaw of the root in the world [rad], shape (3,)
     :param timestep_s: of the physics [s], a whole number of nanoseconds
     :param gravity_compensation: let the joints' actuators carry the weight, see :class:`World`
-    :param arena_parameters: of an arena that is given by name, such as ``table_height_m``
+    :param objects: free bodies: objects, mappings, MJCF files or YAML files, see :class:`World`
+    :param initialization_noise: of the start, with its ``seed``, see :class:`World`
+    :param arena_parameters: of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
     """
@@ -99,4 +104,5 @@ def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEF
     elif arena_parameters:
         raise ModelError('parameters are for an arena that is given by name, '
                          f'got {", ".join(arena_parameters)}')
-    return World([whole], arena, timestep_s, gravity_compensation)
+    return World([whole], arena, timestep_s, gravity_compensation, objects=objects,
+                 initialization_noise=initialization_noise, seed=seed)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import math
 from typing import Any
 
@@ -14,8 +14,10 @@ import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, EmptyArena
+from manip_sim.models.initialization_noise import InitializationNoise
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 
 #: Friction cones and their stiffness: what lets a grasp hold without creeping
@@ -36,10 +38,19 @@ class World:
     :param gravity_compensation: let the joints' actuators carry the weight of all links and
         grippers, as the controller of a real arm does; it counts as actuator force. A robot
         whose root has a free joint falls and stands by its own weight and has none
+    :param objects: free bodies, as for :func:`create_objects`; they come after those of the arena
+    :param initialization_noise: added to the start of the robots' own joints, see
+        :class:`InitializationNoise`; None for none
+    :param seed: of that noise; None draws one
+    :ivar objects: all objects, in the order of the compiled world
+    :ivar noise: the noise with its seed, or None
     """
 
     def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
-                 timestep_s: float = 0.002, gravity_compensation: bool = True) -> None:
+                 timestep_s: float = 0.002, gravity_compensation: bool = True, *,
+                 objects: Iterable[Description] = (),
+                 initialization_noise: Mapping[str, Any] | None = None,
+                 seed: int | None = None) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = _whole_nanoseconds(timestep_s)
@@ -48,6 +59,10 @@ class World:
         if len(set(prefixes)) != len(prefixes):
             raise ModelError('robots in one world need different idn or prefix, got '
                              + ', '.join(prefixes))
+        self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
+        check_object_names(self.objects)
+        self.noise = (None if initialization_noise is None
+                      else InitializationNoise(initialization_noise, seed))
 
     @property
     def name(self) -> str:
@@ -60,12 +75,16 @@ class World:
         return [actuator for robot in self.robots if isinstance(robot, ManipulatorModel)
                 for gripper in robot.grippers.values() for actuator in gripper.actuators]
 
-    def compose(self, visual: bool = True) -> Any:
+    def compose(self, visual: bool = True, objects: bool = True) -> Any:
         """
         Return a new ``mujoco.MjSpec`` of the whole world.
 
+        Objects are last, so that no address of a robot depends on them.
+
         :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
             a step costs less and gives the same states
+        :param objects: with :attr:`objects`
+        :raises ModelError: if two parts have a name in common
         """
         spec = self.arena.compose()
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
@@ -81,7 +100,13 @@ class World:
         if self.gravity_compensation:
             self._compensate_gravity(spec)
         spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
+        if objects:
+            self._attach_objects(spec)
         return spec
+
+    def _attach_objects(self, spec: Any) -> None:
+        for item in self.objects:
+            item.attach(spec)
 
     def _compensate_gravity(self, spec: Any) -> None:
         # All that is mounted on a robot hangs below its root, also the bodies of no part's file.
@@ -125,7 +150,18 @@ class World:
                 starts += [(gripper, gripper.init_qpos) for gripper in robot.grippers.values()]
             for part, qpos in starts:
                 start.update(_by_joint(part, qpos))
+        if self.noise is not None:
+            self._add_noise(start, self.noise)
         return start
+
+    def _add_noise(self, start: dict[str, float], noise: InitializationNoise) -> None:
+        for number, robot in enumerate(self.robots):
+            own = {name: robot._own_model.joint(raw)
+                   for name, raw in zip(robot.joints, robot._joints) if name in start}
+            ranges = [joint.range if joint.limited[0] else (-math.inf, math.inf)
+                      for joint in own.values()]
+            noisy = noise.added([start[name] for name in own], ranges, number)
+            start.update(zip(own, noisy.tolist()))
 
 
 def _whole_nanoseconds(timestep_s: float) -> float:

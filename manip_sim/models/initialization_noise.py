@@ -1,0 +1,83 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Random starts of robots that a seed reproduces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+import numbers
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.quoting import shown
+from manip_sim.typing import FloatArray
+
+TYPES = ('gaussian', 'uniform')
+#: As in robosuite 1.5.2, ``initialization_noise='default'`` [rad or m].
+DEFAULT_MAGNITUDE = 0.02
+
+
+class InitializationNoise:
+    """
+    What is added to the start of a robot's own joints: robosuite's ``initialization_noise``.
+
+    Each robot gets other numbers, which do not depend on the number of robots. Robosuite draws
+    again with each reset and does not look at the joints' ranges; here a world has one start, and
+    it is within the ranges.
+
+    :param settings: ``type``, ``gaussian`` or ``uniform``, and ``magnitude``: the standard
+        deviation, or the largest change either way [rad or m]; what is left out is ``gaussian``
+        and 0.02
+    :param seed: whole number from 0; None draws one
+    :ivar seed: the seed that gives the same start again
+    :raises ModelError: if a setting or the seed cannot be used
+    """
+
+    def __init__(self, settings: Mapping[str, Any], seed: int | None = None) -> None:
+        for key in settings:
+            if key not in ('type', 'magnitude'):
+                raise UnknownNameError('key of initialization_noise', key, ('type', 'magnitude'))
+        self.type = settings.get('type', TYPES[0])
+        if self.type not in TYPES:
+            raise UnknownNameError('type of initialization_noise', self.type, TYPES)
+        self.magnitude = _checked_magnitude(settings.get('magnitude', DEFAULT_MAGNITUDE))
+        self.seed = _checked_seed(seed)
+
+    def added(self, start: ArrayLike, ranges: ArrayLike, robot: int) -> FloatArray:
+        """
+        Return a start with noise.
+
+        :param start: of the joints [rad or m], shape (n,)
+        :param ranges: of the joints, infinite where there is none, shape (n, 2)
+        :param robot: number of the robot in its world
+        :returns: within the ranges, shape (n,); as the start was if the magnitude is 0
+        """
+        values = np.array(start, dtype=float)
+        if not self.magnitude:
+            return values
+        random = np.random.default_rng([self.seed, robot])
+        noise = (random.standard_normal(values.shape) if self.type == 'gaussian'
+                 else random.uniform(-1.0, 1.0, values.shape))
+        noisy: FloatArray = np.clip(values + self.magnitude * noise, *np.reshape(ranges, (-1, 2)).T)
+        return noisy
+
+
+def _checked_magnitude(magnitude: Any) -> float:
+    if (isinstance(magnitude, bool) or not isinstance(magnitude, numbers.Real)
+            or not 0.0 <= magnitude <= math.pi):
+        raise ModelError('magnitude of initialization_noise must be a number from 0 to '
+                         f'{math.pi:.4g}, got {shown(magnitude)}')
+    return float(magnitude)
+
+
+def _checked_seed(seed: Any) -> int:
+    if seed is None:
+        return int(np.random.SeedSequence().generate_state(1)[0])
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or seed < 0:
+        raise ModelError(f'seed must be a whole number from 0, got {shown(seed)}')
+    return int(seed)

@@ -1,0 +1,174 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What may be said of an object in YAML or a mapping: keys, units and limits."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Optional
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from manip_sim.errors import describe_choices
+from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG
+from manip_sim.models.strict_yaml import Number
+from manip_sim.quoting import shown
+
+#: What is farther from the origin is lost [m].
+_MAX_DISTANCE_M = 1e4
+_MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
+#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
+_NORM_TOLERANCE = 1e-2
+#: Of water, as in MuJoCo [kg/m^3].
+_DEFAULT_DENSITY = 1000.0
+#: Numbers that are the size of each shape, for messages.
+_SIZES = {
+    'box': (3, '[x, y, z], its full extents'),
+    'sphere': (1, 'its radius'),
+    'cylinder': (2, '[radius, length]'),
+    'capsule': (2, '[radius, length without the caps]'),
+    'ellipsoid': (3, '[x, y, z], its radii')}
+#: Sliding, torsional [m] and rolling [m], as in MuJoCo.
+DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
+
+
+def _listed(value: object) -> object:
+    """Take a number as a list of one."""
+    return [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
+def _known_shape(value: object) -> object:
+    if value not in _SIZES:
+        raise ValueError(f'is unknown: {describe_choices(value, _SIZES)}')
+    return value
+
+
+_Coordinate = Annotated[Number, Field(ge=-_MAX_DISTANCE_M, le=_MAX_DISTANCE_M,
+                                      allow_inf_nan=False)]
+_Finite = Annotated[Number, Field(allow_inf_nan=False)]
+_Size = Annotated[Number, Field(ge=_MIN_SIZE_M, le=_MAX_SIZE_M, allow_inf_nan=False)]
+_Friction = Annotated[Number, Field(ge=0.0, le=100.0, allow_inf_nan=False)]
+_Colour = Annotated[Number, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
+_Mass = Annotated[Number, Field(ge=MIN_MASS_KG, le=MAX_MASS_KG, allow_inf_nan=False)]
+_Density = Annotated[Number, Field(gt=0.0, le=1e5, allow_inf_nan=False)]
+
+
+class PlacedDescription(BaseModel):
+    """
+    A name and a place in the world.
+
+    :ivar name: letters, digits and underscores; also of topics and of the body
+    :ivar position: of the body's frame in ``world`` [m]
+    :ivar rpy: roll, pitch, yaw of the body in ``world`` [rad]
+    :ivar quat_xyzw: instead of them, a quaternion of length 1
+    """
+
+    model_config = ConfigDict(extra='forbid', frozen=True)
+
+    name: Optional[str] = None
+    position: Optional[Annotated[list[_Coordinate], Field(min_length=3, max_length=3)]] = None
+    rpy: Optional[Annotated[list[_Finite], Field(min_length=3, max_length=3)]] = None
+    quat_xyzw: Optional[Annotated[list[_Finite], Field(min_length=4, max_length=4)]] = None
+
+    @model_validator(mode='after')
+    def _check_orientation(self) -> PlacedDescription:
+        if self.quat_xyzw is None:
+            return self
+        if self.rpy is not None:
+            raise ValueError("give 'rpy' or 'quat_xyzw', not both")
+        norm = math.hypot(*self.quat_xyzw)
+        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
+            raise ValueError(f"'quat_xyzw' must be a quaternion x, y, z, w of length 1, got "
+                             f'{self.quat_xyzw} of length {norm:g}')
+        return self
+
+
+class FileDescription(PlacedDescription):
+    """
+    An object in an MJCF file.
+
+    Its place is that of the file where none is given, its name that of the file's body.
+
+    :ivar file: relative to the folder of the YAML file, or to the working directory
+    """
+
+    file: str
+
+
+class ShapeDescription(PlacedDescription):
+    """
+    A free body of one shape, whose frame is in its middle; the axis of a cylinder or capsule is z.
+
+    :ivar shape: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``ellipsoid``
+    :ivar size: full extents [x, y, z] of a box, radius of a sphere, [radius, length] of a cylinder
+        and of a capsule without its caps, radii [x, y, z] of an ellipsoid [m]
+    :ivar mass: [kg]
+    :ivar density: in place of the mass [kg/m^3], 1000 where neither is given
+    :ivar friction: sliding, or also torsional [m] and rolling [m]
+    :ivar rgba: colour, each from 0 to 1; opaque where the fourth is left out
+    :ivar condim: MuJoCo's dimension of contacts, 4 and 6 with torsional and rolling friction
+    """
+
+    name: str
+    shape: Annotated[str, BeforeValidator(_known_shape)]
+    size: Annotated[list[_Size], BeforeValidator(_listed)]
+    mass: Optional[_Mass] = None
+    density: Optional[_Density] = None
+    friction: Annotated[list[_Friction], BeforeValidator(_listed),
+                        Field(min_length=1, max_length=3)] = list(DEFAULT_FRICTION)
+    rgba: Annotated[list[_Colour], Field(min_length=3, max_length=4)] = [0.6, 0.6, 0.65, 1.0]
+    condim: Literal[1, 3, 4, 6] = 3
+
+    @model_validator(mode='after')
+    def _check_size_and_mass(self) -> ShapeDescription:
+        count, meaning = _SIZES[self.shape]
+        if len(self.size) != count:
+            raise ValueError(f"'size' of a {self.shape} is {meaning} [m], got "
+                             f'{len(self.size)} numbers: {shown(self.size)}')
+        if self.mass is not None and self.density is not None:
+            raise ValueError("give 'mass' or 'density', not both")
+        if not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
+            raise ValueError(f'weighs {self.mass_kg:g} kg by its density, it must be '
+                             f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')
+        return self
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume of the shape [m^3]."""
+        if self.shape == 'box':
+            return math.prod(self.size)
+        ball = 4.0 / 3.0 * math.pi
+        if self.shape == 'ellipsoid':
+            return ball * math.prod(self.size)
+        radius = self.size[0]
+        cylinder = math.pi * radius**2 * self.size[-1]
+        return {'sphere': ball * radius**3, 'cylinder': cylinder,
+                'capsule': cylinder + ball * radius**3}[self.shape]
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass, given or of the density [kg]."""
+        if self.mass is not None:
+            return self.mass
+        return (self.density or _DEFAULT_DENSITY) * self.volume_m3
+
+    @property
+    def mujoco_size(self) -> list[float]:
+        """What MuJoCo calls the size: half extents, radii and half lengths [m]."""
+        if self.shape == 'box':
+            return [extent / 2.0 for extent in self.size]
+        if self.shape in ('cylinder', 'capsule'):
+            return [self.size[0], self.size[1] / 2.0, 0.0]
+        return [*self.size, 0.0, 0.0][:3]
+
+
+def kind_of(values: Any) -> type[FileDescription] | type[ShapeDescription]:
+    """
+    Return which kind of description some values are meant to be.
+
+    :raises ValueError: if they have both a file and a shape
+    """
+    if 'file' in values and 'shape' in values:
+        raise ValueError("give 'shape' or 'file', not both")
+    return FileDescription if 'file' in values else ShapeDescription

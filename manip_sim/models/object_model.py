@@ -1,0 +1,196 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A free body that robots handle: its name, its place and how it comes into a world."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import ModelError
+from manip_sim.models.loading import compile_spec, name_unnamed_elements
+from manip_sim.models.naming import check_names_are_free
+from manip_sim.models.spec_edits import rename_body
+from manip_sim.quoting import quoted
+from manip_sim.typing import FloatArray
+
+MIN_MASS_KG, MAX_MASS_KG = 1e-5, 1e5
+#: The geom of a shape, before it gets the name of the object.
+SHAPE_GEOM = 'shape'
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: What an object cannot have: MuJoCo's size of it, and what it is.
+_NOT_IN_OBJECTS = {
+    'nu': 'actuators, which nothing would command', 'nflex': 'flexible bodies',
+    'nskin': 'skins', 'nhfield': 'height fields', 'nplugin': 'plugins', 'nmocap': 'mocap bodies',
+    'nhistory': 'delays', 'nplastic': 'plastic joints'}
+
+
+def check_object_name(name: str, where: str) -> None:
+    """
+    Refuse a name that a body and topics cannot have.
+
+    :param where: what has the name, for the message
+    :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
+    """
+    if not _NAME.fullmatch(name) or name == 'world':
+        raise ModelError(f'{where}: {quoted(name)} cannot be the name of an object, its body and '
+                         'its topics: it needs a letter, then at most 63 letters, digits and '
+                         "underscores, and must not be 'world'")
+
+
+class ObjectModel:
+    """
+    A free body, whose root has the name of the object.
+
+    In the world the names of all else begin with ``<name>_``, but for the geom of a shape, which
+    is called as the object is. A free joint that has no name is ``<name>_joint``.
+
+    :param name: a letter, then at most 63 letters, digits and underscores
+    :param spec: a ``mujoco.MjSpec`` with one root body, which becomes the object's
+    :param origin: where it comes from, for messages
+    :raises ModelError: if the name or what the spec holds cannot be an object's
+    """
+
+    def __init__(self, name: str, spec: Any, origin: str = '') -> None:
+        self.origin = origin or f'object {quoted(name)}'
+        check_object_name(name, self.origin)
+        self.name = name
+        self._spec = spec
+        self._check_root()
+        self._free_the_root()
+        name_unnamed_elements(spec)
+        self._own_model = compile_spec(spec, self.origin)
+        self._check_contents()
+        self._resolve_pose()
+
+    def _check_root(self) -> None:
+        world = self._spec.worldbody
+        names = ', '.join(body.name or 'unnamed' for body in world.bodies) or 'none'
+        if len(world.bodies) != 1:
+            raise ModelError(f'{self.origin}: an object is one root body, found '
+                             f'{len(world.bodies)}: {names}')
+        for kind in ('geoms', 'sites', 'cameras', 'lights'):
+            if getattr(world, kind):
+                raise ModelError(f'{self.origin}: an object is one root body, found {kind} '
+                                 f'beside it: put them into the body {names}')
+
+    def _free_the_root(self) -> None:
+        joints = self._root.joints
+        if not joints:
+            self._root.add_freejoint().name = 'joint'
+        elif len(joints) > 1 or int(joints[0].type) != _FREE:
+            raise ModelError(f"{self.origin}: the root body of an object must be free, found "
+                             f"joint '{joints[0].name}': leave it away")
+        elif not joints[0].name:
+            joints[0].name = 'joint'
+
+    def _check_contents(self) -> None:
+        for size, what in _NOT_IN_OBJECTS.items():
+            if getattr(self._own_model, size, 0):
+                raise ModelError(f'{self.origin}: an object cannot have {what}')
+        if not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
+            raise ModelError(f'{self.origin} weighs {self.mass_kg:g} kg, it must be '
+                             f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')
+
+    def _resolve_pose(self) -> None:
+        # Placing sets position and quaternion, so nothing else may turn or move the root.
+        root, compiled = self._root, self._own_model.body(self._root.name)
+        root.pos, root.quat = compiled.pos, compiled.quat
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        root.set_frame(self._spec.worldbody.add_frame())
+
+    @property
+    def _root(self) -> Any:
+        return self._spec.worldbody.bodies[0]
+
+    @property
+    def _prefix(self) -> str:
+        return f'{self.name}_'
+
+    @property
+    def spec(self) -> Any:
+        """The object's own ``mujoco.MjSpec``, without prefix; later edits of it are attached."""
+        return self._spec
+
+    @property
+    def root_body(self) -> str:
+        """The body that is the object; its name."""
+        return self.name
+
+    @property
+    def free_joint(self) -> str:
+        """The joint by which the object moves."""
+        return self._prefix + str(self._root.joints[0].name)
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the object [kg]."""
+        return float(self._own_model.body_subtreemass[1])
+
+    @property
+    def position(self) -> FloatArray:
+        """Where the object starts in ``world`` [m], shape (3,), a copy."""
+        return np.array(self._root.pos)
+
+    @property
+    def quat_wxyz(self) -> FloatArray:
+        """How the object is turned at its start, shape (4,), a copy."""
+        return np.array(self._root.quat)
+
+    def place(self, position: ArrayLike | None = None, quat_wxyz: ArrayLike | None = None) -> None:
+        """
+        Let the object start elsewhere, in worlds that are composed from now on.
+
+        :param position: in ``world`` [m], shape (3,); None leaves it
+        :param quat_wxyz: of unit length, shape (4,); None leaves it
+        """
+        if position is not None:
+            self._root.pos = np.asarray(position, dtype=float)
+        if quat_wxyz is not None:
+            self._root.quat = np.asarray(quat_wxyz, dtype=float)
+
+    def attach(self, spec: Any) -> None:
+        """
+        Add a copy of the object to a world.
+
+        :param spec: the ``mujoco.MjSpec`` to add to
+        :raises ModelError: if the spec has one of the names already
+        """
+        self._check_own_names_are_free(spec)
+        own = self._spec.copy()
+        check_names_are_free(spec, own, self._prefix, self.origin)
+        for key in list(own.keys):
+            own.delete(key)
+        own.option = spec.option
+        spec.attach(own, prefix=self._prefix, frame=spec.worldbody.add_frame())
+        rename_body(spec, spec.body(self._prefix + self._root.name), self.name)
+        if self._is_shape:
+            spec.geom(self._prefix + SHAPE_GEOM).name = self.name
+
+    @property
+    def _is_shape(self) -> bool:
+        return [geom.name for geom in self._spec.geoms] == [SHAPE_GEOM]
+
+    def _check_own_names_are_free(self, spec: Any) -> None:
+        if spec.body(self.name) is not None:
+            raise ModelError(f"body '{self.name}' is there already, {self.origin} needs another "
+                             'name')
+        if self._is_shape and spec.geom(self.name) is not None:
+            raise ModelError(f"geom '{self.name}' is there already, {self.origin} needs another "
+                             'name')
+
+    def compile(self) -> Any:
+        """
+        Compile the object alone.
+
+        :returns: a new ``mujoco.MjModel``
+        """
+        spec = mujoco.MjSpec()
+        self.attach(spec)
+        return compile_spec(spec, self.origin)

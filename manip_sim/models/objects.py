@@ -1,0 +1,155 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Objects from shapes, MJCF files and lists in YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, Union
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError
+from manip_sim.models.loading import load_spec
+from manip_sim.models.object_descriptions import (
+    FileDescription, kind_of, PlacedDescription, ShapeDescription)
+from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
+from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.models.strict_yaml import checked, read_yaml
+from manip_sim.quoting import quoted, shown
+
+__all__ = ['check_object_names', 'create_object', 'create_objects', 'load_objects', 'ObjectModel']
+
+_YAML = ('.yaml', '.yml')
+ObjectFile = Union[str, PathLike[str]]
+Description = Union[ObjectModel, Mapping[str, Any], ObjectFile]
+
+
+def create_object(description: Description) -> ObjectModel:
+    """
+    Create an object.
+
+    :param description: the keys of :class:`ShapeDescription` or :class:`FileDescription`, an
+        MJCF file, or a YAML file that lists one object; an object is returned as it is
+    :raises ModelError: if something is wrong with it, on one line with file, object and key
+    """
+    if isinstance(description, ObjectModel):
+        return description
+    if isinstance(description, Mapping):
+        return _from_values(description, '', Path())
+    path = Path(description)
+    if path.suffix not in _YAML:
+        return _from_file(FileDescription(file=str(path)), Path())
+    found = load_objects(path)
+    if len(found) != 1:
+        raise ModelError(f'{path} must list one object here, it lists {len(found)}')
+    return found[0]
+
+
+def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
+    """
+    Create objects; a YAML file stands for all that it lists.
+
+    :param descriptions: as for :func:`create_object`
+    :raises ModelError: as :func:`create_object`, and if two have one name
+    """
+    objects: list[ObjectModel] = []
+    for description in descriptions:
+        if isinstance(description, (str, PathLike)) and Path(description).suffix in _YAML:
+            objects += load_objects(description)
+        else:
+            objects.append(create_object(description))
+    check_object_names(objects)
+    return objects
+
+
+def check_object_names(objects: Iterable[ObjectModel]) -> None:
+    """
+    Refuse objects of one name.
+
+    :raises ModelError: naming it
+    """
+    by_name: dict[str, ObjectModel] = {}
+    for item in objects:
+        first = by_name.setdefault(item.name, item)
+        if first is not item:
+            raise ModelError(f"two objects have the name '{item.name}': {first.origin} and "
+                             f'{item.origin}')
+
+
+def load_objects(file: ObjectFile) -> list[ObjectModel]:
+    """
+    Read the objects that a YAML file lists below its key ``objects``.
+
+    :raises ModelError: on one line, with file, object, key and the nearest valid names
+    """
+    path, values = Path(file), read_yaml(file)
+    for key in values:
+        if key != 'objects':
+            raise ModelError(f"{path}: unknown key {quoted(key)}: the only one here is 'objects'")
+    listed = values.get('objects')
+    if not isinstance(listed, list):
+        raise ModelError(f"{path}: 'objects' must be a list, got {shown(listed)}")
+    objects = []
+    for number, entry in enumerate(listed, start=1):
+        if not isinstance(entry, dict):
+            raise ModelError(f'{path}: object {number} must be keys and values, got '
+                             f'{shown(entry)}')
+        objects.append(_from_values(entry, f'{path}: ', path.parent, f'object {number}'))
+    check_object_names(objects)
+    return objects
+
+
+def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
+                 unnamed: str = 'object without a name') -> ObjectModel:
+    name = values.get('name')
+    where = begin + (unnamed if name is None else f'object {quoted(name)}')
+    try:
+        kind = kind_of(values)
+    except ValueError as error:
+        raise ModelError(f'{where}: {error}') from None
+    description = checked(kind, values, where)
+    try:
+        if isinstance(description, ShapeDescription):
+            return _from_shape(description, where)
+        assert isinstance(description, FileDescription)
+        return _from_file(description, folder)
+    except ModelError as error:
+        raise error if str(error).startswith(where) else ModelError(f'{where}: {error}') from error
+
+
+def _from_shape(description: ShapeDescription, where: str) -> ObjectModel:
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name='body')
+    geom = body.add_geom(
+        name=SHAPE_GEOM, type=getattr(mujoco.mjtGeom, f'mjGEOM_{description.shape.upper()}'),
+        size=description.mujoco_size, mass=description.mass_kg, condim=description.condim,
+        rgba=[*description.rgba, 1.0][:4])
+    geom.friction[:len(description.friction)] = description.friction
+    found = ObjectModel(description.name, spec, where)
+    _place(found, description)
+    return found
+
+
+def _from_file(description: FileDescription, folder: Path) -> ObjectModel:
+    file = folder / description.file
+    spec = load_spec(file)
+    roots = spec.worldbody.bodies
+    name = description.name or (roots[0].name if roots else '') or spec.modelname
+    found = ObjectModel(name, spec, str(file))
+    _place(found, description)
+    return found
+
+
+def _place(found: ObjectModel, description: PlacedDescription) -> None:
+    quat = None
+    if description.rpy is not None:
+        quat = quat_wxyz_from_rpy(description.rpy)
+    elif description.quat_xyzw is not None:
+        quat = xyzw_to_wxyz(np.array(description.quat_xyzw) / np.linalg.norm(
+            description.quat_xyzw))
+    found.place(description.position, quat)
