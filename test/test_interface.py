@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The tables of topics, services and parameters against the README; the node is compared in ros."""
+"""The tables of topics, services and parameters against those of the README."""
 
 from dataclasses import dataclass
 from pathlib import Path
