@@ -114,7 +114,7 @@ class Servos:
 
     def _limit_effort(self, joint_ids: IntArray) -> FloatArray:
         # At the joint: there the gravity compensation counts too.
-        limits = _effort_range(self._model, joint_ids, self._ids)
+        limits = effort_range(self._model, joint_ids, self._ids)
         limited = np.isfinite(limits).all(axis=1)
         limits = np.where(np.isfinite(limits), limits, (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))
         self._model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
@@ -278,7 +278,7 @@ def _velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArra
     return np.where(np.isfinite(limit), limit, _DEFAULT_VELOCITY)
 
 
-def _effort_range(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
+def effort_range(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
     """Return the lowest and highest effort at the joints, infinite where there is no limit."""
     gear = model.actuator_gear[ids, :1]
     motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)

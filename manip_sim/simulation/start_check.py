@@ -14,6 +14,10 @@ import numpy as np
 
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.simulation.couplings import JointCouplings
+from manip_sim.simulation.mechanism import actuated_joints
+from manip_sim.simulation.start_defect import StartDefect
+from manip_sim.simulation.start_drives import find_drive_defects
+from manip_sim.typing import BoolArray
 
 #: What is less deep in something else only touches it [m].
 _TOUCHING_M = 0.0005
@@ -31,22 +35,31 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 def check_start(model: Any, data: Any, roots: Iterable[str]) -> list[str]:
     """
-    Say what of robots starts inside something, blocked or outside its range.
+    Say what is wrong with the start of robots, in a sentence for each defect.
+
+    The parameters are those of :func:`find_start_defects`.
+    """
+    return [defect.text for defect in find_start_defects(model, data, roots)]
+
+
+def find_start_defects(model: Any, data: Any, roots: Iterable[str]) -> list[StartDefect]:
+    """
+    Find what of robots starts inside something, blocked, outside its range or without effort.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
     :param roots: the root bodies of the robots
-    :returns: a sentence for each defect, those of the greatest depth first; empty if there is none
+    :returns: overlaps first, those of the greatest depth before others; empty if there is nothing
     """
     own = _bodies_below(model, [model.body(root).id for root in roots])
     contacts = [contact for contact in data.contact if min(contact.geom) >= 0
                 and own[model.geom_bodyid[contact.geom]].any()]
     joints = [joint for joint in _actuated_joints(model) if own[model.jnt_bodyid[joint]]]
-    return [*_overlaps(model, contacts, own), *_blocked(model, data, contacts, joints),
-            *_out_of_range(model, data, own)]
+    return [*_overlaps(model, contacts, own), *_blocked(model, data, contacts, joints, own),
+            *_out_of_range(model, data, own), *find_drive_defects(model, data, own)]
 
 
-def _bodies_below(model: Any, roots: list[int]) -> Any:
+def _bodies_below(model: Any, roots: list[int]) -> BoolArray:
     """Return which bodies are one of some bodies or hang on one, shape (nbody,)."""
     below = np.zeros(model.nbody, dtype=bool)
     below[roots] = True
@@ -56,37 +69,38 @@ def _bodies_below(model: Any, roots: list[int]) -> Any:
 
 
 def _actuated_joints(model: Any) -> list[int]:
-    """Return the scalar joints that actuators drive by themselves or by fixed tendons."""
-    found = []
-    for actuator in range(model.nu):
-        name = driven_joint(model, actuator)
-        if name is not None:
-            found.append(int(model.joint(name).id))
-        elif int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_TENDON):
-            tendon = model.actuator_trnid[actuator, 0]
-            wraps = slice(model.tendon_adr[tendon],
-                          model.tendon_adr[tendon] + model.tendon_num[tendon])
-            is_joint = model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-            found += model.wrap_objid[wraps][is_joint].tolist()
+    """Return the scalar joints that actuators act on."""
+    found = [joint for a in range(model.nu) for joint in actuated_joints(model, a)]
     return [joint for joint in dict.fromkeys(found) if int(model.jnt_type[joint]) in _SCALAR]
 
 
-def _overlaps(model: Any, contacts: list[Any], own: Any) -> list[str]:
+def _overlaps(model: Any, contacts: list[Any], own: BoolArray) -> Iterator[StartDefect]:
     deepest: dict[tuple[int, ...], Any] = {}
     for contact in sorted(contacts, key=lambda contact: float(contact.dist)):
         if contact.dist < -_TOUCHING_M:
             deepest.setdefault(tuple(sorted(model.geom_bodyid[contact.geom].tolist())), contact)
-    told = []
     for contact in deepest.values():
         # What is farther from the robot's root is told as inside what is nearer to it.
         outer, inner = sorted(contact.geom, key=lambda geom: (
             bool(own[model.geom_bodyid[geom]]), int(model.geom_bodyid[geom])))
-        told.append(f'{_geom(model, inner)} starts {-1e3 * contact.dist:.1f} mm inside '
-                    f'{_geom(model, outer)}')
-    return told
+        yield StartDefect(
+            'overlap', f'{_geom(model, inner)} starts {-1e3 * contact.dist:.1f} mm inside '
+            f'{_geom(model, outer)}', _apart(model, inner, outer, own))
 
 
-def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int]) -> Iterator[str]:
+def _apart(model: Any, inner: int, outer: int, own: BoolArray) -> str:
+    """Say how a shape of a robot gets out of another shape."""
+    body, other = (model.body(model.geom_bodyid[geom]).name for geom in (inner, outer))
+    if not own[model.geom_bodyid[outer]]:
+        return (f"place the robot elsewhere (its position, or base_xpos_offset), or move '{other}'"
+                ', or start in another pose')
+    return ('start in another pose (init_qpos, or the keyframe), mount the part farther out, or '
+            f'write <exclude body1="{other}" body2="{body}"/> into <contact> if these shapes may '
+            'overlap')
+
+
+def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int], own: BoolArray
+             ) -> Iterator[StartDefect]:
     for joint in joints:
         moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
         against = [contact for contact in contacts
@@ -95,8 +109,11 @@ def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int]) -> I
             continue
         contact = min(against, key=lambda contact: float(contact.dist))
         # Named is what does not move with the joint.
-        neighbour = next(geom for geom in contact.geom if not moved[model.geom_bodyid[geom]])
-        yield f"joint '{model.joint(joint).name}' starts blocked by {_geom(model, neighbour)}"
+        mover, neighbour = sorted(
+            contact.geom, key=lambda geom: not moved[model.geom_bodyid[geom]])
+        yield StartDefect(
+            'blocked', f"joint '{model.joint(joint).name}' starts blocked by "
+            f'{_geom(model, neighbour)}', _apart(model, mover, neighbour, own))
 
 
 def _is_blocked(model: Any, data: Any, joint: int) -> bool:
@@ -134,7 +151,7 @@ def _full_force(model: Any, joint: int) -> float:
     return max(forces, default=float(_TRIAL_ACCELERATION * inertia))
 
 
-def _out_of_range(model: Any, data: Any, own: Any) -> Iterator[str]:
+def _out_of_range(model: Any, data: Any, own: BoolArray) -> Iterator[StartDefect]:
     for joint in range(model.njnt):
         if (not own[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
                 or not model.jnt_limited[joint]):
@@ -144,9 +161,12 @@ def _out_of_range(model: Any, data: Any, own: Any) -> Iterator[str]:
         beyond = max(low - position, position - high)
         if beyond > _AT_END * (high - low):
             hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-            yield (f"joint '{model.joint(joint).name}' starts at {position:.4g} "
-                   f'{"rad" if hinge else "m"}, {beyond:.4g} outside its range of {low:.4g} to '
-                   f'{high:.4g}')
+            yield StartDefect(
+                'range', f"joint '{model.joint(joint).name}' starts at {position:.4g} "
+                f'{"rad" if hinge else "m"}, {beyond:.4g} outside its range of {low:.4g} to '
+                f'{high:.4g}',
+                f'write a value from {low:.4g} to {high:.4g} for it into init_qpos, or the '
+                'keyframe, or give the joint a wider range')
 
 
 def _geom(model: Any, geom: int) -> str:

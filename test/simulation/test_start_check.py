@@ -1,9 +1,10 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The start of a robot is looked at: what is inside something, blocked or out of its range."""
+"""The start of a robot is looked at: contacts, ranges, and what its actuators can do."""
 
 import mujoco
+import numpy as np
 import pytest
 
 from manip_sim.models import compose
@@ -12,7 +13,7 @@ from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot, robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.start_check import check_start
+from manip_sim.simulation.start_check import check_start, find_start_defects
 
 BALL = '<geom name="{}" size="0.05" pos="{} 0 0"/>'
 
@@ -22,15 +23,22 @@ def told(simulation):
     return check_start(simulation.model, simulation.data, [simulation.robot.robot_model.root_body])
 
 
-def told_of(worldbody, sections=''):
+def defects_of(worldbody, sections='', gravity=0.0):
     """Return what is wrong with the start of a model whose robot is its body ``root``."""
     model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option gravity="0 0 0"/><worldbody>{worldbody}</worldbody>{sections}</mujoco>')
+        f'<mujoco><option gravity="0 0 {-gravity}"/><worldbody>{worldbody}</worldbody>{sections}'
+        '</mujoco>')
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    return check_start(model, data, ['root'])
+    return find_start_defects(model, data, ['root'])
+
+
+def told_of(worldbody, sections=''):
+    """Return what is wrong with where a robot starts, not with its actuators."""
+    return [defect.text for defect in defects_of(worldbody, sections)
+            if defect.kind in ('overlap', 'blocked', 'range')]
 
 
 def arm(inner, outer='', joint='', extra=''):
@@ -129,3 +137,209 @@ def test_check_changes_neither_the_model_nor_the_state():
     assert simulation.model.opt.disableflags == flags
     assert (simulation.data.qfrc_applied == force).all()
     assert (simulation.robot.state().position == before).all()
+
+
+def test_every_defect_comes_with_what_mends_it():
+    wall = '<body name="wall" pos="0.45 0 0"><geom name="wall" type="box" size=".04 1 1"/></body>'
+    ball = BALL.format('far', -0.35) + BALL.format('tip', 0)
+    own, other, _ = defects_of(arm(ball, extra=wall))
+    assert '<exclude body1="root" body2="tip"/>' in own.remedy
+    assert "move 'wall'" in other.remedy and 'exclude' not in other.remedy
+
+
+def test_excluding_the_bodies_as_told_mends_an_overlap():
+    ball = BALL.format('far', -0.35)
+    exclude = defects_of(arm(ball))[0].remedy.split('write ')[1].split(' into')[0]
+    kinds = [defect.kind for defect in defects_of(arm(ball), f'<contact>{exclude}</contact>')]
+    assert kinds == ['undriven']
+
+
+# ---------------------------------------------------------------------- joints without actuator
+
+
+def chain(*joints, inside=''):
+    """Return links one after another, each on its joint; the attributes of a joint may follow."""
+    opened = ''.join(f'<body pos="0.3 0 0"><joint axis="0 1 0" name={joint}/>'
+                     '<geom size="0.01" mass="1" contype="0"/>' for joint in joints)
+    return (f'<body name="root"><geom size="0.01" mass="1"/>{opened}{inside}'
+            f'{"</body>" * len(joints)}</body>')
+
+
+def undriven(worldbody, sections=''):
+    """Return the sentences on joints that nothing holds."""
+    return [d.text for d in defects_of(worldbody, sections) if d.kind == 'undriven']
+
+
+MOTOR_OF_A = '<actuator><motor joint="a"/></actuator>'
+
+
+def test_joints_without_actuator_are_told_in_one_sentence():
+    assert undriven(chain('"a"', '"b"', '"c"'), MOTOR_OF_A) == [
+        "joints 'b', 'c' have no actuator, and no spring or coupling to a joint that has one: "
+        'nothing holds them']
+    assert undriven(chain('"a"', '"b"'), MOTOR_OF_A) == [
+        "joint 'b' has no actuator, and no spring or coupling to a joint that has one: nothing "
+        'holds it']
+
+
+def test_writing_what_is_told_mends_a_joint_without_actuator():
+    defect, = defects_of(chain('"a"'))
+    motor = defect.remedy.split('write ')[1].split(' into')[0].replace('LIMIT', '50')
+    assert defects_of(chain('"a"'), f'<actuator>{motor}</actuator>') == []
+
+
+TENDON = '<tendon><fixed name="t"><joint joint="a" coef="1"/><joint joint="b" coef="1"/></fixed>'
+SPRING = TENDON.replace('<fixed ', '<fixed stiffness="1" ')
+SPATIAL = """<tendon><spatial name="s"><site site="at_root"/><site site="at_tip"/></spatial>
+    </tendon><actuator><position tendon="s"/></actuator>"""
+
+
+@pytest.mark.parametrize(('joint', 'sections'), [
+    ('"b"', f'<equality><joint joint1="b" joint2="a"/></equality>{MOTOR_OF_A}'),
+    ('"b"', f'<equality><joint joint1="a" joint2="b"/></equality>{MOTOR_OF_A}'),
+    ('"b"', f'<equality><joint joint1="b"/></equality>{MOTOR_OF_A}'),
+    ('"b"', f'{TENDON}</tendon><actuator><motor tendon="t"/></actuator>'),
+    ('"b"', f'{TENDON}</tendon><equality><tendon tendon1="t"/></equality>{MOTOR_OF_A}'),
+    ('"b"', f'{SPRING}</tendon>{MOTOR_OF_A}'),
+    ('"b" stiffness="5"', MOTOR_OF_A), ('"b"', SPATIAL),
+    ('"b"', '<actuator><motor site="at_tip" refsite="at_root"/></actuator>'),
+    ('"b"', '<equality><weld body1="tip"/></equality>'),
+    ('"b"', f'<equality><connect site1="at_tip" site2="at_root"/></equality>{MOTOR_OF_A}')])
+def test_a_joint_that_something_else_holds_is_not_told(joint, sections):
+    site = '<body name="tip" pos="0.3 0 0"><site name="at_tip"/></body>'
+    worldbody = chain('"a"', joint, inside=site).replace(
+        '<geom', '<site name="at_root"/><geom', 1)
+    assert undriven(worldbody, sections) == []
+
+
+@pytest.mark.parametrize('sections', [
+    f'{MOTOR_OF_A}<equality><joint joint1="b" joint2="a" active="false"/></equality>',
+    f'{MOTOR_OF_A}{TENDON}</tendon>',
+    f'{MOTOR_OF_A}<equality><joint joint1="b" joint2="c"/></equality>',
+    '<actuator><motor joint="a"/><adhesion body="tip" ctrlrange="0 1"/></actuator>'])
+def test_a_coupling_that_does_not_hold_a_joint_is_no_excuse(sections):
+    tip = '<body name="tip" pos="0.3 0 0"><geom size="0.01"/></body>'
+    sentence, = undriven(chain('"a"', '"b"', '"c"', inside=tip), sections)
+    assert sentence.startswith("joints 'b', 'c' have no actuator")
+
+
+def test_the_free_joint_of_a_walking_robot_needs_no_actuator():
+    assert undriven('<body name="root"><freejoint/><geom size="0.1"/></body>') == []
+
+
+# ---------------------------------------------------------------------- two actuators
+
+
+def test_two_actuators_on_one_joint_are_told():
+    two = '<position name="p" joint="a" kp="9"/><velocity name="v" joint="a"/>'
+    defect, = defects_of(chain('"a"'), f'<actuator>{two}</actuator>')
+    assert defect.text == "joint 'a' is driven by 2 actuators, 'p', 'v'"
+    assert "delete 'v'" in defect.remedy
+
+
+def test_a_tendon_beside_an_actuator_of_the_joint_is_no_second_actuator():
+    both = '<actuator><motor joint="a"/><motor joint="b"/><motor tendon="t"/></actuator>'
+    assert defects_of(chain('"a"', '"b"'), f'{TENDON}</tendon>{both}') == []
+
+
+# ---------------------------------------------------------------------- effort at the start
+
+
+def efforts(worldbody, sections):
+    """Return the defects of effort under a gravity of 10 m/s^2."""
+    return [d for d in defects_of(worldbody, sections, 10.0) if d.kind == 'effort']
+
+
+def hanging(actuator, joint=''):
+    """Return a ball of 2 kg that is held out by 0.4 m, which takes 8 N m, and its actuator."""
+    body = (f'<body name="root"><body><joint name="a" axis="0 1 0" {joint}/>'
+            '<geom pos="0.4 0 0" size="0.01" mass="2"/></body></body>')
+    return body, f'<actuator>{actuator}</actuator>'
+
+
+@pytest.mark.parametrize(('actuator', 'joint', 'limit'), [
+    ('<motor name="m" joint="a" ctrlrange="-{0} {0}" ctrllimited="true"/>', '', 7.9),
+    ('<motor name="m" joint="a" gear="2" ctrlrange="-{0} {0}" ctrllimited="true"/>', '', 3.95),
+    ('<position name="m" joint="a" kp="100" forcerange="-{0} {0}"/>', '', 7.9),
+    ('<position name="m" joint="a" kp="100"/>', 'actuatorfrcrange="-{0} {0}"', 7.9)])
+def test_an_actuator_that_cannot_carry_the_weight_at_the_start_is_told(actuator, joint, limit):
+    defect, = efforts(*hanging(actuator.format(limit), joint.format(limit)))
+    assert defect.text == ("joint 'a' needs -8 N m to keep its start pose, its actuator 'm' has "
+                           '-7.9 N m')
+    enough = limit * 8.1 / 7.9
+    assert efforts(*hanging(actuator.format(enough), joint.format(enough))) == []
+
+
+def test_what_is_told_to_write_for_a_weak_actuator_lets_the_joint_hold():
+    defect, = efforts(*hanging('<position name="m" joint="a" kp="100"/>',
+                               'actuatorfrcrange="-5 5"'))
+    advice = defect.remedy.split('such as ')[1].split(' on the joint')[0]
+    assert advice == 'actuatorfrcrange="-8.8 8.8"'
+    body, sections = hanging('<position joint="a" kp="1e4" kv="100"/>', advice)
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody>{body}</worldbody>{sections}</mujoco>')
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 1000)
+    assert abs(data.qpos[0]) < 0.01
+
+
+def test_a_slide_is_told_in_newtons_and_gravity_compensation_counts_against_its_limit():
+    slide = """<body name="root"><body gravcomp="1"><joint name="z" type="slide" axis="0 0 1"
+        actuatorgravcomp="true" {}/><geom size="0.01" mass="2"/></body></body>"""
+    motor = '<actuator><motor name="m" joint="z" ctrlrange="-5 5"/></actuator>'
+    assert efforts(slide.format(''), motor) == []
+    defect, = efforts(slide.format('actuatorfrcrange="-19 19"'), motor)
+    assert "joint 'z' needs 20 N to keep" in defect.text
+
+
+def test_an_equal_actuator_that_is_turned_round_by_its_gear_is_as_strong():
+    motor = '<motor joint="a" gear="-1" ctrllimited="true" ctrlrange="{}"/>'
+    assert efforts(*hanging(motor.format('0 9'))) == []
+    assert len(efforts(*hanging(motor.format('-9 0')))) == 1
+
+
+def test_the_same_limit_serves_a_pose_that_needs_less():
+    weak = hanging('<motor joint="a" ctrllimited="true" ctrlrange="-5 5"/>')
+    upright = f'{weak[1]}<keyframe><key qpos="1.5707963"/></keyframe>'
+    assert len(efforts(*weak)) == 1 and efforts(weak[0], upright) == []
+
+
+def test_a_servo_whose_control_is_far_from_the_start_is_told():
+    servo = hanging('<position name="m" joint="a" kp="1000" forcerange="-50 50"/>')
+    key = '<keyframe><key qpos="1.2" {}/></keyframe>'
+    defect, = efforts(servo[0], servo[1] + key.format(''))
+    assert defect.text == ("actuator 'm' starts with its full force of -50 N m: its control is 0 "
+                           'where the start is at 1.2')
+    assert 'write 1.2 for it into ctrl of the keyframe' in defect.remedy
+    assert efforts(servo[0], servo[1] + key.format('ctrl="1.2"')) == []
+
+
+def test_an_actuator_that_is_too_weak_is_told_once_though_its_servo_pushes_too():
+    servo = hanging('<position joint="a" kp="1000" forcerange="-5 5"/>')
+    defect, = efforts(servo[0], servo[1] + '<keyframe><key qpos="0.1"/></keyframe>')
+    assert 'needs' in defect.text
+
+
+def test_a_servo_that_only_pulls_and_rests_is_not_at_its_full_force():
+    pulling = '<position joint="a" kp="1000" forcerange="-50 0"/>'
+    assert efforts(*hanging(pulling)) == []
+
+
+def test_a_spring_that_carries_the_weight_leaves_nothing_to_the_actuator():
+    weak = '<motor joint="a" ctrllimited="true" ctrlrange="-1 1"/>'
+    spring = 'stiffness="{}" springref="-90"'.format
+    assert efforts(*hanging(weak, spring(8.0 / (np.pi / 2.0)))) == []
+    assert len(efforts(*hanging(weak, spring(1.0)))) == 1
+
+
+def test_a_robot_of_the_catalogue_with_a_weak_joint_is_told():
+    world = compose('Panda', base='none', gravity_compensation=False)
+    simulation = Simulation(world)
+    shoulder = simulation.model.joint('robot0_joint2')
+    needed = abs(simulation.data.qfrc_bias[shoulder.dofadr[0]])
+    for share, told_count in ((0.99, 1), (1.01, 0)):
+        simulation.model.jnt_actfrcrange[shoulder.id] = -share * needed, share * needed
+        sentences = [text for text in told(simulation) if 'needs' in text]
+        assert len(sentences) == told_count
+        assert all("joint 'robot0_joint2' needs" in text for text in sentences)
+    assert np.isfinite(needed) and needed > 5.0

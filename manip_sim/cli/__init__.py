@@ -1,0 +1,4 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command ``manip_sim``: what there is and what was composed, without ROS."""

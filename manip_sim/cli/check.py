@@ -1,0 +1,96 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim check``: what is wrong with a start, and what to write instead."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.cli.composition import compose_from, is_given
+from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.models import World
+from manip_sim.models.archive import file_references
+from manip_sim.models.loading import compile_spec, load_spec
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.mechanism import actuated_joints
+from manip_sim.simulation.start_check import find_start_defects
+from manip_sim.simulation.start_defect import StartDefect
+
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def run(options: argparse.Namespace) -> tuple[str, int]:
+    """Return what is wrong, and 1 if anything is."""
+    if options.file is not None:
+        if is_given(options):
+            raise ManipSimError('check either a file or a composition, not both')
+        name, defects = str(options.file), _defects_of_file(options.file)
+        note = ''
+    else:
+        world = compose_from(options)
+        name, defects = f'{world.name} in arena {world.arena.arena_name}', _defects_of(world)
+        prefixes = [part.naming_prefix for robot in world.robots
+                    for part in (robot, *robot.models)]
+        note = f'In the files, names do not begin with {", ".join(prefixes)}.'
+    if not defects:
+        return f'{name}: nothing is wrong with the start', 0
+    count = '1 defect' if len(defects) == 1 else f'{len(defects)} defects'
+    lines = [f'{name}: {count}', *(f'- {defect.text}\n  mend: {defect.remedy}'
+                                   for defect in defects)]
+    return '\n'.join([*lines, note] if note else lines), 1
+
+
+def _defects_of(world: World) -> list[StartDefect]:
+    roots = [robot.root_body for robot in world.robots]
+    try:
+        simulation = Simulation(world)
+    except ModelError as error:
+        # It cannot be controlled; what it is made of may tell why.
+        model = world.compile()
+        data = mujoco.MjData(model)
+        for joint, position in world.init_qpos().items():
+            data.joint(joint).qpos = position
+        mujoco.mj_forward(model, data)
+        return [StartDefect('control', f'this cannot be simulated: {error}',
+                            'change the model as the message says'),
+                *find_start_defects(model, data, roots)]
+    return find_start_defects(simulation.model, simulation.data, roots)
+
+
+def _defects_of_file(file: Path) -> list[StartDefect]:
+    spec = load_spec(file)
+    missing = list(_missing_files(spec))
+    if missing:
+        return missing
+    model = compile_spec(spec, str(file))
+    data = mujoco.MjData(model)
+    if model.nkey:
+        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, 'home')
+        mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
+    mujoco.mj_forward(model, data)
+    return find_start_defects(model, data, _robots(model))
+
+
+def _missing_files(spec: Any) -> Iterator[StartDefect]:
+    for reference in file_references(spec):
+        if not reference.path.is_file():
+            folder = 'texturedir' if reference.kind == 'texture' else 'meshdir'
+            yield StartDefect(
+                'file', f"{reference.kind} '{reference.name}' misses its file {reference.path}",
+                f'put the file there, or write its folder into {folder} of <compiler>')
+
+
+def _robots(model: Any) -> list[str]:
+    """Return the bodies on the world that have joints below them, or actuators on them."""
+    driven = {int(model.jnt_bodyid[joint]) for actuator in range(model.nu)
+              for joint in actuated_joints(model, actuator)}
+    jointed = {int(body) for body in model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]}
+    roots = sorted({int(model.body_rootid[body]) for body in driven | jointed})
+    return [model.body(root).name for root in roots]

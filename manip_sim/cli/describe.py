@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim describe``: what a composition is made of, as tables or JSON."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+import json
+from typing import Any
+
+from manip_sim.cli.composition import arena_values, compose_from, value_of
+from manip_sim.cli.description import describe
+from manip_sim.cli.tables import number, span, table, terminal_width
+from manip_sim.interface import PARAMETERS
+
+Row = dict[str, Any]
+#: By section of the description: the names of the columns, and what is in the cells of a row.
+_COLUMNS: dict[str, tuple[tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = {
+    'models': (
+        ('kind', 'class', 'prefix', 'mass kg', 'joints', 'actuators', 'from'),
+        lambda r: (r['kind'] + (f' ({r["arm"]})' if r['arm'] else ''), r['class'], r['prefix'],
+                   number(r['mass_kg']), str(r['joints']), str(r['actuators']), r['from'])),
+    'parts': (
+        ('part', 'consists of', 'joints', 'actuators', 'control mode'),
+        lambda r: (r['name'], ', '.join(n for n in r['consists_of'] if n != r['name']) or '-',
+                   str(len(r['joints'])), str(len(r['actuators'])), r['control_mode'] or '-')),
+    'joints': (
+        ('joint', 'part', 'start', 'position', 'unit', 'velocity', 'effort', 'driven by'),
+        lambda r: (r['name'], r['part'], number(r['start']), span(r['position']), r['unit'],
+                   number(r['velocity']), span(r['effort']), _driver(r))),
+    'actuators': (
+        ('actuator', 'part', 'type', 'drives', 'control', 'force'),
+        lambda r: (r['name'], r['part'], r['type'], f'{r["drives"]} {r["target"]}',
+                   span(r['control']), span(r['force']))),
+    'sensors': (
+        ('sensor', 'type', 'of', 'length'),
+        lambda r: (r['name'], r['type'], r['of'] or '-', str(r['length']))),
+    'frames': (
+        ('frame', 'kind', 'parent', 'mass kg', 'x m', 'y m', 'z m'),
+        lambda r: (r['name'], r['kind'], r['parent'], number(r['mass_kg']),
+                   *(f'{round(value, 3) + 0.0:.3f}' for value in r['position_m']))),
+    'cameras': (
+        ('camera', 'body', 'field of view rad', 'resolution'),
+        lambda r: (r['name'], r['body'], number(r['fovy_rad']),
+                   'x'.join(map(str, r['resolution'])) if r['resolution'] else '-')),
+    'objects': (('object', 'mass kg'), lambda r: (r['name'], number(r['mass_kg']))),
+    'topics': (
+        ('topic', 'type', 'node', 'meaning'),
+        lambda r: (r['name'], r['type'], {'published': 'publishes'}.get(
+            r['direction'], 'subscribes'), r['meaning'])),
+    'services': (('service', 'type', 'meaning'),
+                 lambda r: (r['name'], r['type'], r['meaning'])),
+    'parameters': (
+        ('parameter', 'value', 'unit', 'live', 'meaning'),
+        lambda r: (r['name'], _value(r['value']), r['unit'] or '-', 'yes' if r['live'] else '-',
+                   r['meaning'])),
+}
+_TITLES = {
+    'models': 'Models', 'parts': 'Parts',
+    'joints': 'Joints: limits per second of velocity, in N m or N of effort',
+    'actuators': 'Actuators, as the files have them', 'sensors': 'Sensors',
+    'frames': 'Frames, at the start in world', 'cameras': 'Cameras',
+    'objects': 'Objects of the arena', 'topics': 'Topics of the node',
+    'services': 'Services of the node', 'parameters': 'Parameters of the node'}
+
+
+def run(options: argparse.Namespace) -> tuple[str, int]:
+    """Return the description as text."""
+    description = describe(compose_from(options), _node_parameters(options))
+    if options.json:
+        return json.dumps(description, indent=2, allow_nan=False), 0
+    width = terminal_width()
+    tables = [table(_TITLES[section], header, [cells(row) for row in description[section]], width)
+              for section, (header, cells) in _COLUMNS.items()]
+    return '\n\n'.join([_summary(description), *filter(None, tables)]), 0
+
+
+def _summary(description: Row) -> str:
+    lines = [f'{description["name"]} in arena {description["arena"]}, '
+             f'{description["mass_kg"]:.4g} kg, {len(description["joints"])} joints, '
+             f'{len(description["actuators"])} actuators']
+    defects = description['start_defects']
+    if defects:
+        lines.append(f"The start has {len(defects)} defects, see 'manip_sim check'")
+    return '\n'.join(lines)
+
+
+def _node_parameters(options: argparse.Namespace) -> Row:
+    """Return what the node has to be told for the same composition."""
+    idn = value_of(options, 'idn')
+    values = {name: value_of(options, name)
+              for name in ('robot', 'gripper', 'base', 'arena', 'prefix', 'timestep')}
+    values['idn'] = int(idn) if idn.isdecimal() else idn
+    values['gravity_compensation'] = not value_of(options, 'no_gravity_compensation')
+    known = {parameter.name for parameter in PARAMETERS}
+    # Of the node, the arena's switches are on where they are parameters, here they are off.
+    switches = {'cube': False, **arena_values(options)}
+    return {**values, **{name: value for name, value in switches.items() if name in known}}
+
+
+def _driver(joint: Row) -> str:
+    if joint['driven_by']:
+        return ', '.join(joint['driven_by'])
+    return 'a coupling' if joint['coupled'] else 'nothing'
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f'[{", ".join(value)}]'
+    return str(value) if value != '' else "''"

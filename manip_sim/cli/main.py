@@ -1,0 +1,98 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Entry point of ``manip_sim``: which command, its exit code, and errors in one line.
+
+It imports little: a command imports what it needs when it runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import contextlib
+import importlib
+import logging
+import os
+import signal
+import sys
+
+from manip_sim.cli.parser import parse
+from manip_sim.errors import ManipSimError
+from manip_sim.quoting import one_line
+
+PROBLEM = 1
+
+
+def run() -> int:
+    """
+    Run the command as a process of its own.
+
+    :returns: the exit code: 0; 1 if something is wrong or cannot be done; 2 if the command line is
+    """
+    # Ctrl-C ends it as it ends other commands.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    logging.basicConfig(format='manip_sim: %(message)s', level=logging.WARNING)
+    try:
+        return main()
+    except SystemExit as ended:  # By argparse: help, or a wrong command line.
+        return _flush() or int(ended.code or 0)
+    except Exception as error:  # A defect of the package, or of a model from another one.
+        if sys.flags.dev_mode:
+            raise
+        return _fail(f'unexpected {type(error).__name__}: {error} (where: python3 -X dev -m '
+                     'manip_sim.cli, and the same arguments)')
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """
+    Run a command.
+
+    :param arguments: the command line, by default that of the process
+    :returns: the exit code
+    """
+    options = parse(arguments)
+    _choose_renderer(options.command)
+    command = importlib.import_module(f'manip_sim.cli.{options.module}')
+    try:
+        text, code = command.run(options)
+    except ManipSimError as error:
+        return _fail(str(error))
+    except OSError as error:
+        return _fail(f'{error.filename or options.command}: {error.strerror or error}')
+    return _tell(text) or int(code)
+
+
+def _choose_renderer(command: str) -> None:
+    # MuJoCo looks at this when it is imported.
+    if command == 'render':
+        if sys.platform == 'linux':
+            os.environ.setdefault('MUJOCO_GL', 'egl')
+    elif 'mujoco' not in sys.modules:
+        os.environ['MUJOCO_GL'] = 'disable'
+
+
+def _tell(text: str) -> int:
+    """Print a text; return an exit code other than zero if that cannot be done."""
+    if text and sys.stdout is not None:
+        encoding = sys.stdout.encoding or 'utf-8'
+        with contextlib.suppress(OSError):  # It comes again with the flush.
+            print(text.encode(encoding, 'backslashreplace').decode(encoding))
+    return _flush()
+
+
+def _flush() -> int:
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        # Python flushes once more at the end, into nothing then.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):  # Else who reads has seen enough.
+            return _fail(f'cannot write the output: {error.strerror}')
+    return 0
+
+
+def _fail(message: str) -> int:
+    print(f'manip_sim: {one_line(message, 2000)}', file=sys.stderr)
+    return PROBLEM

@@ -1,0 +1,170 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command line of ``manip_sim``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import math
+from pathlib import Path
+from typing import Any, NoReturn
+
+KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
+#: Of a picture: the least and the greatest edge [pixels].
+SMALLEST, LARGEST = 16, 8192
+_EXIT_CODES = ('Exit codes: 0 all right; 1 something is wrong, or cannot be done; 2 wrong command '
+               'line')
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that tells an error in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f'manip_sim: {message}; see {self.prog} --help\n')
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """
+    Read a command line; ends the process with exit code 2 if it is wrong, 0 after ``--help``.
+
+    :param arguments: the words, by default those of the process
+    """
+    parser = _Parser(
+        prog='manip_sim', allow_abbrev=False,
+        description='See what robots, grippers, bases and arenas there are, and what is composed '
+                    'of them, without ROS.',
+        epilog=f"manip_sim COMMAND --help tells more. {_EXIT_CODES}. The node itself is "
+               "'sim_node'.")
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
+                                     title='commands')
+    for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):
+        add(commands)
+    return parser.parse_args(arguments)
+
+
+def _command(commands: Any, name: str, module: str, summary: str, more: str = '',
+             example: str = '') -> Any:
+    parser = commands.add_parser(
+        name, help=summary, allow_abbrev=False, description=f'{summary[0].upper()}{summary[1:]}. '
+        f'{more}'.strip(), formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=f'{example}\n{_EXIT_CODES}')
+    parser.set_defaults(module=module)
+    return parser
+
+
+def _add_list(commands: Any) -> None:
+    parser = _command(
+        commands, 'list', 'listing', 'list what there is, and where it comes from',
+        example='example: manip_sim list grippers')
+    parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
+                        help=f'{", ".join(KINDS[:-1])} or {KINDS[-1]} (default: all)')
+
+
+def _add_describe(commands: Any) -> None:
+    parser = _command(
+        commands, 'describe', 'describe', 'describe a composition',
+        'Tells parts,\njoints, limits, actuators, sensors, masses, frames, cameras, and the '
+        'topics, services\nand parameters that the node has for it. Tables are as wide as the '
+        'terminal.',
+        'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
+    parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
+    _add_composition(parser)
+
+
+def _add_export(commands: Any) -> None:
+    parser = _command(
+        commands, 'export', 'export', 'write a composition to a file for MuJoCo',
+        'The name of\nthe file tells the format: .xml is MJCF that refers to mesh files where '
+        "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them.",
+        'example: manip_sim export panda.mjz --robot Panda --arena table')
+    parser.add_argument('file', type=Path, metavar='FILE', help='out.xml, out.mjz or out.zip')
+    _add_composition(parser)
+
+
+def _add_render(commands: Any) -> None:
+    parser = _command(
+        commands, 'render', 'render', 'render a picture, without a screen',
+        'A composition is\nshown at its start from two sides, or from one that is asked for. With '
+        "'--robot none' a\ngripper, a base or an arena is shown alone. Needs pillow: pip install "
+        '"manip_sim[gallery]".',
+        'examples: manip_sim render panda.png --arena table\n'
+        '          manip_sim render hand.png --robot none --gripper FourierRightHand\n'
+        'On Linux pictures are rendered by EGL; set MUJOCO_GL to glfw or osmesa for another way.')
+    parser.add_argument('file', type=Path, metavar='FILE', help='such as out.png or out.jpg')
+    parser.add_argument('--size', type=_size, default=(800, 540), metavar='WIDTHxHEIGHT',
+                        help='of the picture [pixels] (default: 800x540)')
+    parser.add_argument('--azimuth', type=_number, metavar='DEGREES',
+                        help='show one side; looking along x is 0, along y is 90')
+    parser.add_argument('--elevation', type=_number, metavar='DEGREES',
+                        help='show one side; looking down is negative')
+    parser.add_argument('--camera', metavar='NAME', help='show what a camera of the model sees')
+    _add_composition(parser)
+
+
+def _add_check(commands: Any) -> None:
+    parser = _command(
+        commands, 'check', 'check', 'check the start of a composition, or of an MJCF file',
+        'Tells\nshapes inside others, blocked joints, joints outside their range, without '
+        'actuator, with\ntwo, or with one that is too weak, missing files, and what to write '
+        'instead. A file is\nchecked as it is, at its keyframe home, else its first one.',
+        'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
+        '          manip_sim check my_robot.xml')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
+    _add_composition(parser)
+
+
+def _add_composition(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        'composition', "Names are those of 'manip_sim list'.")
+    group.add_argument('--robot', metavar='NAME', help='(default: Panda)')
+    group.add_argument('--gripper', metavar='NAME', help="on every arm; 'default' is the robot's "
+                       "own, 'none' is no gripper (default: default)")
+    group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
+                       "robot's own, 'none' is the floor (default: default)")
+    group.add_argument('--arena', metavar='NAME', help='what is around it (default: empty)')
+    group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=_assignment,
+                       help="of the arena, such as table_height_m=0.9; 'manip_sim list arenas' "
+                       'tells them; may be repeated')
+    group.add_argument('--idn', metavar='N', help='number or word in names, as in robot0_joint1 '
+                       '(default: 0)')
+    group.add_argument('--prefix', metavar='TEXT', help='instead of that, the beginning of all '
+                       'names, such as left_')
+    group.add_argument('--position', nargs=3, type=_number, metavar=('X', 'Y', 'Z'),
+                       help='of the floor below the root [m] (default: where the arena has its '
+                       'place)')
+    group.add_argument('--orientation', nargs=3, type=_number, metavar=('ROLL', 'PITCH', 'YAW'),
+                       help='of the root [rad]')
+    group.add_argument('--timestep', type=_number, metavar='SECONDS',
+                       help='of the physics (default: 0.002)')
+    group.add_argument('--no-gravity-compensation', action='store_true', default=None,
+                       help='let the actuators get no help against the weight')
+
+
+def _number(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f'must be a finite number, got {text[:60]!r}')
+    return number
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition('x')
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f'must be like 800x540, got {text[:60]!r}')
+    size = int(width[:9]), int(height[:9])
+    if not all(SMALLEST <= edge <= LARGEST for edge in size):
+        raise argparse.ArgumentTypeError(
+            f'must be from {SMALLEST} to {LARGEST} pixels each way, got {text[:60]!r}')
+    return size
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition('=')
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f'must be like NAME=VALUE, got {text[:60]!r}')
+    return name, value

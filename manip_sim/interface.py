@@ -1,0 +1,199 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What the node publishes, takes, offers and is configured by, as tables without ROS.
+
+A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
+has one topic or parameter for each; :func:`topics_of` and :func:`parameters_of` fill them in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
+PART, ARM = '<part>', '<arm>'
+_GRIPPER = f'{ARM}/gripper'
+
+
+class PartLike(Protocol):
+    """A subsystem, an arm or a gripper, as the simulation tells them."""
+
+    @property
+    def joints(self) -> Collection[str]:
+        """The scalar joints."""
+
+    @property
+    def actuators(self) -> Collection[str]:
+        """All actuators."""
+
+    @property
+    def gripper(self) -> Any:
+        """The gripper, or None where the part is none."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """
+    A topic.
+
+    :ivar name: relative, absolute, or private to the node (``~/``)
+    :ivar type: package and name of the message type
+    :ivar direction: :data:`PUBLISHED` or :data:`SUBSCRIBED` by the node
+    :ivar meaning: what the messages say
+    :ivar needs: what a part must have: ``joints``, ``actuators`` or nothing; ``twist`` is a
+        mobile base that moves along x and y and turns
+    """
+
+    name: str
+    type: str
+    direction: str
+    meaning: str
+    needs: str = ''
+
+
+@dataclass(frozen=True)
+class Service:
+    """
+    A service.
+
+    :ivar name: private to the node (``~/``)
+    :ivar type: package and name of the service type
+    :ivar meaning: what it does
+    """
+
+    name: str
+    type: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    A parameter of the node.
+
+    :ivar default: also tells the type
+    :ivar of_base: the default for the part ``base``, where it differs
+    :ivar live: whether it may change while the node runs
+    """
+
+    name: str
+    default: Any
+    meaning: str
+    unit: str = ''
+    live: bool = False
+    of_base: Any = None
+
+
+TOPICS = (
+    Topic('joint_states', 'sensor_msgs/JointState', PUBLISHED, 'all joints of the robot'),
+    Topic('<part>/joint_states', 'sensor_msgs/JointState', PUBLISHED, 'joints of a part',
+          'joints'),
+    Topic('<arm>/gripper/joint_states', 'sensor_msgs/JointState', PUBLISHED,
+          'joints of a gripper', 'joints'),
+    Topic('<arm>/wrench', 'geometry_msgs/WrenchStamped', PUBLISHED,
+          'force and torque as the sensor gives them, in ft_frame'),
+    Topic('<arm>/external_wrench', 'geometry_msgs/WrenchStamped', PUBLISHED,
+          'what the world does to the tool, tared, in ft_frame'),
+    Topic('<arm>/eef_pose', 'geometry_msgs/PoseStamped', PUBLISHED, 'grip_site in world'),
+    Topic('<arm>/eef_twist', 'geometry_msgs/TwistStamped', PUBLISHED,
+          'velocity of grip_site in world'),
+    Topic('<part>/controller_state', 'trajectory_msgs/JointTrajectory', PUBLISHED,
+          'reference, feedback, error, output; control_msgs/JointTrajectoryControllerState where '
+          'control_msgs is installed', 'actuators'),
+    Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
+    Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
+          'real-time factor, missed deadlines, what became of commands'),
+    Topic('~/mjcf', 'std_msgs/String', PUBLISHED, 'the composed model, latched'),
+    Topic('<part>/command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
+          'a number in [-1, 1] for each actuator', 'actuators'),
+    Topic('<arm>/gripper/command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
+          'numbers in [-1, 1] for format_action; +1 closes', 'actuators'),
+    Topic('<part>/joint_command', 'sensor_msgs/JointState', SUBSCRIBED,
+          'goals by joint name, in the control mode', 'actuators'),
+    Topic('<arm>/gripper/joint_command', 'sensor_msgs/JointState', SUBSCRIBED,
+          'positions of driven finger joints', 'actuators'),
+    Topic('joint_command', 'sensor_msgs/JointState', SUBSCRIBED, 'goals of joints of any parts'),
+    Topic('<part>/joint_trajectory', 'trajectory_msgs/JointTrajectory', SUBSCRIBED,
+          'a spline through the points, in position mode', 'actuators'),
+    Topic('base/cmd_vel', 'geometry_msgs/Twist', SUBSCRIBED,
+          "velocity in the base's own frame, in velocity mode", 'twist'),
+)
+
+SERVICES = (
+    Service('~/pause', 'std_srvs/SetBool', 'pause or go on'),
+    Service('~/step', 'std_srvs/Trigger', 'when paused: one control period'),
+    Service('~/reset', 'std_srvs/Trigger', 'back to the start; simulation time goes on'),
+    Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
+)
+
+PARAMETERS = (
+    Parameter('robot', 'Panda', 'robot of the catalogue'),
+    Parameter('gripper', 'default', "gripper on every arm; default is the robot's own, none is "
+              'no gripper'),
+    Parameter('base', 'default', "what the robot stands on; default is the robot's own, none is "
+              'the floor'),
+    Parameter('arena', 'empty', 'what is around the robot'),
+    Parameter('cube', True, 'in the arena table: a free cube on the table'),
+    Parameter('prefix', '', 'beginning of all names of the robot, its base and its grippers'),
+    Parameter('idn', 0, 'number of the robot in names, where prefix is empty'),
+    Parameter('timestep', 0.002, 'physics step', 's'),
+    Parameter('publish_rate', 100.0, 'control periods per second of simulation time', 'Hz'),
+    Parameter('stepping', 'realtime', 'realtime, free (as fast as possible) or lockstep'),
+    Parameter('lockstep_parts', ['arm'], 'parts whose commands drive lockstep'),
+    Parameter('start_paused', False, 'wait for ~/pause or ~/step'),
+    Parameter('real_time_factor', 1.0, 'simulation time per wall time, for realtime', live=True),
+    Parameter('gravity_compensation', True, 'the actuators carry the weight of links and '
+              'grippers'),
+    Parameter('publish_clock', True, 'publish /clock'),
+    Parameter('control_mode.<part>', 'position', 'position, velocity or effort', live=True,
+              of_base='velocity'),
+    Parameter('command_timeout.<part>', 0.0, 'without a fresh command for so long the part '
+              'rests; 0 is never', 's', live=True, of_base=0.5),
+)
+
+
+def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
+    """
+    Return the topics that the node has for a robot.
+
+    :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
+    :param twist: whether the base takes a twist
+    """
+    return [topic for pattern in TOPICS for topic in _filled_in(pattern, parts, twist)]
+
+
+def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> Iterator[Topic]:
+    grippers = [name for name, part in parts.items() if part.gripper is not None]
+    if _GRIPPER in pattern.name:
+        placeholder, names = _GRIPPER, grippers
+    elif ARM in pattern.name:
+        placeholder, names = ARM, [name.split('/')[0] for name in grippers]
+    elif PART in pattern.name:
+        placeholder, names = PART, [name for name in parts if name not in grippers]
+    else:
+        if twist or pattern.needs != 'twist':
+            yield pattern
+        return
+    for name in names:
+        if not pattern.needs or getattr(parts[name], pattern.needs):
+            yield replace(pattern, name=pattern.name.replace(placeholder, name))
+
+
+def parameters_of(parts: Mapping[str, PartLike]) -> list[Parameter]:
+    """
+    Return the parameters that the node has for a robot, with their defaults.
+
+    :param parts: by name
+    """
+    controlled = [name for name, part in parts.items() if part.gripper is None and part.actuators]
+    found = [parameter for parameter in PARAMETERS if PART not in parameter.name]
+    for name in controlled:
+        found += [replace(
+            parameter, name=parameter.name.replace(PART, name),
+            default=parameter.of_base if name == 'base' else parameter.default)
+            for parameter in PARAMETERS if PART in parameter.name]
+    return found

@@ -1,0 +1,23 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One thing that is wrong with the start of a robot, and what mends it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class StartDefect:
+    """
+    What is wrong, in one sentence, and what to write instead.
+
+    :ivar kind: ``overlap``, ``blocked``, ``range``, ``actuators``, ``undriven`` or ``effort``
+    :ivar text: what is wrong, with the names of the compiled model
+    :ivar remedy: what to write, with the names of the compiled model
+    """
+
+    kind: str
+    text: str
+    remedy: str

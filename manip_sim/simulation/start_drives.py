@@ -1,0 +1,137 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Look for joints that nothing drives, that two actuators drive, or whose actuator is too weak."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.robots.subsystems import driven_joint
+from manip_sim.quoting import quoted_names
+from manip_sim.simulation.mechanism import actuated_joints, moved_joints
+from manip_sim.simulation.servos import effort_range
+from manip_sim.simulation.start_defect import StartDefect
+from manip_sim.typing import BoolArray
+
+#: What is nearer to a limit of force, as a part of it, is at the limit.
+_AT_LIMIT = 1e-6
+#: How many names one sentence lists.
+_LISTED = 8
+_FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+
+
+def find_drive_defects(model: Any, data: Any, own: BoolArray) -> Iterator[StartDefect]:
+    """
+    Say what is wrong with the actuators of robots.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
+    :param own: which bodies are those of robots, shape (nbody,)
+    """
+    joints = [joint for joint in np.flatnonzero(own[model.jnt_bodyid]).tolist()
+              if int(model.jnt_type[joint]) != _FREE]
+    drivers = _drivers(model, joints)
+    yield from _shared(model, drivers)
+    yield from _undriven(model, joints)
+    alone = {joint: actuators[0] for joint, actuators in drivers.items() if len(actuators) == 1
+             and int(model.jnt_type[joint]) != _BALL}
+    weak = list(_too_weak(model, data, alone))
+    yield from (defect for _, defect in weak)
+    yield from _at_full_force(model, data, set(joints), {joint for joint, _ in weak})
+
+
+def _drivers(model: Any, joints: list[int]) -> dict[int, list[int]]:
+    """Return the actuators that act on each joint alone, not through a tendon or a site."""
+    drivers: dict[int, list[int]] = {}
+    for actuator in range(model.nu):
+        driven = actuated_joints(model, actuator)
+        if driven_joint(model, actuator) is not None and driven[0] in joints:
+            drivers.setdefault(driven[0], []).append(actuator)
+    return drivers
+
+
+def _shared(model: Any, drivers: dict[int, list[int]]) -> Iterator[StartDefect]:
+    for joint, actuators in drivers.items():
+        if len(actuators) > 1:
+            names = [model.actuator(actuator).name for actuator in actuators]
+            yield StartDefect(
+                'actuators', f"joint '{model.joint(joint).name}' is driven by {len(names)} "
+                f'actuators, {quoted_names(names)}',
+                f'leave one of them in <actuator>: delete {quoted_names(names[1:])}')
+
+
+def _undriven(model: Any, joints: list[int]) -> Iterator[StartDefect]:
+    moved = moved_joints(model)
+    names = [model.joint(joint).name for joint in joints if joint not in moved]
+    if names:
+        one = len(names) == 1
+        yield StartDefect(
+            'undriven', f'{"joint" if one else "joints"} {quoted_names(names, _LISTED)} '
+            f'{"has" if one else "have"} no actuator, and no spring or coupling to a joint that '
+            f'has one: nothing holds {"it" if one else "them"}',
+            f'write <motor joint="{names[0]}" ctrlrange="-LIMIT LIMIT"/> into <actuator>, with '
+            'the torque limit [N m or N]'
+            + ('' if one else ', and so for each of them')
+            + '; a joint that shall not move needs no <joint>')
+
+
+def _too_weak(model: Any, data: Any, drivers: dict[int, int]
+              ) -> Iterator[tuple[int, StartDefect]]:
+    """Compare the effort that keeps the start pose with that which there is."""
+    if not drivers:
+        return
+    joints, actuators = np.array(list(drivers)), np.array(list(drivers.values()))
+    dofs = model.jnt_dofadr[joints]
+    at_rest = copy.copy(data)
+    at_rest.qvel[:] = 0.0
+    mujoco.mj_forward(model, at_rest)
+    needed = at_rest.qfrc_bias[dofs] - at_rest.qfrc_passive[dofs]
+    # The weight that MuJoCo lets the actuators carry counts against the limit of the joint alone.
+    beside = (model.jnt_actgravcomp[joints] != 0) & (model.jnt_actfrclimited[joints] == 0)
+    needed -= np.where(beside, at_rest.qfrc_gravcomp[dofs], 0.0)
+    limits = effort_range(model, joints, actuators)
+    excess = np.maximum(limits[:, 0] - needed, needed - limits[:, 1])
+    for index in np.flatnonzero(excess > _AT_LIMIT * np.abs(needed)).tolist():
+        joint, limit = int(joints[index]), limits[index]
+        effort, name = float(needed[index]), model.joint(joint).name
+        there = limit[1] if effort > 0.0 else limit[0]
+        unit = _unit(model, joint)
+        enough = float(f'{1.1 * abs(effort):.2g}')
+        yield joint, StartDefect(
+            'effort', f"joint '{name}' needs {effort:.4g} {unit} to keep its start pose, its "
+            f"actuator '{model.actuator(int(actuators[index])).name}' has {there:.4g} {unit}",
+            f'start where the joint carries less (init_qpos, or the keyframe), or write a higher '
+            f'limit, such as actuatorfrcrange="{-enough:g} {enough:g}" on the joint, and so '
+            'forcerange or ctrlrange of the actuator where they are lower')
+
+
+def _at_full_force(model: Any, data: Any, joints: set[int], told: set[int]
+                   ) -> Iterator[StartDefect]:
+    """Tell of servos whose setpoint is so far from the start that they push with all they have."""
+    is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
+    for actuator in np.flatnonzero(is_servo).tolist():
+        driven = actuated_joints(model, actuator)
+        if not joints.intersection(driven) or told.intersection(driven):
+            continue
+        force = float(data.actuator_force[actuator])
+        limit = model.actuator_forcerange[actuator]
+        if not (np.abs(limit - force) <= _AT_LIMIT * np.abs(limit)).any() or force == 0.0:
+            continue
+        name, unit = model.actuator(actuator).name, _unit(model, driven[0])
+        length = float(data.actuator_length[actuator])
+        yield StartDefect(
+            'effort', f"actuator '{name}' starts with its full force of {force:.4g} {unit}: its "
+            f'control is {float(data.ctrl[actuator]):.4g} where the start is at {length:.4g}',
+            f'let both agree: write {length:.4g} for it into ctrl of the keyframe, or start the '
+            'joint where the control wants it')
+
+
+def _unit(model: Any, joint: int) -> str:
+    return 'N m' if int(model.jnt_type[joint]) in (_HINGE, _BALL) else 'N'

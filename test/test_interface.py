@@ -1,0 +1,60 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The tables of topics, services and parameters against those of the README."""
+
+from dataclasses import dataclass
+from pathlib import Path
+import re
+
+from manip_sim.interface import (
+    PARAMETERS, parameters_of, PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of)
+
+README = (Path(__file__).resolve().parents[1] / 'README.md').read_text()
+
+
+@dataclass
+class Part:
+    joints: tuple[str, ...] = ('j',)
+    actuators: tuple[str, ...] = ('a',)
+    gripper: object = None
+
+
+def rows_below(header):
+    """Return name and type of the rows of the README's table with a header."""
+    table = README.split(f'\n| {header} |')[1].split('\n\n')[0]
+    return re.findall(r'^\| `([^`]+)` \| (\w+/\w+) \|', table, re.MULTILINE)
+
+
+def test_topics_and_services_are_those_of_the_readme_in_its_order():
+    for header, direction in (('published | type | content', PUBLISHED),
+                              ('subscribed | type | meaning', SUBSCRIBED)):
+        assert rows_below(header) == [
+            (topic.name, topic.type) for topic in TOPICS if topic.direction == direction]
+    assert rows_below('service | type | meaning') == [(s.name, s.type) for s in SERVICES]
+
+
+def test_parameters_are_those_of_the_readme_in_its_order():
+    table = README.split('\n## Parameters\n')[1].split('\n## ')[0]
+    assert re.findall(r'^\| `([^`]+)` \|', table, re.MULTILINE) == [p.name for p in PARAMETERS]
+
+
+def test_only_what_a_part_has_gives_topics():
+    names = [topic.name for topic in topics_of(
+        {'arm': Part(), 'legs': Part(actuators=()), 'left/gripper': Part(joints=(), gripper=1)},
+        twist=False)]
+    assert 'arm/command' in names and 'legs/joint_states' in names
+    assert 'left/wrench' in names and 'left/gripper/command' in names
+    assert not {'legs/command', 'left/gripper/joint_states', 'base/cmd_vel', 'left/command',
+                'left/gripper/controller_state'} & set(names)
+    assert not [name for name in names if '<' in name]
+
+
+def test_parameters_of_parts_that_are_commanded_are_filled_in():
+    found = {p.name: p.default for p in parameters_of(
+        {'arm': Part(), 'base': Part(), 'legs': Part(actuators=()),
+         'right/gripper': Part(gripper=1)})}
+    modes = {name: value for name, value in found.items() if name.startswith('control_mode')}
+    assert modes == {'control_mode.arm': 'position', 'control_mode.base': 'velocity'}
+    assert found['command_timeout.base'] == 0.5 and found['command_timeout.arm'] == 0.0
+    assert found['robot'] == 'Panda'
