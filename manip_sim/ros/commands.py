@@ -21,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 from manip_sim.errors import CommandError
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.ros.reading import read_command
 from manip_sim.ros.runner import Runner
 from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.simulation import Simulation
@@ -89,8 +90,9 @@ class CommandSubscribers:
     def _subscribe(self, message_type: Any, topic: str, part: str, parse: Parse) -> None:
         entry = self._entry_of.get(part, part)
 
-        def take(message: Any) -> None:
+        def take(data: bytes) -> None:
             try:
+                message = read_command(message_type, data)
                 commands = parse(message)
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
