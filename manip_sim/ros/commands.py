@@ -21,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 from manip_sim.errors import CommandError
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.ros.reading import read_command
 from manip_sim.ros.scope import Scope
 from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.runtime import SimulationThread
@@ -96,8 +97,9 @@ class CommandSubscribers:
         topic = self.scope.topic(name)
         entry = self._entry_of.get(part, part)
 
-        def take(message: Any) -> None:
+        def take(data: bytes) -> None:
             try:
+                message = read_command(message_type, data)
                 commands = parse(message)
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)

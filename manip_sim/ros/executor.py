@@ -10,8 +10,8 @@ from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import (
-    ConditionReachedException, ExternalShutdownException, ShutdownException,
-    SingleThreadedExecutor, TimeoutException)
+    await_or_execute, ConditionReachedException, ExternalShutdownException, InvalidHandle,
+    ShutdownException, SingleThreadedExecutor, TimeoutException)
 
 from manip_sim.ros.log import RejectionLog
 
@@ -20,10 +20,12 @@ class GuardedExecutor(SingleThreadedExecutor):
     """
     Runs callbacks one at a time; one that raises is logged and counted, and the next one runs.
 
-    This holds for all callbacks, also for those of rclpy, such as the parameter services, and for
-    messages that cannot be read. The client of a service that raised gets no answer.
+    This holds for all callbacks, also for those of rclpy, such as the parameter services. The
+    client of a service that raised gets no answer. Data that cannot be read is logged and counted
+    too: rclpy tells nothing of it, but that a subscription or service was ready and nothing could
+    be taken from it. Unreadable data that waits together counts once.
 
-    :param log: counts and tells what callbacks raise
+    :param log: counts and tells what callbacks raise, and what cannot be read
     :param context: the context of the nodes
     """
 
@@ -66,6 +68,28 @@ class GuardedExecutor(SingleThreadedExecutor):
         if error is not None:
             _release(entity)
             self._log.failure('callbacks', _name_of(entity), error)
+
+    def _take_subscription(self, sub: Any) -> Any:
+        with contextlib.suppress(InvalidHandle), sub.handle:
+            execute = super()._take_subscription(sub)
+            if execute is None:
+                self._log.unreadable(_name_of(sub))
+            return execute
+        return None
+
+    def _take_service(self, srv: Any) -> Any:
+        # As rclpy does, but that this does not tell whether there was a request.
+        with contextlib.suppress(InvalidHandle), srv.handle:
+            request, header = srv.handle.service_take_request(srv.srv_type.Request)
+            if header is None:
+                self._log.unreadable(_name_of(srv))
+                return None
+
+            async def execute() -> None:
+                response = await await_or_execute(srv.callback, request, srv.srv_type.Response())
+                srv.send_response(response, header)
+            return execute
+        return None
 
 
 def _release(entity: Any) -> None:

@@ -38,8 +38,8 @@ class RejectionLog:
 
     :param logger: the logger of the node
     :param clock: tells monotonic wall time [s]
-    :ivar failed: how many callbacks and publications have failed, by ``callbacks`` and
-        ``publications``
+    :ivar failed: how many ``callbacks`` and ``publications`` have failed, and how many ``takes``
+        of received data, because it could not be read
     """
 
     def __init__(self, logger: Any, clock: Callable[[], float] = time.monotonic) -> None:
@@ -48,7 +48,7 @@ class RejectionLog:
         self._lock = threading.Lock()
         self._told_s: dict[tuple[str, str], float] = {}
         self._untold: Counter[tuple[str, str]] = Counter()
-        self.failed = Counter({'callbacks': 0, 'publications': 0})
+        self.failed = Counter({'callbacks': 0, 'publications': 0, 'takes': 0})
 
     def warn(self, topic: str, kind: str, text: str) -> None:
         """
@@ -85,3 +85,14 @@ class RejectionLog:
         with self._lock:
             self.failed[what] += 1
         self.warn(topic, kind_of(error), f'{topic}: {type(error).__name__}: {error}')
+
+    def unreadable(self, topic: str) -> None:
+        """
+        Count received data that is no message of its type, and log it as :meth:`warn` does.
+
+        :param topic: topic or service that it came on
+        """
+        with self._lock:
+            self.failed['takes'] += 1
+        self.warn(topic, 'unreadable', f'{topic}: received data that cannot be read as a message '
+                  'of its type')

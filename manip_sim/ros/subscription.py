@@ -28,10 +28,10 @@ class CommandSubscription:
     :param node: the node
     :param message_type: of the topic
     :param topic: its name
-    :param take: is called with each message
+    :param take: is called with each message as it was serialized
     """
 
-    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[Any], None]
+    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None]
                  ) -> None:
         self._take = take
         self._taken: deque[tuple[int, int]] = deque(maxlen=4 * COMMAND_DEPTH)
@@ -41,15 +41,16 @@ class CommandSubscription:
             if self._best_effort is None:
                 self._best_effort = node.create_subscription(
                     message_type, topic, self._take_once,
-                    QoSProfile(depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+                    QoSProfile(depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+                    raw=True)
 
         self._reliable = node.create_subscription(
             message_type, topic, self._take_once, QoSProfile(depth=COMMAND_DEPTH),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=match_best_effort),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(), raw=True)
 
-    def _take_once(self, message: Any, info: dict[str, Any]) -> None:
+    def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
         which = info['source_timestamp'], info['publication_sequence_number']
         if which not in self._taken:
             self._taken.append(which)
-            self._take(message)
+            self._take(data)

@@ -128,19 +128,66 @@ def test_a_simulation_that_hangs_is_told(serve, client):
     assert float(values(arrays[-1].status[0])['real_time_factor']) < 0.9
 
 
+def part(array, name):
+    """Return the values of a part."""
+    return values(next(s for s in array.status if s.name == f'manip_sim: {name}'))
+
+
+def test_the_rate_of_commands_is_that_at_which_they_come(serve, client):
+    node = serve()
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    publisher = client.publisher(Float64MultiArray, 'arm/command')
+    timer = client.node.create_timer(0.02, lambda: publisher.publish(
+        Float64MultiArray(data=[0.0] * 7)))
+    client.spin_until(lambda: len(arrays) > 4)
+    client.node.destroy_timer(timer)
+    accepted = client.settled(lambda: node.commands[0].statistics['arm'].accepted)
+    count = len(arrays)
+    client.spin_until(lambda: len(arrays) > count + 1)
+    told = [(int(part(a, 'arm')['accepted']), float(part(a, 'arm')['rate'])) for a in arrays]
+    assert told[-1] == (accepted, 0.0)
+    # Windows are of one second; one may be longer on a busy machine, and the next one shorter.
+    for (before, _), (after, rate) in zip(told, told[1:]):
+        assert 0.5 * (after - before) <= rate <= 2.0 * (after - before)
+    assert max(rate for _, rate in told) > 10.0
+
+
+def test_the_age_of_the_last_command_grows(serve, client):
+    node = serve()
+    arrays = listen_with_times(client)
+    sent_s = time.monotonic()
+    client.publish('arm/command', Float64MultiArray(data=[0.0] * 7))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    seen = len(arrays)
+    client.spin_until(lambda: len(arrays) > seen + 3)
+    ages = [float(part(array, 'arm')['age']) for _, array in arrays[seen:]]
+    for age, (heard_s, _) in zip(ages, arrays[seen:]):
+        assert age <= heard_s - sent_s
+    # One may be told late on a busy machine.
+    assert ages[-1] - ages[0] > len(ages) - 2.5
+    assert sorted(set(ages)) == ages
+
+
+def test_timeouts_of_commands_are_counted(serve, client):
+    serve(control_mode__arm='velocity', command_timeout__arm=0.05)
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    for count in (1, 2):
+        client.publish('arm/joint_command', JointState(name=['robot0_joint1'], velocity=[0.1]))
+        client.spin_until(lambda n=count: bool(arrays) and part(
+            arrays[-1], 'arm')['timeouts'] == str(n))
+
+
 def test_the_combined_topic_counts_what_it_accepts(serve, client):
     serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
     client.publish('joint_command', JointState(name=['robot0_joint1'], position=[100.0]))
 
-    def counts(part):
-        status = next(s for s in arrays[-1].status if s.name == f'manip_sim: {part}')
-        return {key: values(status)[key] for key in ('accepted', 'clamped')}
+    def counts(name):
+        return {key: part(arrays[-1], name)[key] for key in ('accepted', 'clamped')}
     once = {'accepted': '1', 'clamped': '1'}
     client.spin_until(lambda: bool(arrays) and counts('joint_command') == once)
     assert counts('arm') == once
-    status = next(s for s in arrays[-1].status if s.name == 'manip_sim: joint_command')
-    assert float(values(status)['age']) < 5.0
+    assert float(part(arrays[-1], 'joint_command')['age']) < 5.0
 
 
 def test_a_machine_that_cannot_keep_up_is_told(serve, client):

@@ -3,6 +3,8 @@
 
 """Requests and messages that make callbacks raise: the node tells, counts and goes on."""
 
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -50,9 +52,11 @@ def unreadable():
             good[:4] + b'\xff' * 40]
 
 
-def test_messages_that_cannot_be_read_do_not_stop_their_topic(sim_process, client):
+def test_messages_that_cannot_be_read_are_counted_and_do_not_stop_their_topic(sim_process, client):
+    log = client.log()
     sim_process()
     client.state()
+    begin = time.monotonic()
     publisher = client.publisher(JointState, 'arm/joint_command')
     for _ in range(5):
         for message in unreadable():
@@ -60,4 +64,15 @@ def test_messages_that_cannot_be_read_do_not_stop_their_topic(sim_process, clien
             client.executor.spin_once(timeout_sec=0.01)
     client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.3]))
     client.spin_until(lambda: client.state().position[0] > 0.29)
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+
+    def dropped():
+        arm = next(status for status in arrays[-1].status if status.name == 'manip_sim: arm')
+        return next(int(pair.value) for pair in arm.values if pair.key == 'dropped')
+    client.spin_until(lambda: bool(arrays) and dropped() == 20)
+    for text in ('the data cannot be read as a message of the type JointState',
+                 'arm has no joint'):
+        told = [line for line in log if text in line]
+        assert 1 <= len(told) <= time.monotonic() - begin + 1
+        assert told[0].startswith('refused a message on arm/joint_command: ')
     assert client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=True)).success

@@ -72,8 +72,11 @@ def test_the_kind_of_an_error_does_not_depend_on_its_text():
 def test_failures_are_counted(log, lines):
     for _ in range(3):
         log.failure('callbacks', '~/reset', raised('a'))
-    assert log.failed == {'callbacks': 3, 'publications': 0}
-    assert lines.texts == ['~/reset: CommandError: no joint a']
+    for _ in range(2):
+        log.unreadable('arm/command')
+    assert log.failed == {'callbacks': 3, 'publications': 0, 'takes': 2}
+    assert lines.texts == ['~/reset: CommandError: no joint a', 'arm/command: received data that '
+                           'cannot be read as a message of its type']
 
 
 def test_names_with_apostrophes_do_not_flood_the_log(sim_process, client):

@@ -42,6 +42,49 @@ def test_several_signals_are_as_good_as_one(sim_process, client):
         assert 'Traceback' not in errors
 
 
+#: The node, one thread of which fails as soon as there is a certain file.
+FAILS = """
+import os
+import sys
+from manip_sim.ros import main
+from manip_sim.ros.executor import GuardedExecutor
+from manip_sim.simulation import Simulation
+
+def fails(owner, name, fail):
+    function = getattr(owner, name)
+    setattr(owner, name, lambda *arguments: (
+        fail() if os.path.exists(sys.argv[2]) else function(*arguments)))
+
+def out_of_memory():
+    raise MemoryError('no memory for the physics')
+
+if sys.argv[1] == 'physics':
+    fails(Simulation, 'advance', out_of_memory)
+else:
+    fails(GuardedExecutor, 'spin_once', sys.exit)
+sys.exit(main.run([]))
+"""
+
+
+@pytest.mark.parametrize('what, told', [
+    ('physics', 'MemoryError: no memory for the physics'),
+    ('executor', 'sim_node: the executor ended unexpectedly')], ids=['physics', 'executor'])
+def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_path):
+    now = tmp_path / 'fail_now'
+    node = subprocess.Popen([sys.executable, '-c', FAILS, what, str(now)], text=True,
+                            stderr=subprocess.PIPE)
+    try:
+        client.state()
+        now.touch()
+        # A controller must not go on with a node that only seems to live.
+        _, errors = node.communicate(timeout=20.0)
+    finally:
+        node.kill()
+        node.communicate()
+    assert node.returncode == 1
+    assert told in errors.splitlines()[-1]
+
+
 def rate(clock, wall):
     simulated_s = (clock[-1].clock.sec - clock[0].clock.sec
                    + (clock[-1].clock.nanosec - clock[0].clock.nanosec) * 1e-9)

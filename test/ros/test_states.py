@@ -13,6 +13,7 @@ from std_msgs.msg import String
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 FINGERS = ['gripper0_right_finger_joint1', 'gripper0_right_finger_joint2']
+GRIPPER = 'gripper0_right_'
 START = [0.0, np.pi / 16, 0.0, -5 * np.pi / 6, 0.0, np.pi - 0.2, np.pi / 4]
 
 
@@ -70,6 +71,64 @@ def test_the_wrench_at_rest_is_the_weight_of_the_hand_in_the_sensor_frame(serve,
     assert force[2] < -7.0
 
 
+def of_stamp(client, received, stamp_ns):
+    """Return the message of each topic that carries a stamp."""
+    def found():
+        return {topic: [m for m in heard if nanoseconds(m.header.stamp) == stamp_ns]
+                for topic, heard in received.items()}
+    client.spin_until(lambda: all(found().values()))
+    return {topic: heard[0] for topic, heard in found().items()}
+
+
+def three(vector):
+    return [vector.x, vector.y, vector.z]
+
+
+def test_every_number_is_that_of_the_physics_at_its_stamp(serve, client):
+    node = serve(start_paused=True)
+    received = {topic: client.listen(kind, topic) for topic, kind in (
+        ('joint_states', JointState), ('right/wrench', WrenchStamped),
+        ('right/external_wrench', WrenchStamped), ('right/eef_pose', PoseStamped),
+        ('right/eef_twist', TwistStamped))}
+    model, data = node.simulation.model, node.simulation.data
+    hand = data.body('gripper0_right_right_gripper')
+    force, torque = np.array([3.0, -4.0, 5.0]), np.array([0.3, 0.2, -0.1])
+    hand.xfrc_applied[:] = [*force, *torque]
+    goal = np.array(START) + [0.3, 0.2, -0.25, 0.35, 0.4, -0.2, 0.5]
+    client.publish('joint_command', JointState(
+        name=[*ARM, FINGERS[0]], position=[*goal, 0.0]))
+    client.spin_until(lambda: node.commands[0].statistics['joint_command'].accepted == 1)
+    for _ in range(10):
+        node.thread.step()
+    told = of_stamp(client, received, node.simulation.time_ns)
+    states, pose = told['joint_states'], told['right/eef_pose'].pose
+    joints = [data.joint(name) for name in states.name]
+    np.testing.assert_array_equal(states.position, [j.qpos[0] for j in joints])
+    np.testing.assert_array_equal(states.velocity, [j.qvel[0] for j in joints])
+    np.testing.assert_array_equal(states.effort, [j.qfrc_actuator[0] for j in joints])
+    wrench, external = (told[f'right/{name}'].wrench for name in ('wrench', 'external_wrench'))
+    np.testing.assert_array_equal(three(wrench.force), data.sensor(f'{GRIPPER}force_ee').data)
+    np.testing.assert_array_equal(three(wrench.torque), data.sensor(f'{GRIPPER}torque_ee').data)
+    frame = data.site(f'{GRIPPER}ft_frame')
+    to_frame = frame.xmat.reshape(3, 3).T
+    np.testing.assert_allclose(three(external.force), to_frame @ force, atol=1e-9)
+    np.testing.assert_allclose(three(external.torque), to_frame @ (
+        torque + np.cross(hand.xipos - frame.xpos, force)), atol=1e-9)
+    site = data.site(f'{GRIPPER}grip_site')
+    np.testing.assert_array_equal(three(pose.position), site.xpos)
+    jacobian = np.zeros((2, 3, model.nv))
+    mujoco.mj_jacSite(model, data, *jacobian, site.id)
+    twist = told['right/eef_twist'].twist
+    np.testing.assert_allclose(three(twist.linear), jacobian[0] @ data.qvel, atol=1e-9)
+    np.testing.assert_allclose(three(twist.angular), jacobian[1] @ data.qvel, atol=1e-9)
+    # None of these is zero, or like another one, by chance.
+    for vector in (wrench.force, wrench.torque, external.force, external.torque, twist.linear,
+                   twist.angular, pose.position):
+        values = np.sort(np.abs(three(vector)))
+        assert values[0] > 1e-3 and np.diff(values).min() > 1e-3, vector
+    assert np.abs(states.velocity).min() > 1e-3 and np.abs(states.effort).min() > 1e-3
+
+
 def test_the_pose_of_the_end_effector_is_that_of_the_published_model(serve, client):
     serve()
     poses = client.listen(PoseStamped, 'right/eef_pose')
@@ -93,11 +152,17 @@ def test_the_pose_of_the_end_effector_is_that_of_the_published_model(serve, clie
 
 
 def test_states_are_reliable_and_keep_ten(serve, client):
-    serve()
+    node = serve()
     client.spin_until(lambda: client.node.count_publishers('joint_states') > 0)
     qos = client.node.get_publishers_info_by_topic('/joint_states')[0].qos_profile
     assert qos.reliability == QoSReliabilityPolicy.RELIABLE
     assert qos.durability == QoSDurabilityPolicy.VOLATILE
+    # The depth is not told to other nodes.
+    depths = {publisher.topic_name: publisher.qos_profile.depth for publisher in node.publishers}
+    states = {topic for topic in depths if topic.endswith(('states', 'wrench', 'pose', 'twist'))}
+    assert len(states) == 8
+    assert {depths[topic] for topic in states} == {10}
+    assert depths['/clock'] == 1
 
 
 def test_qos_can_be_overridden_by_parameters(serve, client):

@@ -120,7 +120,7 @@ def _handled(client: Any, arrays: list[Any]) -> int:
     for status in arrays[-1].status:
         values = {pair.key: pair.value for pair in status.values}
         total += sum(int(values.get(key, 0)) for key in (
-            'accepted', 'dropped', 'failed_callbacks'))
+            'accepted', 'dropped', 'failed_callbacks', 'failed_takes'))
     return total
 
 

@@ -1,0 +1,68 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read serialized commands: what is too large to be one, or is no message, is rejected."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+from trajectory_msgs.msg import JointTrajectory
+
+from manip_sim.errors import CommandError
+from manip_sim.simulation.command_parser import MAX_POINTS
+
+#: More than any command needs, but a trajectory [bytes].
+_MAX_SIZE = 2**18
+#: Of a trajectory, the points of many joints with velocities and accelerations [bytes].
+_MAX_TRAJECTORY_SIZE = 2**24
+_MAX_JOINTS = 1000
+#: Serialized data begins with so many bytes that say how it is encoded.
+_ENCODING_SIZE = 4
+
+
+def read_command(message_type: Any, data: bytes) -> Any:
+    """
+    Return the message that was serialized.
+
+    rclpy makes Python objects of a message in one call, in which no other thread runs: 100 000
+    points of a trajectory would stop the physics for more than a second. So sizes are checked
+    before.
+
+    :raises CommandError: if it is too large, or no message of this type
+    """
+    trajectory = message_type is JointTrajectory
+    most = _MAX_TRAJECTORY_SIZE if trajectory else _MAX_SIZE
+    if len(data) > most:
+        raise CommandError(f'the message has {len(data)} bytes, a command has {most} at most')
+    try:
+        if trajectory:
+            _check_counts(data)
+        return deserialize_message(data, message_type)
+    except (struct.error, RuntimeError) as error:
+        raise CommandError('the data cannot be read as a message of the type '
+                           f'{message_type.__name__}') from error
+
+
+def _check_counts(data: bytes) -> None:
+    """Check how many names and points a serialized ``JointTrajectory`` has (OMG CDR, 9.3)."""
+    number = struct.Struct('<I' if data[1:2] == b'\x01' else '>I')
+
+    def read(offset: int) -> tuple[int, int]:
+        """Return the number at the next multiple of four bytes, and where it ends."""
+        offset += -offset % 4
+        value: int = number.unpack_from(data, offset)[0]
+        return value, offset + 4
+    # The header begins with a stamp of 8 bytes; then a frame, the names of joints and the points.
+    length, offset = read(_ENCODING_SIZE + 8)
+    count, offset = read(offset + length)
+    if count > _MAX_JOINTS:
+        raise CommandError(f'a trajectory may have {_MAX_JOINTS} joints, got {count}')
+    for _ in range(count):
+        length, offset = read(offset)
+        offset += length
+    count, _ = read(offset)
+    if count > MAX_POINTS:
+        raise CommandError(f'a trajectory may have {MAX_POINTS} points, got {count}')

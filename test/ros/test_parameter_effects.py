@@ -1,0 +1,105 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What parameters change in the physics and its pace, at the start and while the node runs."""
+
+import mujoco
+import numpy as np
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+ARM = [f'robot0_joint{n}' for n in range(1, 8)]
+
+
+def published_model(client):
+    """Return the model that the node publishes."""
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    xml = client.listen(String, '/manip_sim/mjcf', latched)
+    client.spin_until(lambda: bool(xml))
+    return mujoco.MjModel.from_xml_string(xml[0].data)
+
+
+def set_live(client, name, value):
+    """Change a parameter as ``ros2 param set`` does."""
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    (result,) = client.call(SetParameters, 'manip_sim/set_parameters', request).results
+    assert result.successful, result.reason
+
+
+def steps(node, count):
+    for _ in range(count):
+        node.thread.step()
+
+
+@pytest.mark.parametrize('compensated', [True, False])
+def test_an_arm_without_effort_falls_unless_gravity_is_compensated(compensated, serve, client):
+    node = serve(start_paused=True, control_mode__arm='effort', gravity_compensation=compensated)
+    start = node.simulation.robot.state().position[:7]
+    client.publish('arm/joint_command', JointState(name=ARM, effort=[0.0] * 7))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    steps(node, 50)
+    moved = np.abs(node.simulation.robot.state().position[:7] - start).max()
+    if compensated:
+        assert moved < 1e-3
+    else:
+        # Half a second of free fall of a link of half a metre.
+        assert moved > 0.5
+    model = published_model(client)
+    assert model.body_gravcomp[model.body('robot0_link5').id] == compensated
+
+
+@pytest.mark.parametrize('cube', [True, False])
+def test_the_cube_lies_on_the_table_where_it_is_wanted(cube, serve, client):
+    serve(arena='table', cube=cube)
+    model = published_model(client)
+    bodies = {model.body(index).name for index in range(model.nbody)}
+    assert 'table' in bodies
+    assert ('cube' in bodies) == cube
+
+
+def test_the_timestep_is_that_of_the_physics_and_the_stamps(serve, client):
+    node = serve(timestep=0.0005, publish_rate=200.0)
+    clock = client.listen(Clock, '/clock')
+    client.spin_until(lambda: len(clock) > 20)
+    stamps = [tick.clock.sec * 10**9 + tick.clock.nanosec for tick in clock]
+    assert set(np.diff(stamps)) == {5_000_000}
+    assert node.simulation.model.opt.timestep == published_model(client).opt.timestep == 0.0005
+    node.thread.pause(True)
+    before = node.simulation.data.time
+    node.thread.step()
+    # MuJoCo's own time, not that which is counted.
+    assert node.simulation.data.time - before == pytest.approx(0.005, abs=1e-9)
+
+
+def test_the_real_time_factor_changes_while_the_node_runs(serve, client):
+    node = serve(publish_rate=20.0, real_time_factor=0.1)
+    clock = client.listen(Clock, '/clock')
+    client.spin_until(lambda: bool(clock))
+    # A period took 0.5 s of wall time, and takes 5 ms now.
+    set_live(client, 'real_time_factor', 10.0)
+    before = len(clock)
+    client.spin_until(lambda: len(clock) > before + 50, timeout_s=5.0)
+    assert node.thread.real_time_factor == 10.0
+
+
+def test_a_command_timeout_changes_while_the_node_runs(serve, client):
+    node = serve(start_paused=True, control_mode__arm='velocity')
+    command = JointState(name=ARM[:1], velocity=[0.2])
+
+    def velocity_after(seconds):
+        accepted = node.commands[0].statistics['arm'].accepted
+        client.publish('arm/joint_command', command)
+        client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == accepted + 1)
+        steps(node, round(seconds * 100))
+        return node.simulation.robot.state().velocity[0]
+    assert velocity_after(1.0) == pytest.approx(0.2, abs=0.004)
+    set_live(client, 'command_timeout.arm', 0.3)
+    assert velocity_after(0.28) == pytest.approx(0.2, abs=0.004)
+    assert abs(velocity_after(1.0)) < 1e-3
+    set_live(client, 'command_timeout.arm', 0.0)
+    assert velocity_after(1.0) == pytest.approx(0.2, abs=0.004)

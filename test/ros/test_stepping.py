@@ -1,0 +1,133 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""When control periods come: after a pause, while nothing moves, as fast as possible."""
+
+import statistics
+import time
+
+from builtin_interfaces.msg import Duration
+import numpy as np
+import pytest
+from rclpy.duration import Duration as WaitDuration
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+
+def listen_with_times(client):
+    """Return a list that is filled with wall time [s] and simulation time [ns] of each clock."""
+    ticks = []
+    client.node.create_subscription(Clock, '/clock', lambda m: ticks.append(
+        (time.monotonic(), m.clock.sec * 10**9 + m.clock.nanosec)), 1000)
+    client.spin_until(lambda: bool(ticks))
+    return ticks
+
+
+def wait(client, seconds):
+    """Take in what comes for so long, because the time itself is what is tested."""
+    end = time.monotonic() + seconds
+    client.spin_until(lambda: time.monotonic() > end)
+
+
+def until_next_period(client, ticks, begin_s):
+    """Return how long after an instant the next control period came [s]."""
+    (_, last) = ticks[-1]
+    client.spin_until(lambda: ticks[-1][1] > last)
+    return next(wall_s for wall_s, time_ns in ticks if time_ns > last) - begin_s
+
+
+def test_time_that_passed_in_a_pause_is_not_made_up_for(serve, client):
+    node = serve(publish_rate=2.0)
+    ticks = listen_with_times(client)
+    client.spin_until(lambda: len(ticks) > 1)
+    node.thread.pause(True)
+    wait(client, 0.7)
+    begin_s = time.monotonic()
+    node.thread.pause(False)
+    # The deadline that the pause swallowed is past; the next one is a whole period from now.
+    assert until_next_period(client, ticks, begin_s) > 0.49
+
+
+def test_the_state_after_a_reset_lasts_a_whole_period(serve, client):
+    node = serve(publish_rate=2.0)
+    ticks = listen_with_times(client)
+    seen = len(ticks)
+    client.spin_until(lambda: len(ticks) > seen)
+    wait(client, 0.3)
+    begin_s = time.monotonic()
+    node.thread.reset()
+    client.spin_until(lambda: len(ticks) > seen + 1)
+    assert until_next_period(client, ticks, begin_s) > 0.49
+
+
+@pytest.mark.parametrize('how', [{'start_paused': True}, {'stepping': 'lockstep'}])
+def test_a_state_is_repeated_ten_times_a_second(how, serve, client):
+    serve(**how)
+    ticks = listen_with_times(client)
+    client.spin_until(lambda: len(ticks) > 12)
+    assert len({time_ns for _, time_ns in ticks}) == 1
+    between = [after - before for (before, _), (after, _) in zip(ticks[1:], ticks[2:])]
+    # A busy machine delays some, and hastens none for long.
+    assert 0.09 < statistics.median(between) < 0.2
+
+
+def test_free_stepping_waits_for_nothing(serve, client):
+    node = serve(stepping='free')
+    client.state()
+    advance, calls = node.simulation.advance, []
+
+    def timed(count):
+        begin = time.perf_counter()
+        advance(count)
+        calls.append((begin, time.perf_counter()))
+    node.simulation.advance = timed
+    client.spin_until(lambda: len(calls) > 300)
+    idle = [begin - end for (_, end), (begin, _) in zip(calls, calls[1:])]
+    # Publishing costs about 0.2 ms; a busy machine may interrupt now and then.
+    assert statistics.median(idle) < 2e-3
+
+
+def test_ten_commands_at_once_are_all_taken(serve, client):
+    node = serve()
+    publisher = client.publisher(JointState, 'joint_command')
+    accepted = node.commands[0].statistics['joint_command']
+    for burst in range(1, 4):
+        released = []
+        # The executor takes nothing meanwhile, as if the machine were busy.
+        node.executor.create_task(lambda done=released: until(lambda: done))
+        for n in range(10):
+            publisher.publish(JointState(name=[f'robot0_joint{n % 7 + 1}'],
+                                         position=[0.01 * burst]))
+        assert publisher.wait_for_all_acked(WaitDuration(seconds=10))
+        released.append(True)
+        client.spin_until(lambda n=burst: accepted.accepted == 10 * n)
+
+
+def until(condition):
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end, 'timed out'
+        time.sleep(0.001)
+
+
+def test_a_trajectory_with_a_stamp_ahead_starts_at_that_instant(serve, client):
+    node = serve(start_paused=True)
+    start = node.simulation.robot.state().position[0]
+    message = JointTrajectory(joint_names=['robot0_joint1'], points=[JointTrajectoryPoint(
+        positions=[start + 0.2], velocities=[0.0],
+        time_from_start=Duration(nanosec=500_000_000))])
+    message.header.stamp.nanosec = 310_000_000
+    client.publish('arm/joint_trajectory', message)
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    way = {}
+    for _ in range(100):
+        node.thread.step()
+        way[node.simulation.time_ns] = node.simulation.robot.state().position[0] - start
+    assert abs(way[310_000_000]) < 1e-4
+    # The smooth step of a cubic, which the servo follows within a hundredth of the way.
+    for part in (0.1, 0.3, 0.5, 0.7, 1.0):
+        expected = 0.2 * (3.0 * part**2 - 2.0 * part**3)
+        assert way[310_000_000 + round(part * 50) * 10_000_000] == pytest.approx(
+            expected, abs=0.002)
+    assert np.diff(list(way.values())).min() > -1e-4
