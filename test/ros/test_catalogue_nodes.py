@@ -3,7 +3,7 @@
 
 """Every robot of the catalogue, served by name with its default gripper and base."""
 
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, Vector3
 import numpy as np
 import pytest
 
@@ -37,6 +37,11 @@ def test_a_robot_is_served_with_the_topics_of_its_parts(name, serve, client):
         arm.position, [dict(zip(robot.joints, robot.init_qpos))[j] for j in arm.name], atol=2e-3)
 
 
+def place(client):
+    """Return where the base is [m], shape (2,)."""
+    return np.array(client.state('base/joint_states').position[:2])
+
+
 def test_a_mobile_base_drives_along_its_own_axes(serve, client):
     node = serve(robot='PandaOmron', command_timeout__base=0.0)
     turn = Twist()
@@ -46,12 +51,16 @@ def test_a_mobile_base_drives_along_its_own_axes(serve, client):
     client.publish('base/cmd_vel', Twist())
     client.spin_until(lambda: abs(client.state('base/joint_states').velocity[2]) < 1e-3)
     yaw = client.state('base/joint_states').position[2]
-    ahead = Twist()
-    ahead.linear.x = 0.5
-    client.publish('base/cmd_vel', ahead)
-    client.spin_until(lambda: client.state('base/joint_states').position[1] > 0.3)
-    x, y, _ = client.state('base/joint_states').position
-    assert abs(np.arctan2(y, x) - yaw) < 0.05
+    # Forward, and to the left (REP 103).
+    for twist, heading in ((Vector3(x=0.5), yaw), (Vector3(y=0.5), yaw + np.pi / 2)):
+        start = place(client)
+        client.publish('base/cmd_vel', Twist(linear=twist))
+        client.spin_until(lambda s=start: np.linalg.norm(place(client) - s) > 0.3)
+        client.publish('base/cmd_vel', Twist())
+        client.spin_until(lambda: np.abs(client.state('base/joint_states').velocity).max() < 1e-3)
+        x, y = place(client) - start
+        error = np.arctan2(y, x) - heading
+        assert abs(np.arctan2(np.sin(error), np.cos(error))) < 0.05
     assert node.simulation.robot.joints.mode_of('mobilebase0_joint_mobile_yaw') == 'velocity'
 
 

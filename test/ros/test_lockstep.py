@@ -7,6 +7,7 @@ import hashlib
 from pathlib import Path
 import subprocess
 import sys
+from threading import Event
 
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,7 +16,10 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from manip_sim.errors import CommandError
 
 CYCLES = 2000
 PERIOD_NS = 2_000_000
@@ -149,6 +153,49 @@ def test_a_second_answer_to_a_state_is_stale(serve, client):
     client.publish('arm/joint_command', answer)
     client.spin_until(lambda: any('answers the state of 0.01' in line for line in log))
     assert node.simulation.step_count == 10
+
+
+def test_an_answer_that_comes_while_its_period_runs_is_stale(serve, client):
+    node = serve(stepping='lockstep')
+    entered, released = Event(), Event()
+    advance = node.simulation.advance
+
+    def held(steps):
+        entered.set()
+        assert released.wait(30.0)
+        advance(steps)
+    node.simulation.advance = held
+    answer = JointState(name=['robot0_joint1'], position=[0.1])
+    answer.header.stamp.nanosec = 10_000_000
+    try:
+        client.publish('arm/joint_command', answer)
+        assert entered.wait(20.0)
+        client.publish('arm/joint_command', answer)
+        client.spin_until(lambda: node.commands.statistics['arm'].refused == 1)
+    finally:
+        released.set()
+    client.state()
+    assert node.simulation.step_count == 10
+    # Late answers are told from early ones.
+    with pytest.raises(CommandError, match=r'answers the state of 0\.010000000 s, the present '
+                                           r'state is that of 0\.020000000 s$'):
+        node.runner.submit([], 10_000_000)
+
+
+def test_a_reset_has_a_stamp_of_its_own_and_makes_answers_to_older_ones_stale(serve, client):
+    node = serve(stepping='lockstep')
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: bool(states))
+    assert client.call(Trigger, 'manip_sim/reset').success
+    client.spin_until(lambda: nanoseconds(states[-1]) == 20_000_000)
+    statistics = node.commands.statistics['arm']
+    answer = JointState(name=['robot0_joint1'], position=[0.1])
+    answer.header.stamp.nanosec = 10_000_000
+    client.publish('arm/joint_command', answer)
+    client.spin_until(lambda: statistics.refused == 1)
+    answer.header.stamp.nanosec = 20_000_000
+    client.publish('arm/joint_command', answer)
+    client.spin_until(lambda: nanoseconds(states[-1]) == 30_000_000)
 
 
 def test_a_trajectory_is_the_command_of_its_part_until_it_ends(serve, client):

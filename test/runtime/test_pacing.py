@@ -59,6 +59,14 @@ def test_large_backlog_is_dropped_and_counted():
     assert pacer.deadline_s == pytest.approx(1.015)
 
 
+def test_backlog_is_dropped_when_it_is_longer_than_a_tenth_of_a_second():
+    late, too_late = (Pacer(0.01, 1.0, now_s=0.0) for _ in range(2))
+    assert sum(late.is_due(0.01 + 0.099) for _ in range(20)) == 10
+    assert late.missed == 0
+    assert sum(too_late.is_due(0.01 + 0.101) for _ in range(20)) == 1
+    assert too_late.missed == 10
+
+
 def test_change_of_the_factor_makes_no_burst():
     pacer = Pacer(0.01, 0.1, now_s=0.0)
     assert not pacer.is_due(0.099)

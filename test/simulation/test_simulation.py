@@ -189,6 +189,21 @@ def test_absurd_velocity_of_a_free_object_is_told_as_such(cube_sim):
     assert np.isfinite(numbers_of(cube_sim.robot.state())).all()
 
 
+@pytest.mark.parametrize('bad', [np.nan, np.inf, -1e11])
+def test_a_bad_control_is_divergence_and_does_not_last(panda_sim, run, bad):
+    # MuJoCo sets all controls to zero then, and the arm would fall without a word.
+    panda_sim.data.ctrl[1] = bad
+    start = panda_sim.state().position
+    panda_sim.advance(5)
+    assert panda_sim.diverged == ('the physics diverged at 0.010 s: MuJoCo warns of a bad '
+                                  'position, velocity, acceleration or control')
+    np.testing.assert_array_equal(panda_sim.state().position, start)
+    panda_sim.reset()
+    run(panda_sim, 0.5)
+    assert panda_sim.diverged is None
+    np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
+
+
 def test_divergence_is_mended_by_reset(panda_sim, run):
     start = panda_sim.robot.state().position
     make_velocity_absurd(panda_sim)
