@@ -46,6 +46,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'sim_node = {PACKAGE}.__main__:main',
+            f'manip_sim = {PACKAGE}.cli.main:run',
             f'pick_cube = {PACKAGE}.examples.pick_cube:main',
         ],
     },

@@ -32,7 +32,7 @@ def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
     assert done.returncode == 1
     assert done.stdout == ''
     assert done.stderr.count('\n') == 1
-    assert "unknown robot 'Pnda': did you mean 'Panda'" in done.stderr
+    assert "unknown robot, gripper or base 'Pnda': did you mean 'Panda'" in done.stderr
     assert not (tmp_path / 'gallery').exists()
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.cli.composition import compose_from, is_given
-from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.cli.composition import compose_from
+from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.archive import file_references
 from manip_sim.models.loading import compile_spec, load_spec
@@ -29,8 +29,6 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 def run(options: argparse.Namespace) -> tuple[str, int]:
     """Return what is wrong, and 1 if anything is."""
     if options.file is not None:
-        if is_given(options):
-            raise ManipSimError('check either a file or a composition, not both')
         name, defects = str(options.file), _defects_of_file(options.file)
         note = ''
     else:

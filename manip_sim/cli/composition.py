@@ -23,11 +23,6 @@ _DEFAULTS = {'robot': 'Panda', 'gripper': DEFAULT, 'base': DEFAULT, 'arena': 'em
 _BOOL = {'true': True, 'false': False}
 
 
-def is_given(options: argparse.Namespace) -> bool:
-    """Tell whether any option of the composition is on the command line."""
-    return any(getattr(options, name) is not None for name in _DEFAULTS)
-
-
 def value_of(options: argparse.Namespace, name: str) -> Any:
     """Return the value of an option, or its default."""
     value = getattr(options, name)

@@ -11,6 +11,9 @@ import math
 from pathlib import Path
 from typing import Any, NoReturn
 
+#: The options of a composition; None where they are not given.
+COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'idn', 'prefix', 'position',
+               'orientation', 'timestep', 'no_gravity_compensation')
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
 #: Of a picture: the least and the greatest edge [pixels].
 SMALLEST, LARGEST = 16, 8192
@@ -41,7 +44,26 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):
         add(commands)
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    problem = _conflict(options)
+    if problem:
+        commands.choices[options.command].error(problem)
+    return options
+
+
+def _conflict(options: argparse.Namespace) -> str | None:
+    """Say which options do not go together."""
+    if options.command == 'check' and options.file is not None and any(
+            getattr(options, name) is not None for name in COMPOSITION):
+        return 'check either a FILE or a composition, not both'
+    if options.command != 'render':
+        return None
+    if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
+        return 'use either --camera or --azimuth and --elevation'
+    alone = [name for name in ('gripper', 'base', 'arena') if getattr(options, name) is not None]
+    if options.robot == 'none' and len(alone) != 1:
+        return "with '--robot none' give one of --gripper, --base and --arena to be shown alone"
+    return None
 
 
 def _command(commands: Any, name: str, module: str, summary: str, more: str = '',

@@ -33,7 +33,7 @@ def actuated_joints(model: Any, actuator: int) -> list[int]:
         return tendon_joints(model, target)
     if kind in _SITE:
         bodies = [int(model.site_bodyid[site]) if site >= 0 else 0 for site in (target, reference)]
-        return _joints_between(model, *bodies)
+        return joints_between(model, *bodies)
     return []
 
 
@@ -48,7 +48,7 @@ def tendon_joints(model: Any, tendon: int) -> list[int]:
     found: dict[int, None] = {}
     for one, other in pairwise(_wrapped_body(model, wrap) for wrap in wraps):
         if one is not None and other is not None:
-            found.update(dict.fromkeys(_joints_between(model, one, other)))
+            found.update(dict.fromkeys(joints_between(model, one, other)))
     return list(found)
 
 
@@ -99,7 +99,7 @@ def _coupled(model: Any) -> Iterator[Iterable[int]]:
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_TENDON):
         yield [*tendon_joints(model, one), *(tendon_joints(model, other) if other >= 0 else ())]
     for equality, one, other in _equalities(model, _EQUALITY.mjEQ_CONNECT, _EQUALITY.mjEQ_WELD):
-        yield _joints_between(model, *_tied_bodies(model, equality, one, other))
+        yield joints_between(model, *_tied_bodies(model, equality, one, other))
 
 
 def _fixed(model: Any) -> Iterator[Iterable[int]]:
@@ -110,7 +110,7 @@ def _fixed(model: Any) -> Iterator[Iterable[int]]:
     for equality, one, other in _equalities(model, _EQUALITY.mjEQ_WELD):
         bodies = _tied_bodies(model, equality, one, other)
         if not all(int(model.body_weldid[body]) for body in bodies):
-            yield _joints_between(model, *bodies)
+            yield joints_between(model, *bodies)
 
 
 def _tied_bodies(model: Any, equality: int, one: int, other: int) -> tuple[int, int]:
@@ -119,7 +119,7 @@ def _tied_bodies(model: Any, equality: int, one: int, other: int) -> tuple[int, 
     return one, other
 
 
-def _joints_between(model: Any, one: int, other: int) -> list[int]:
+def joints_between(model: Any, one: int, other: int) -> list[int]:
     """Return the joints that move one body against another."""
     apart = _ancestry(model, one) ^ _ancestry(model, other)
     return [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in apart]

@@ -14,7 +14,7 @@ import numpy as np
 
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.simulation.couplings import JointCouplings
-from manip_sim.simulation.mechanism import actuated_joints
+from manip_sim.simulation.mechanism import actuated_joints, joints_between
 from manip_sim.simulation.start_defect import StartDefect
 from manip_sim.simulation.start_drives import find_drive_defects
 from manip_sim.typing import BoolArray
@@ -90,13 +90,16 @@ def _overlaps(model: Any, contacts: list[Any], own: BoolArray) -> Iterator[Start
 
 def _apart(model: Any, inner: int, outer: int, own: BoolArray) -> str:
     """Say how a shape of a robot gets out of another shape."""
-    body, other = (model.body(model.geom_bodyid[geom]).name for geom in (inner, outer))
-    if not own[model.geom_bodyid[outer]]:
+    bodies = [int(model.geom_bodyid[geom]) for geom in (outer, inner)]
+    other, body = (model.body(index).name for index in bodies)
+    if not own[bodies[0]]:
         return (f"place the robot elsewhere (its position, or base_xpos_offset), or move '{other}'"
                 ', or start in another pose')
-    return ('start in another pose (init_qpos, or the keyframe), mount the part farther out, or '
-            f'write <exclude body1="{other}" body2="{body}"/> into <contact> if these shapes may '
-            'overlap')
+    if len(joints_between(model, *bodies)) < 2:
+        # Shapes of neighbours often overlap at their common joint.
+        return f'write <exclude body1="{other}" body2="{body}"/> into <contact>'
+    return ('start in another pose (init_qpos, or the keyframe), or mount farther out what is '
+            'mounted, or make the shapes smaller')
 
 
 def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int], own: BoolArray

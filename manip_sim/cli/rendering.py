@@ -1,0 +1,207 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Pictures of worlds and of parts alone, rendered by MuJoCo and composed by pillow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import contextlib
+from dataclasses import dataclass
+import os
+from typing import Any, TYPE_CHECKING
+
+from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from manip_sim.models import World
+    from manip_sim.models.mjcf import MujocoXMLModel
+
+AZIMUTHS = (140.0, 40.0)
+ELEVATION = -12.0
+#: To see into bins and onto tables.
+ELEVATION_OF_ARENAS = -35.0
+_MARGIN = 1.05
+#: Where the lowest shape of a part that is shown alone is above the floor [m].
+_ABOVE_FLOOR = 0.01
+#: How long coupled joints may take to find their start [s].
+_SETTLE_S = 0.5
+#: What of an arena without furniture is shown: the corners of a part of its floor [m].
+_FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class View:
+    """
+    From where a picture is taken; it shows all there is, as large as it can be.
+
+    :ivar azimuth: looking along x is 0, along y is 90 [degrees]
+    :ivar elevation: looking down is negative [degrees]
+    :ivar camera: of the model, instead of these
+    """
+
+    azimuth: float = AZIMUTHS[0]
+    elevation: float = ELEVATION
+    camera: str | None = None
+
+
+TWO_SIDES = tuple(View(azimuth) for azimuth in AZIMUTHS)
+TWO_SIDES_OF_ARENAS = tuple(View(azimuth, ELEVATION_OF_ARENAS) for azimuth in AZIMUTHS)
+
+
+def check_pillow() -> None:
+    """
+    Check that pillow is there.
+
+    :raises ManipSimError: with what installs it
+    """
+    try:
+        import PIL  # noqa: F401
+    except ImportError:
+        raise ManipSimError('needs pillow: pip install "manip_sim[gallery]"') from None
+
+
+def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] = TWO_SIDES
+                     ) -> Image:
+    """
+    Render a world at its start.
+
+    :param size: width and height of the picture; views stand side by side in it [pixels]
+    :param views: from where
+    :raises UnknownNameError: if there is no such camera
+    :raises ManipSimError: if nothing can be rendered
+    """
+    model, data = _start_of(world)
+    return _picture(model, data, size, views, _FLOOR if not world.robots else ())
+
+
+def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
+                    views: Sequence[View] = TWO_SIDES) -> Image:
+    """
+    Render a gripper or a base alone over a floor, a gripper as on a flange that faces down.
+
+    The parameters and errors are those of :func:`picture_of_world`.
+    """
+    import mujoco
+    import numpy as np
+
+    from manip_sim.models import create_arena
+    from manip_sim.models.grippers import GripperModel
+    from manip_sim.models.loading import compile_spec
+
+    frame, height = {}, 0.0
+    by_joint: dict[str, float] = {}
+    if isinstance(part, GripperModel):
+        frame['quat'] = [0.0, 1.0, 0.0, 0.0]
+        if part.init_qpos is not None:
+            by_joint = dict(zip(part.joints, np.asarray(part.init_qpos, dtype=float).tolist()))
+    for _ in range(2):  # Where the floor has to be is known when the part has been looked at.
+        spec = create_arena('empty').compose()
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        part.attach_to(spec, spec.worldbody.add_frame(pos=[0.0, 0.0, height], **frame))
+        model = compile_spec(spec, part.name)
+        data = _at_start(model, by_joint)
+        corners = _visible_corners(model, data)
+        if not len(corners):
+            raise ModelError(f'{part.name} has no visible shapes (group 0 to 2), so no picture')
+        height += _ABOVE_FLOOR - float(corners[:, 2].min())
+    return _picture(model, data, size, views)
+
+
+def _picture(model: Any, data: Any, size: tuple[int, int], views: Sequence[View],
+             else_shown: Sequence[Sequence[float]] = ()) -> Image:
+    import mujoco
+    import numpy as np
+    from PIL import Image
+
+    corners = _visible_corners(model, data)
+    if not len(corners):
+        if not else_shown:
+            raise ModelError('without visible shapes (group 0 to 2) there is no picture')
+        corners = np.array(else_shown)
+    width, height = -(-size[0] // len(views)), size[1]
+    cameras = [_camera(view, model, corners, width / height) for view in views]
+    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    shown = mujoco.MjvOption()
+    shown.geomgroup[3:] = 0
+    shown.sitegroup[:] = 0
+    picture = Image.new('RGB', size)
+    try:
+        with mujoco.Renderer(model, height, width) as renderer:
+            for index, camera in enumerate(cameras):
+                renderer.update_scene(data, camera, shown)
+                picture.paste(Image.fromarray(renderer.render()), (index * size[0] // len(views), 0))
+    except Exception as error:  # Each way to render has exceptions of its own.
+        raise cannot_render(error) from error
+    return picture
+
+
+def cannot_render(error: Exception) -> ManipSimError:
+    """Return the error to raise for one of MuJoCo's renderer."""
+    way = os.environ.get('MUJOCO_GL', 'the default')
+    return ManipSimError(f'cannot render with MUJOCO_GL={way}: {error}')
+
+
+def _start_of(world: World) -> tuple[Any, Any]:
+    """Return model and data of a world at its start, also of one that cannot be controlled."""
+    from manip_sim.simulation import Simulation
+    if world.robots:
+        with contextlib.suppress(ModelError):
+            simulation = Simulation(world, visual=True)
+            return simulation.model, simulation.data
+    model = world.compile()
+    return model, _at_start(model, world.init_qpos())
+
+
+def _at_start(model: Any, start: dict[str, float]) -> Any:
+    """Return the state at the start, with coupled joints where their couplings put them."""
+    import mujoco
+    data = mujoco.MjData(model)
+    for joint, position in start.items():
+        data.joint(joint).qpos = position
+    if model.neq:
+        gravity, flags = model.opt.gravity.copy(), model.opt.disableflags
+        model.opt.gravity[:] = 0.0
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT
+                                      | mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+        mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
+        model.opt.gravity[:], model.opt.disableflags = gravity, flags
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _visible_corners(model: Any, data: Any) -> Any:
+    """Return the corners of the boxes round all visible shapes but the ground [m], (n, 3)."""
+    import numpy as np
+    signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, 8).T
+    corners = [np.empty((0, 3))]
+    for geom in np.flatnonzero((model.geom_group < 3) & (model.geom_bodyid != 0)):
+        middle, half = np.split(model.geom_aabb[geom], 2)
+        corners.append(data.geom_xpos[geom]
+                       + (middle + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T)
+    return np.concatenate(corners)
+
+
+def _camera(view: View, model: Any, points: Any, aspect: float) -> Any:
+    """Return a camera of the model, or one that sees all points and is as near as that allows."""
+    import mujoco
+    import numpy as np
+    if view.camera is not None:
+        names = [model.camera(index).name for index in range(model.ncam)]
+        if view.camera not in names:
+            raise UnknownNameError('camera', view.camera, names)
+        return view.camera
+    turn, tilt = np.radians(view.azimuth), np.radians(view.elevation)
+    forward = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
+    right = np.array([np.sin(turn), -np.cos(turn), 0.0])
+    camera = mujoco.MjvCamera()
+    camera.azimuth, camera.elevation = view.azimuth, view.elevation
+    camera.lookat[:] = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    tangent = np.tan(np.radians(model.vis.global_.fovy / 2.0)) / _MARGIN
+    seen = points - camera.lookat
+    aside, above = np.abs(seen @ right), np.abs(seen @ np.cross(right, forward))
+    camera.distance = np.max(np.maximum(aside / aspect, above) / tangent - seen @ forward)
+    return camera
