@@ -61,7 +61,7 @@ class ArenaParameter:
             fits = isinstance(value, bool)
         else:
             fits = (not isinstance(value, bool) and isinstance(value, numbers.Real)
-                    and self.low <= value <= self.high)
+                    and self.low <= float(value) <= self.high)
         if not fits:
             raise ModelError(f"parameter '{self.name}' of the arena {arena} must be "
                              f'{self.limits}, got {shown(value)}')

@@ -63,13 +63,14 @@ class InitializationNoise:
         random = np.random.default_rng([self.seed, robot])
         noise = (random.standard_normal(values.shape) if self.type == 'gaussian'
                  else random.uniform(-1.0, 1.0, values.shape))
-        noisy: FloatArray = np.clip(values + self.magnitude * noise, *np.reshape(ranges, (-1, 2)).T)
+        low, high = np.reshape(ranges, (-1, 2)).T
+        noisy: FloatArray = np.clip(values + self.magnitude * noise, low, high)
         return noisy
 
 
 def _checked_magnitude(magnitude: Any) -> float:
     if (isinstance(magnitude, bool) or not isinstance(magnitude, numbers.Real)
-            or not 0.0 <= magnitude <= math.pi):
+            or not 0.0 <= float(magnitude) <= math.pi):
         raise ModelError('magnitude of initialization_noise must be a number from 0 to '
                          f'{math.pi:.4g}, got {shown(magnitude)}')
     return float(magnitude)

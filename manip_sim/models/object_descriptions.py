@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Optional
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -66,10 +66,10 @@ class PlacedDescription(BaseModel):
 
     model_config = ConfigDict(extra='forbid', frozen=True)
 
-    name: Optional[str] = None
-    position: Optional[Annotated[list[_Coordinate], Field(min_length=3, max_length=3)]] = None
-    rpy: Optional[Annotated[list[_Finite], Field(min_length=3, max_length=3)]] = None
-    quat_xyzw: Optional[Annotated[list[_Finite], Field(min_length=4, max_length=4)]] = None
+    name: str | None = None
+    position: Annotated[list[_Coordinate], Field(min_length=3, max_length=3)] | None = None
+    rpy: Annotated[list[_Finite], Field(min_length=3, max_length=3)] | None = None
+    quat_xyzw: Annotated[list[_Finite], Field(min_length=4, max_length=4)] | None = None
 
     @model_validator(mode='after')
     def _check_orientation(self) -> PlacedDescription:
@@ -113,8 +113,8 @@ class ShapeDescription(PlacedDescription):
     name: str
     shape: Annotated[str, BeforeValidator(_known_shape)]
     size: Annotated[list[_Size], BeforeValidator(_listed)]
-    mass: Optional[_Mass] = None
-    density: Optional[_Density] = None
+    mass: _Mass | None = None
+    density: _Density | None = None
     friction: Annotated[list[_Friction], BeforeValidator(_listed),
                         Field(min_length=1, max_length=3)] = list(DEFAULT_FRICTION)
     rgba: Annotated[list[_Colour], Field(min_length=3, max_length=4)] = [0.6, 0.6, 0.65, 1.0]

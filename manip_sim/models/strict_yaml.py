@@ -81,7 +81,10 @@ def _number(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         hint = ', which YAML takes for a text: write 1.0e-3' if _is_exponent(value) else ''
         raise ValueError(f'must be a number{hint}')
-    return value
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError('must be finite') from None
 
 
 def _is_exponent(value: object) -> bool:

@@ -1,0 +1,199 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Carry numbers from one compiled model to another one that has mostly the same elements.
+
+Which arrays there are, and what each row of them is about, is taken from ``mujoco.introspect``, so
+that arrays of later versions of MuJoCo are carried too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+import itertools
+from typing import Any
+
+import mujoco
+from mujoco.introspect import structs
+import numpy as np
+
+from manip_sim.typing import BoolArray, IntArray
+
+#: Sizes of a model whose elements have names, and where the names' addresses are.
+_NAMED = {
+    'nbody': 'body', 'njnt': 'jnt', 'ngeom': 'geom', 'nsite': 'site', 'ncam': 'cam',
+    'nlight': 'light', 'nflex': 'flex', 'nmesh': 'mesh', 'nskin': 'skin', 'nhfield': 'hfield',
+    'ntex': 'tex', 'nmat': 'mat', 'npair': 'pair', 'nexclude': 'exclude', 'neq': 'eq',
+    'ntendon': 'tendon', 'nsensor': 'sensor', 'nnumeric': 'numeric', 'ntext': 'text',
+    'ntuple': 'tuple', 'nplugin': 'plugin'}
+#: How many positions and velocities a joint has that is not scalar.
+_QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
+_DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
+#: Derived on compiling from the element's own tree, but rounded otherwise if there is another one.
+_DERIVED = frozenset((
+    'body_invweight0', 'dof_invweight0', 'tendon_invweight0', 'dof_M0', 'actuator_acc0'))
+#: Of ``mujoco.MjData``, what ``mj_forward`` does not compute; objects have no plugins, delays or
+#: plastic joints, so their arrays are the same before and after.
+_STATE = ('qpos', 'qvel', 'act', 'history', 'plastic', 'qacc_warmstart', 'plugin_state', 'ctrl',
+          'qfrc_applied', 'xfrc_applied', 'eq_active', 'mocap_pos', 'mocap_quat', 'userdata')
+
+
+class ElementMap:
+    """
+    Which elements of one model are which of another one.
+
+    Elements of one kind are the same if they have the same name, or none and the same number
+    among those without: the models differ in elements that have names.
+
+    :param old: a ``mujoco.MjModel``
+    :param new: another one
+    """
+
+    def __init__(self, old: Any, new: Any) -> None:
+        self._places: dict[str, tuple[IntArray, IntArray]] = {}
+        self._add_named(old, new)
+        self._add_parts(old, new, 'njnt', 'nq', _spans_of_joints('qpos', _QPOS_OF_JOINT))
+        self._add_parts(old, new, 'njnt', 'nv', _spans_of_joints('dof', _DOFS_OF_JOINT))
+        # Several controls of one actuator came with MuJoCo 4.
+        actuators = 'nactuator' if hasattr(old, 'nactuator') else 'nu'
+        self._add(actuators, _keys(old, 'actuator'), _keys(new, 'actuator'))
+        self._add_parts(old, new, actuators, 'na', _spans_of_actuators('act'))
+        if actuators != 'nu':
+            self._add_parts(old, new, actuators, 'nu', _spans_of_actuators('ctrl'))
+            self._add_parts(old, new, actuators, 'nout', _spans_of_actuators('out'))
+        self._add_parts(old, new, 'nbody', 'nmocap', _mocap_of_body)
+
+    def _add_named(self, old: Any, new: Any) -> None:
+        for size, kind in _NAMED.items():
+            self._add(size, _keys(old, kind), _keys(new, kind))
+
+    def _add(self, size: str, old: list[Any], new: list[Any]) -> None:
+        place = {key: index for index, key in enumerate(new)}
+        both = [(index, place[key]) for index, key in enumerate(old) if key in place]
+        pairs = np.array(both, dtype=np.int64).reshape(-1, 2)
+        self._places[size] = pairs[:, 0], pairs[:, 1]
+
+    def _add_parts(self, old: Any, new: Any, whole: str, size: str,
+                   span: Callable[[Any, int], range]) -> None:
+        both: list[tuple[int, int]] = []
+        for one, other in zip(*self._places[whole]):
+            both += zip(span(old, int(one)), span(new, int(other)))
+        pairs = np.array(both, dtype=np.int64).reshape(-1, 2)
+        self._places[size] = pairs[:, 0], pairs[:, 1]
+
+    def rows(self, size: str, old: Any, new: Any) -> tuple[IntArray, IntArray]:
+        """
+        Return the rows of two arrays that are about the same elements.
+
+        :param size: what the rows are about, such as ``nbody``; for what is not known here, such
+            as ``nmeshvert``, the first rows are the same ones
+        """
+        if size in self._places:
+            return self._places[size]
+        same = np.arange(min(len(old), len(new)))
+        return same, same
+
+
+def carry_edits(compiled: Any, edited: Any, target: Any, both: ElementMap) -> None:
+    """
+    Make the edits of one model in another one.
+
+    :param compiled: the ``mujoco.MjModel`` before the edits
+    :param edited: the same after them
+    :param target: the model to change; options and statistics become those of the edited one
+    :param both: the elements that are in the edited model and in the target
+    """
+    for name, size in _arrays('mjModel'):
+        before, after, other = (getattr(model, name) for model in (compiled, edited, target))
+        if not isinstance(after, np.ndarray):
+            continue
+        differs = _rows_that_differ(before, after, name in _DERIVED)
+        if not differs.any():
+            continue
+        old, new = both.rows(size, after, other)
+        chosen = differs[old]
+        _assign(other, new[chosen], after[old[chosen]])
+    for group in ('opt', 'vis', 'stat'):
+        _copy_fields(getattr(edited, group), getattr(target, group))
+
+
+def _arrays(struct: str) -> Iterator[tuple[str, str]]:
+    """Yield the name of each array of a struct and the size that its rows count."""
+    bound = getattr(mujoco, struct[:1].upper() + struct[1:])
+    for field in structs.STRUCTS[struct].fields:
+        extent: Any = getattr(field, 'array_extent', None)
+        if extent and isinstance(extent[0], str) and hasattr(bound, field.name):
+            yield str(field.name), extent[0]
+
+
+def _rows_that_differ(before: Any, after: Any, all_rows: bool) -> BoolArray:
+    if all_rows:
+        return np.ones(len(after), dtype=bool)
+    if before.tobytes() == after.tobytes():
+        return np.zeros(len(after), dtype=bool)
+    differs: BoolArray = (before != after).reshape(len(after), -1).any(axis=1)
+    return differs
+
+
+def _assign(target: Any, rows: IntArray, values: Any) -> None:
+    # The number of user data per element is that of the element with most of them.
+    width = tuple(slice(min(n, m)) for n, m in zip(target.shape[1:], values.shape[1:]))
+    target[(rows, *width)] = values[(slice(None), *width)]
+
+
+def _copy_fields(source: Any, target: Any) -> None:
+    for name in dir(source):
+        value = getattr(source, name)
+        if name.startswith('_') or callable(value):
+            continue
+        if isinstance(value, np.ndarray):
+            getattr(target, name)[...] = value
+        elif isinstance(value, (bool, int, float)):
+            setattr(target, name, value)
+        else:
+            _copy_fields(value, getattr(target, name))
+
+
+def carry_data(source: Any, target: Any, both: ElementMap) -> None:
+    """
+    Copy the state of a simulation, and its counts of warnings.
+
+    :param source: the ``mujoco.MjData`` to copy from
+    :param target: the ``mujoco.MjData`` of another model, at its start
+    :param both: the elements that are in both models
+    """
+    target.time = source.time
+    sizes = dict(_arrays('mjData'))
+    for name in _STATE:
+        if name in sizes:
+            old, new = both.rows(sizes[name], getattr(source, name), getattr(target, name))
+            getattr(target, name)[new] = getattr(source, name)[old]
+    for before, after in zip(source.warning, target.warning):
+        after.number, after.lastinfo = before.number, before.lastinfo
+
+
+def _keys(model: Any, kind: str) -> list[Any]:
+    """Return the name of each element of a kind, or a number among those without a name."""
+    addresses, names = getattr(model, f'name_{kind}adr').tolist(), model.names
+    unnamed = itertools.count()
+    return [names[address:names.index(b'\0', address)] or next(unnamed) for address in addresses]
+
+
+def _spans_of_joints(array: str, widths: dict[int, int]) -> Callable[[Any, int], range]:
+    def span(model: Any, joint: int) -> range:
+        first = int(getattr(model, f'jnt_{array}adr')[joint])
+        return range(first, first + widths.get(int(model.jnt_type[joint]), 1))
+    return span
+
+
+def _spans_of_actuators(array: str) -> Callable[[Any, int], range]:
+    def span(model: Any, actuator: int) -> range:
+        first = int(getattr(model, f'actuator_{array}adr')[actuator])
+        return range(first, first + int(getattr(model, f'actuator_{array}num')[actuator]))
+    return span
+
+
+def _mocap_of_body(model: Any, body: int) -> range:
+    index = int(model.body_mocapid[body])
+    return range(index, index + 1) if index >= 0 else range(0)

@@ -1,0 +1,148 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Add objects to a world that runs, and delete them, with everything else as it was.
+
+Nothing here changes what it is given. A plan compiles the new world beside the old one, which may
+take a while and may be done in another thread; :func:`carry_over` takes the state over, quickly.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.loading import compile_spec
+from manip_sim.models.objects import check_object_names, ObjectModel
+from manip_sim.simulation.carrying import carry_data, carry_edits, ElementMap
+
+
+@dataclass(frozen=True)
+class Plan:
+    """
+    A world with its objects, compiled.
+
+    :ivar base: ``mujoco.MjSpec`` of arena and robots, without objects
+    :ivar objects: in the order of the world
+    :ivar spec: ``mujoco.MjSpec`` of the whole world
+    :ivar compiled: its ``mujoco.MjModel``, which nobody changes
+    """
+
+    base: Any
+    objects: tuple[ObjectModel, ...]
+    spec: Any
+    compiled: Any
+
+    @property
+    def object_names(self) -> list[str]:
+        """The names of the objects."""
+        return [item.name for item in self.objects]
+
+
+@dataclass(frozen=True)
+class LiveWorld:
+    """
+    A world that runs.
+
+    :ivar plan: what it was compiled from
+    :ivar model: the ``mujoco.MjModel``, a copy of the plan's that may have been changed since
+    :ivar data: the ``mujoco.MjData``
+    """
+
+    plan: Plan
+    model: Any
+    data: Any
+
+
+def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world') -> Plan:
+    """
+    Compile a world with objects.
+
+    :param base: ``mujoco.MjSpec`` of arena and robots, such as ``World.compose(objects=False)``;
+        not changed
+    :param objects: all objects, in order
+    :param name: what it is, for messages
+    :raises ModelError: if names collide or MuJoCo does not compile it
+    """
+    check_object_names(objects)
+    spec = base.copy()
+    for item in objects:
+        item.attach(spec)
+    return Plan(base, tuple(objects), spec, compile_spec(spec, name))
+
+
+def plan_with(plan: Plan, item: ObjectModel) -> Plan:
+    """
+    Return the plan of a world with one more object, which comes last.
+
+    :raises ModelError: if a name is there already or MuJoCo does not compile it
+    """
+    return plan_world(plan.base, (*plan.objects, item), f"the world with '{item.name}'")
+
+
+def plan_without(plan: Plan, name: str) -> Plan:
+    """
+    Return the plan of a world without one of its objects.
+
+    :raises UnknownNameError: if it is not the name of an object
+    """
+    if name not in plan.object_names:
+        raise UnknownNameError('object', name, plan.object_names)
+    left = tuple(item for item in plan.objects if item.name != name)
+    return plan_world(plan.base, left, f"the world without '{name}'")
+
+
+def start_live(plan: Plan) -> LiveWorld:
+    """Return a world at its start."""
+    model = copy.copy(plan.compiled)
+    return LiveWorld(plan, model, mujoco.MjData(model))
+
+
+def carry_over(live: LiveWorld, plan: Plan) -> LiveWorld:
+    """
+    Return a world of another plan in the state of one that runs.
+
+    What both have is bit for bit as it was: positions, velocities, activations, controls, forces
+    that are applied, warm start, time, and all numbers of the model and its options that were
+    changed after compiling. New objects are at their start. All of the data belongs to the same
+    instant, as after ``mj_forward``.
+
+    The steps that follow give the same bits as without the change, too, unless constraints tie all
+    moving trees of one of the two worlds together, as for a robot alone: MuJoCo then solves them
+    at once instead of island by island, and the results differ by rounding.
+
+    :param live: not changed
+    :param plan: of the same arena and robots
+    """
+    model = copy.copy(plan.compiled)
+    both = ElementMap(live.model, model)
+    carry_edits(live.plan.compiled, live.model, model, both)
+    data = mujoco.MjData(model)
+    carry_data(live.data, data, both)
+    mujoco.mj_forward(model, data)
+    return LiveWorld(plan, model, data)
+
+
+def spawn(live: LiveWorld, item: ObjectModel) -> LiveWorld:
+    """
+    Return the world with one more object, everything else as it is.
+
+    :param live: not changed
+    :raises ModelError: if a name is there already or MuJoCo does not compile it
+    """
+    return carry_over(live, plan_with(live.plan, item))
+
+
+def delete(live: LiveWorld, name: str) -> LiveWorld:
+    """
+    Return the world without one of its objects, everything else as it is.
+
+    :param live: not changed
+    :raises UnknownNameError: if it is not the name of an object
+    """
+    return carry_over(live, plan_without(live.plan, name))

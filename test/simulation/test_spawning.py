@@ -1,0 +1,310 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of adding objects to a world that runs, and of deleting them."""
+
+import copy
+
+import mujoco
+from mujoco.introspect import structs
+import numpy as np
+import pytest
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models import compose
+from manip_sim.models.objects import create_object
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.activation import (
+    add_setpoint_activation, position_servos_without_dynamics)
+from manip_sim.simulation.spawning import (
+    carry_over, delete, LiveWorld, plan_with, plan_world, spawn, start_live)
+
+FAR = [3.0, 3.0, 5.0]
+
+
+def box(name='box', position=FAR, **more):
+    return create_object({'name': name, 'shape': 'box', 'size': [0.1] * 3, 'mass': 1.0,
+                          'position': position, **more})
+
+
+# ---------------------------------------------------------------------- with a Simulation
+
+
+def live_of(simulation, world):
+    """Return the live world of a simulation: planned from the spec that it compiles."""
+    base = world.compose(visual=False, objects=False)
+    add_setpoint_activation(base, [
+        *(name for robot in world.robots for name in robot.all_actuators),
+        *position_servos_without_dynamics(base, world.gripper_actuators)])
+    return LiveWorld(plan_world(base, tuple(world.objects)), simulation.model, simulation.data)
+
+
+def rebind(simulation, live):
+    """Let a simulation go on with another model; the addresses of its robots are the same."""
+    model = simulation.model = live.model
+    simulation.data = live.data
+    simulation._good = np.empty(
+        mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION))
+    for controller in simulation._joint_controllers:
+        servos = controller._servos
+        servos._model = model
+        servos._effort_force, servos._all_accelerations = np.zeros((2, model.nv))
+    for gripper in simulation._gripper_controllers:
+        gripper._model = gripper._actuators._model = gripper._actuators.couplings._model = model
+    for reader in simulation.end_effectors.values():
+        reader._model = model
+
+
+def follow_a_sine(simulation, seconds, changes=()):
+    """
+    Let an arm follow a sine at 100 Hz and a gripper close; return all that is published.
+
+    :param changes: what to do before a period, by its number
+    """
+    joints = list(simulation.parts['arm'].driven_joints)
+    middle = np.array([simulation.data.joint(joint).qpos[0] for joint in joints])
+    told = []
+    for period in range(round(seconds * 100)):
+        if period in dict(changes):
+            dict(changes)[period]()
+        swing = 0.3 * np.sin(np.pi * simulation.time_s)
+        simulation.apply(*simulation.parse.joint_command(
+            joints, position=(middle + swing).tolist()), period_s=0.01)
+        if period == 20:
+            simulation.apply(simulation.parse.action('right/gripper', [1.0]))
+        simulation.advance(5)
+        state = simulation.state()
+        hand = state.end_effectors['right']
+        told.append(np.concatenate([
+            state.position, state.velocity, state.effort, hand.position, hand.quat_xyzw,
+            hand.wrench.force, hand.wrench.torque, hand.external_wrench.force]))
+    return np.array(told)
+
+
+def spawned_and_deleted(objects, item):
+    """Return what is published without a spawn, and with one at 0.5 s and a delete at 2.5 s."""
+    told = []
+    for changes in (False, True):
+        world = compose('Panda', arena='table', objects=objects)
+        simulation = Simulation(world)
+        lives = [live_of(simulation, world)]
+
+        def change(next_live, simulation=simulation, lives=lives):
+            lives.append(next_live(lives[-1]))
+            rebind(simulation, lives[-1])
+
+        told.append(follow_a_sine(simulation, 4.5, () if not changes else {
+            50: lambda change=change: change(lambda live: spawn(live, item)),
+            250: lambda change=change: change(lambda live: delete(live, item.name))}))
+    return told
+
+
+@pytest.mark.parametrize('place', [FAR, [3.0, 3.0, 0.05]], ids=['falling', 'lying'])
+def test_arm_moves_on_bit_for_bit_when_a_box_comes_and_goes(place):
+    cube = box('cube', [0.1, 0.1, 0.85])
+    alone, with_box = spawned_and_deleted([cube], box(position=place))
+    np.testing.assert_array_equal(with_box, alone)
+
+
+def test_arm_that_is_alone_moves_on_but_for_rounding():
+    # MuJoCo solves the constraints of a world with one tree at once, else island by island.
+    alone, with_box = spawned_and_deleted([], box())
+    np.testing.assert_array_equal(with_box[:50], alone[:50])
+    joints = slice(0, 18)  # Position and velocity of nine joints.
+    np.testing.assert_allclose(with_box[:, joints], alone[:, joints], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(with_box, alone, rtol=0.0, atol=1e-9)
+
+
+def test_an_object_that_was_spawned_goes_back_to_its_place_with_a_reset():
+    world = compose('Panda', arena='table')
+    simulation = Simulation(world)
+    rebind(simulation, spawn(live_of(simulation, world), box(position=[3.0, 3.0, 1.0])))
+    for _ in range(50):
+        simulation.advance(5)
+    assert simulation.data.body('box').xpos[2] < 0.5
+    simulation.reset()
+    np.testing.assert_array_equal(simulation.data.body('box').xpos, [3.0, 3.0, 1.0])
+
+
+def test_what_a_simulation_set_in_its_model_is_carried():
+    world = compose('Panda', arena='table')
+    simulation = Simulation(world)
+    simulation.set_control_mode('arm', 'effort')
+    simulation.apply(*simulation.parse.joint_command(
+        list(simulation.parts['arm'].driven_joints), effort=[0.0] * 7))
+    simulation.advance(5)
+    live = live_of(simulation, world)
+    edited = [name for name, old, new in arrays(live.plan.compiled, live.model)
+              if old.tobytes() != new.tobytes()]
+    assert 'actuator_gainprm' in edited
+    model = spawn(live, box()).model
+    for name in edited:
+        new, old = getattr(model, name), getattr(simulation.model, name)
+        np.testing.assert_array_equal(new[:len(old)], old, err_msg=name)
+    assert model.opt.disableflags == simulation.model.opt.disableflags
+    assert model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+# ---------------------------------------------------------------------- with a world by hand
+
+WORLD = """
+<mujoco>
+  <option gravity="0 0 -1"/>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <geom type="plane" size="0 0 1"/>
+    <body name="hand" mocap="true" pos="1 1 2"><geom size="0.05" contype="0"/></body>
+    <body name="arm" pos="0 0 1">
+      <joint name="hinge" axis="0 1 0" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
+      <body name="wrist" pos="0.3 0 0">
+        <joint name="ball" type="ball"/><geom size="0.04" pos="0.05 0 0"/><site name="tip"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality>
+    <weld name="held" body1="wrist" body2="hand" active="false"/><joint joint1="hinge"/>
+  </equality>
+  <tendon><fixed><joint joint="hinge" coef="2"/></fixed></tendon>
+  <actuator>
+    <motor name="push" joint="hinge"/>
+    <general name="slow" joint="hinge" dyntype="filter" dynprm="0.5" gainprm="2"/>
+  </actuator>
+  <sensor><force site="tip"/></sensor>
+</mujoco>"""
+
+
+def arrays(*models):
+    """Yield the name of each array of models and the arrays."""
+    for field in structs.STRUCTS['mjModel'].fields:
+        found = [getattr(model, field.name, None) for model in models]
+        if all(isinstance(array, np.ndarray) for array in found):
+            yield (field.name, *found)
+
+
+@pytest.fixture
+def live():
+    """Return a world of an arm and two boxes in which everything is something else than zero."""
+    plan = plan_world(mujoco.MjSpec.from_string(WORLD),
+                      (box('first', [2.0, 0.0, 2.0]), box('second', [-2.0, 0.0, 2.0])))
+    live = start_live(plan)
+    model, data = live.model, live.data
+    model.actuator_gainprm[1, 0] = 3.0
+    model.geom('second').friction[0] = 0.3
+    model.tendon_stiffness[0] = 0.7
+    model.opt.gravity[:] = [0.1, 0.2, -3.0]
+    model.vis.map.znear = 0.02
+    data.ctrl[:] = [0.3, 0.4]
+    data.eq_active[:] = [1, 0]
+    data.mocap_pos[0] = [0.9, 1.1, 2.0]
+    data.qfrc_applied[:] = np.linspace(0.1, 0.2, model.nv)
+    data.body('second').xfrc_applied[:] = [0.3, 0.2, 0.1, 0.0, 0.1, 0.2]
+    mujoco.mj_step(model, data, 100)
+    mujoco.mj_forward(model, data)
+    data.warning[0].number = 2
+    return live
+
+
+def state_of(live, *bodies):
+    """Return everything of the state that belongs to the arm and to some free bodies."""
+    model, data = live.model, live.data
+    joints = ['hinge', 'ball', *(f'{name}_joint' for name in bodies)]
+    numbers = [getattr(data.joint(joint), field) for joint in joints for field in (
+        'qpos', 'qvel', 'qfrc_applied', 'qacc_warmstart', 'qacc')]
+    numbers += [data.body(name).xfrc_applied for name in ('wrist', *bodies)]
+    numbers += [data.act, data.ctrl, data.eq_active, data.mocap_pos, [data.time],
+                [data.warning[0].number], model.opt.gravity, [model.vis.map.znear],
+                model.actuator_gainprm[:, 0], model.tendon_stiffness, data.sensordata]
+    numbers += [model.geom(name).friction for name in bodies]
+    return np.concatenate([np.ravel(number).astype(float) for number in numbers])
+
+
+def test_deleting_one_object_leaves_the_next_one_in_motion(live):
+    before = copy.copy(live.data)
+    left = delete(live, 'first')
+    assert left.plan.object_names == ['second']
+    np.testing.assert_array_equal(state_of(left, 'second'), state_of(live, 'second'))
+    with pytest.raises(KeyError):
+        left.model.body('first')
+    # What was given is as it was.
+    assert live.model.body('first').id and live.data.qpos.tobytes() == before.qpos.tobytes()
+
+
+def test_a_new_object_comes_last_and_starts_at_its_place(live):
+    grown = spawn(live, box('third', [0.0, 2.0, 1.0]))
+    assert grown.model.body('third').id == live.model.nbody
+    np.testing.assert_array_equal(state_of(grown, 'first', 'second'),
+                                  state_of(live, 'first', 'second'))
+    np.testing.assert_array_equal(grown.data.joint('third_joint').qpos, [0, 2, 1, 1, 0, 0, 0])
+    assert not grown.data.joint('third_joint').qvel.any()
+
+
+def test_rows_of_what_was_there_are_the_same_in_every_array_of_a_grown_model(live):
+    moved = {  # What counts or sums over the world, and where names are.
+        'body_subtreemass', 'dof_simplenum', 'light_poscom0', 'names_map'}
+    grown = spawn(live, box('third', [0.0, 2.0, 1.0])).model
+    for name, old, new in arrays(live.model, grown):
+        if name in moved or name.startswith(('name_', 'B_', 'body_bvh', 'bvh_')):
+            continue
+        np.testing.assert_array_equal(new[:len(old)], old, err_msg=name)
+
+
+def test_a_world_is_as_before_after_an_object_came_and_went(live):
+    back = delete(spawn(live, box('third')), 'third')
+    for name, old, new in arrays(live.model, back.model):
+        np.testing.assert_array_equal(new, old, err_msg=name)
+    assert back.plan.spec.to_xml() == live.plan.spec.to_xml()
+    for _ in range(100):
+        mujoco.mj_step(live.model, live.data)
+        mujoco.mj_step(back.model, back.data)
+    assert back.data.qpos.tobytes() == live.data.qpos.tobytes()
+
+
+def test_a_plan_may_be_older_than_the_state_that_is_carried_over(live):
+    plan = plan_with(live.plan, box('third'))
+    mujoco.mj_step(live.model, live.data, 10)
+    grown = carry_over(live, plan)
+    assert grown.data.time == live.data.time
+    np.testing.assert_array_equal(grown.data.joint('hinge').qpos, live.data.joint('hinge').qpos)
+
+
+@pytest.mark.parametrize('name', ['first', 'arm'])
+def test_a_name_that_is_taken_is_refused_and_nothing_changes(live, name):
+    before, xml = state_of(live, 'first', 'second'), live.plan.spec.to_xml()
+    with pytest.raises(ModelError, match=f"'{name}'"):
+        spawn(live, box(name))
+    assert live.plan.object_names == ['first', 'second']
+    assert live.plan.spec.to_xml() == xml
+    np.testing.assert_array_equal(state_of(live, 'first', 'second'), before)
+
+
+def test_an_object_that_does_not_compile_is_refused_and_nothing_changes(live):
+    item = box('third')
+    item.spec.geoms[0].size[:] = 0.0
+    with pytest.raises(ModelError, match="^the world with 'third' does not compile: .*size"):
+        spawn(live, item)
+    mujoco.mj_step(live.model, live.data)
+    assert spawn(live, box('third')).plan.object_names == ['first', 'second', 'third']
+
+
+def test_what_is_no_object_cannot_be_deleted(live):
+    with pytest.raises(UnknownNameError, match="unknown object 'frist': did you mean 'first'"):
+        delete(live, 'frist')
+    with pytest.raises(UnknownNameError, match="unknown object 'arm': .*available: first, second"):
+        delete(live, 'arm')
+
+
+def test_a_name_can_be_used_again_with_another_object(live):
+    other = create_object({'name': 'first', 'shape': 'sphere', 'size': 0.2, 'mass': 3.0,
+                           'position': [0.0, 3.0, 2.0]})
+    again = spawn(delete(live, 'first'), other)
+    assert again.model.body('first').mass[0] == pytest.approx(3.0)
+    assert again.model.geom('first').type[0] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+
+
+def test_a_hundred_objects_come_and_go_without_a_trace(live):
+    now, xml = live, live.plan.spec.to_xml()
+    for number in range(100):
+        now = delete(spawn(now, box(f'box{number}')), f'box{number}')
+    assert now.plan.spec.to_xml() == xml
+    assert now.data.qpos.tobytes() == live.data.qpos.tobytes()
