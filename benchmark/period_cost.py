@@ -62,7 +62,7 @@ def publishing(simulation: Simulation) -> Callable[[], object] | None:
         return None
     from manip_sim.ros.log import RejectionLog
     from manip_sim.ros.publishers import StatePublishers
-    from manip_sim.ros.scope import Scope
+    from manip_sim.interface.scope import Scope
     rclpy.init()
     node = rclpy.create_node('benchmark')
     publishers = StatePublishers(node, simulation.robot, Scope(), RejectionLog(node.get_logger()))

@@ -8,7 +8,9 @@ import re
 import subprocess
 import sys
 
-import pytest
+from manip_sim.interface.parameters import (
+    arena_specs, composition_parameters, node_parameters, place_parameters, robot_parameters)
+from manip_sim.interface.scope import Scope
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / 'README.md').read_text()
@@ -47,14 +49,10 @@ def test_every_part_of_the_catalogue_is_listed():
 
 
 def test_every_parameter_is_listed_with_type_default_and_unit():
-    pytest.importorskip('rclpy', reason='the parameters are declared with ROS 2')
-    from manip_sim.ros.parameters import (
-        composition_parameters, node_parameters, place_parameters, robot_parameters)
-    from manip_sim.ros.scope import Scope
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
-    specs = (node_parameters() + composition_parameters(scope) + place_parameters(scope, place)
-             + robot_parameters(scope, ['arm', 'base']))
+    specs = [*node_parameters(), *arena_specs('table'), *composition_parameters(scope),
+             *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base'])]
     rows = {row[0].strip('`'): row for row in table_rows('Parameters')}
     expected = set()
     for spec in specs:

@@ -13,7 +13,6 @@ from typing import Any
 from manip_sim.cli.composition import arena_values, compose_from, value_of
 from manip_sim.cli.description import describe
 from manip_sim.cli.tables import number, span, table, terminal_width
-from manip_sim.interface import PARAMETERS
 
 Row = dict[str, Any]
 #: By section of the description: the names of the columns, and what is in the cells of a row.
@@ -94,10 +93,10 @@ def _node_parameters(options: argparse.Namespace) -> Row:
               for name in ('robot', 'gripper', 'base', 'arena', 'prefix', 'timestep')}
     values['idn'] = int(idn) if idn.isdecimal() else idn
     values['gravity_compensation'] = not value_of(options, 'no_gravity_compensation')
-    known = {parameter.name for parameter in PARAMETERS}
-    # Of the node, the arena's switches are on where they are parameters, here they are off.
-    switches = {'cube': False, **arena_values(options)}
-    return {**values, **{name: value for name, value in switches.items() if name in known}}
+    # The node puts the cube on the table unless told not to, here it is the other way round.
+    of_arena = {'cube': False, **arena_values(options)}
+    return {**values, **{name if name == 'cube' else f'arena.{name}': value
+                         for name, value in of_arena.items()}}
 
 
 def _driver(joint: Row) -> str:
@@ -110,5 +109,5 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return f'[{", ".join(value)}]'
+        return f'[{", ".join(map(str, value))}]'
     return str(value) if value != '' else "''"

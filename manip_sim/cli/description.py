@@ -14,7 +14,8 @@ import numpy as np
 
 from manip_sim.cli.elements import actuator_rows, camera_rows, frame_rows, sensor_rows
 from manip_sim.cli.listing import free_bodies, origin
-from manip_sim.interface import parameters_of, SERVICES, topics_of
+from manip_sim.interface.parameters import parameters_of
+from manip_sim.interface.topics import SERVICES, topics_of
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
@@ -42,7 +43,9 @@ def describe(world: World, given: Mapping[str, Any]) -> Row:
     simulation = Simulation(world)
     parts = simulation.robot.parts
     twist = simulation.robot.joints.twist_indices is not None
-    defaults = {parameter.name: parameter.default for parameter in parameters_of(parts)}
+    place = world.arena.robot_position(robot).tolist()
+    parameters = parameters_of(parts, world.arena.arena_name, place)
+    defaults = {parameter.name: parameter.default for parameter in parameters}
     return {
         'name': robot.name,
         'arena': world.arena.arena_name,
@@ -60,7 +63,7 @@ def describe(world: World, given: Mapping[str, Any]) -> Row:
         'services': [asdict(service) for service in SERVICES],
         'parameters': [
             {'name': p.name, 'value': given.get(p.name, p.default), 'default': p.default,
-             'unit': p.unit, 'live': p.live, 'meaning': p.meaning} for p in parameters_of(parts)],
+             'unit': p.unit, 'live': p.live, 'meaning': p.description} for p in parameters],
         'start_defects': list(simulation.start_defects),
     }
 

@@ -55,19 +55,28 @@ def read_yaml(file: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         with path.open('rb') as stream:
             content = stream.read(_MAX_BYTES + 1)
-        if len(content) > _MAX_BYTES:
-            raise ModelError(f'{path} is larger than {_MAX_BYTES} bytes')
-        values = yaml.load(content, Loader=_Loader)  # noqa: S506, a kind of SafeLoader
     except FileNotFoundError:
         raise ModelError(f'no such YAML file: {path}') from None
     except OSError as error:
         raise ModelError(f'{path} cannot be read: {error.strerror}') from error
+    return parse_yaml(content, str(path))
+
+
+def parse_yaml(content: str | bytes, where: str) -> dict[str, Any]:
+    """
+    Return the mapping that a text holds.
+
+    :param where: what it is, for messages
+    :raises ModelError: as :func:`read_yaml` does
+    """
+    if len(content) > _MAX_BYTES:
+        raise ModelError(f'{where} is larger than {_MAX_BYTES} bytes')
+    try:
+        values = yaml.load(content, Loader=_Loader)  # noqa: S506, a kind of SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(f'{path} is not YAML that is read here: {_on_one_line(error)}') from None
+        raise ModelError(f'{where} is not YAML that is read here: {_on_one_line(error)}') from None
     if not isinstance(values, dict):
-        raise ModelError(f'{path} must hold keys and values, got {shown(values)}')
+        raise ModelError(f'{where} must hold keys and values, got {shown(values)}')
     return values
 
 

@@ -22,7 +22,7 @@ from manip_sim.errors import CommandError
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.reading import read_command
-from manip_sim.ros.scope import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot

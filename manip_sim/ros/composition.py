@@ -7,13 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import re
+from typing import Any
 
 from manip_sim.errors import ParameterError
+from manip_sim.interface.parameters import (
+    arena_specs, composition_parameters, place_parameters)
 from manip_sim.models import Arena, compose_robot, create_arena, World
+from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.robots import RobotModel
+from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
-from manip_sim.ros.parameters import composition_parameters, Parameters, place_parameters
-from manip_sim.ros.scope import Scope
+from manip_sim.ros.parameters import Parameters
+from manip_sim.interface.scope import Scope
 
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
@@ -40,15 +45,33 @@ def compose_world(parameters: Parameters) -> tuple[list[Scope], World]:
             value(scope.parameter(name)) for name in ('robot', 'gripper', 'base', 'prefix'))
         robots.append(compose_robot(robot, gripper, base, prefix=prefix,
                                     idn=value('idn') if not scope.name else scope.name))
-    options = {'cube': value('cube')} if value('arena') == 'table' else {}
-    arena = create_arena(value('arena'), **options)
+    arena = _arena(parameters)
     for scope, robot, position in zip(scopes, robots, _side_by_side(arena, robots)):
         parameters.declare(place_parameters(scope, position))
         robot.set_base_xpos(value(scope.parameter('position')))
         if any(value(scope.parameter('orientation'))):
             robot.set_base_ori(value(scope.parameter('orientation')))
+    noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     return scopes, World(robots, arena, timestep_s=value('timestep'),
-                         gravity_compensation=value('gravity_compensation'))
+                         gravity_compensation=value('gravity_compensation'),
+                         objects=_objects(value('objects')), seed=value('seed'),
+                         initialization_noise=noise if noise['magnitude'] else None)
+
+
+def _arena(parameters: Parameters) -> Arena:
+    name = parameters.value('arena')
+    specs = arena_specs(name)
+    parameters.declare(specs)
+    options = {spec.name.partition('.')[2]: parameters.value(spec.name) for spec in specs}
+    if 'cube' in {parameter.name for parameter in arena_parameters(name)}:
+        options['cube'] = parameters.value('cube')
+    return create_arena(name, **options)
+
+
+def _objects(given: Sequence[str]) -> list[Any]:
+    """Return descriptions of objects; what begins with a brace is one in YAML."""
+    return [parse_yaml(text, "parameter 'objects'") if text.lstrip().startswith('{') else text
+            for text in given if text]
 
 
 def _robot_names(given: Sequence[str]) -> list[str]:

@@ -11,7 +11,8 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
-from manip_sim.simulation.state import EndEffector, State, Wrench
+from manip_sim.simulation.poses import Pose, Twist
+from manip_sim.simulation.state import State, Wrench
 from manip_sim.typing import FloatArray, IntArray
 
 WORLD = 'world'
@@ -58,23 +59,23 @@ def wrench_stamped(stamp: Time, frame_id: str, wrench: Wrench) -> WrenchStamped:
     return message
 
 
-def pose_stamped(stamp: Time, end_effector: EndEffector) -> PoseStamped:
-    """Return where the grip site is in the world."""
+def pose_stamped(stamp: Time, pose: Pose) -> PoseStamped:
+    """Return where a frame is in the world."""
     message = PoseStamped()
     message.header.stamp = stamp
     message.header.frame_id = WORLD
     position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = end_effector.position.tolist()
-    orientation.x, orientation.y, orientation.z, orientation.w = end_effector.quat_xyzw.tolist()
+    position.x, position.y, position.z = pose.position.tolist()
+    orientation.x, orientation.y, orientation.z, orientation.w = pose.quat_xyzw.tolist()
     return message
 
 
-def twist_stamped(stamp: Time, end_effector: EndEffector) -> TwistStamped:
-    """Return how fast the grip site moves, in world axes."""
+def twist_stamped(stamp: Time, twist: Twist) -> TwistStamped:
+    """Return how fast a frame moves, in world axes."""
     message = TwistStamped()
     message.header.stamp = stamp
     message.header.frame_id = WORLD
     linear, angular = message.twist.linear, message.twist.angular
-    linear.x, linear.y, linear.z = end_effector.linear_velocity.tolist()
-    angular.x, angular.y, angular.z = end_effector.angular_velocity.tolist()
+    linear.x, linear.y, linear.z = twist.linear.tolist()
+    angular.x, angular.y, angular.z = twist.angular.tolist()
     return message

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from rclpy.node import Node
 
 from manip_sim.quoting import quoted_names
-from manip_sim.ros.scope import Scope
+from manip_sim.interface.scope import Scope
 
 
 class Neighbours:

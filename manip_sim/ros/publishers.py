@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from rclpy._rclpy_pybind11 import RCLError
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from manip_sim.ros import messages
 from manip_sim.ros.controller_state import controller_state, MESSAGE_TYPE
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.scope import Scope
+from manip_sim.interface.scope import Scope
 from manip_sim.simulation import Simulation, SimulatedRobot
 
 
@@ -41,11 +41,15 @@ class Output:
         self._publisher = publisher
         self._log = log
         self._stalled = False
+        self._closed = False
 
     @property
     def wanted(self) -> bool:
         """Whether somebody listens and the next message can be published."""
-        if not self._publisher.get_subscription_count():
+        try:
+            if self._closed or not self._publisher.get_subscription_count():
+                return False
+        except InvalidHandle:  # It is being closed in another thread.
             return False
         if self._stalled:
             self._stalled = not self._publisher.wait_for_all_acked(Duration())
@@ -56,10 +60,21 @@ class Output:
                                'messages are dropped until it does or is gone')
         return not self._stalled
 
+    def close(self, node: Node) -> None:
+        """
+        Destroy the publisher; nothing is wanted from now on.
+
+        :param node: that created it
+        """
+        self._closed = True
+        node.destroy_publisher(self._publisher)
+
     def publish(self, message: Any) -> None:
         """Publish a message, or count it as dropped."""
         try:
             self._publisher.publish(message)
+        except InvalidHandle:  # It is being closed in another thread.
+            pass
         except RCLError as error:
             self._stalled = True
             self._log.failure('publications', self._publisher.topic_name, error)
@@ -149,10 +164,10 @@ class StatePublishers:
                                         (external_wrench, end_effector.external_wrench)):
                 if publisher.wanted:
                     publisher.publish(messages.wrench_stamped(stamp, frame, measured))
-            for publisher, message in ((pose, messages.pose_stamped),
-                                       (twist, messages.twist_stamped)):
-                if publisher.wanted:
-                    publisher.publish(message(stamp, end_effector))
+            if pose.wanted:
+                pose.publish(messages.pose_stamped(stamp, end_effector.pose))
+            if twist.wanted:
+                twist.publish(messages.twist_stamped(stamp, end_effector.twist))
 
 
 def publish_mjcf(node: Node, xml: str) -> Publisher:

@@ -15,15 +15,17 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
+from manip_sim.interface.parameters import (
+    node_parameters, robot_parameters, steps_per_period)
+from manip_sim.interface.scope import Scope
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
-from manip_sim.ros.parameters import (
-    node_parameters, Parameters, robot_parameters, steps_per_period)
+from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, publish_mjcf, StatePublishers
-from manip_sim.ros.scope import Scope
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -80,6 +82,9 @@ class SimNode(Node):
             self.thread.observe(publishers.publish)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
+        self.objects = ObjectPublishers(self, self.rejections)
+        self.objects.follow(self.simulation)
+        self.thread.observe(self.objects.publish)
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
         SimulationServices(self, self.simulation, self.thread)

@@ -13,13 +13,12 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
-from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.posix_ere import PosixExpression
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.entities import Entities, Pose, Twist
+from manip_sim.simulation.poses import Pose, Twist
 
 try:
     from simulation_interfaces.msg import (
@@ -93,9 +92,6 @@ class SimulationInterfaces:
         self._node = node
         self._simulation = simulation
         self._thread = thread
-        self._entities = Entities(simulation.model, {
-            robot.robot_model.root_body: _frame_of(robot.robot_model)
-            for robot in simulation.robots.values()})
         self._stopped = False
         node.create_service(GetSimulatorFeatures, '~/get_simulator_features', self._features)
         self._offer(GetSimulationState, 'get_simulation_state', self._get_state)
@@ -196,17 +192,17 @@ class SimulationInterfaces:
             raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
         wanted = {category.category for category in filters.categories}
         response.entities = _matching(filters.filter, [
-            name for name in self._entities.names
+            name for name in self._simulation.entities.names
             if not wanted or self._category(name) in wanted])
 
     def _category(self, name: str) -> int:
-        return int(EntityCategory.CATEGORY_OBJECT if self._entities.is_free(name)
+        return int(EntityCategory.CATEGORY_OBJECT if self._simulation.entities.is_free(name)
                    else EntityCategory.CATEGORY_ROBOT)
 
     async def _get_entity_state(self, request: Any, response: Any) -> None:
         name, simulation = request.entity, self._simulation
         time_ns, state = self._thread.call(
-            lambda: (simulation.time_ns, self._entities.read(simulation.data, name)))
+            lambda: (simulation.time_ns, self._simulation.entities.read(simulation.data, name)))
         message = response.state
         message.header.stamp, message.header.frame_id = stamp_of(time_ns), WORLD
         message.pose.position = _filled(Point(), state.pose.position)
@@ -218,7 +214,7 @@ class SimulationInterfaces:
 
     async def _set_entity_state(self, request: Any, response: Any) -> None:
         name = request.entity
-        if not self._entities.is_free(name):
+        if not self._simulation.entities.is_free(name):
             raise _Refusal(Result.RESULT_OPERATION_FAILED,
                            f"'{request.entity}' cannot be moved, only free bodies can")
         if request.state.header.frame_id not in ('', WORLD):
@@ -231,15 +227,8 @@ class SimulationInterfaces:
             if self._simulation.diverged is not None:
                 raise _Refusal(Result.RESULT_INCORRECT_STATE,
                                f'{self._simulation.diverged}; reset it first')
-            self._entities.place(self._simulation.data, name, pose, twist)
+            self._simulation.entities.place(self._simulation.data, name, pose, twist)
         self._thread.call(place)
-
-
-def _frame_of(robot: RobotModel) -> str:
-    """Return the body that says where a robot is, such as its mobile base."""
-    if robot.base is not None and robot.base.joints:
-        return robot.base.root_body
-    return robot.root_body
 
 
 def _filled(message: Any, values: Any) -> Any:

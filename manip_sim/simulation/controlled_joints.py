@@ -62,6 +62,10 @@ class ControlledJoints:
             return None
         return self._indices_of['base'][[indices[0] for indices in found]]
 
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which these actuators and joints are what and where they were."""
+        self._servos.rebind(model)
+
     def indices_of(self, part: str) -> IntArray:
         """
         Return the indices of a part's driven joints.

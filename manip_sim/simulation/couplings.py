@@ -38,6 +38,10 @@ class JointCouplings:
                 self._neighbours[leader].append((follower, polynomial, False))
                 self._neighbours[follower].append((leader, polynomial, True))
 
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which these joints are what and where they were."""
+        self._model = model
+
     def group(self, joint: int) -> frozenset[int]:
         """Return a joint and all that move with it."""
         found, waiting = {joint}, [joint]

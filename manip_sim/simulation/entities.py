@@ -11,79 +11,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
-from manip_sim.simulation.numbers import finite_numbers
+from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.typing import FloatArray
-
-#: What is farther from the origin is lost [m].
-MAX_DISTANCE_M = 1e4
-#: What is faster flies through everything in a step [m/s, rad/s].
-MAX_VELOCITY = 1e3
-#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
-_NORM_TOLERANCE = 1e-2
-
-
-@dataclass(frozen=True)
-class Pose:
-    """
-    Where the frame of a body is in ``world``.
-
-    :ivar position: [m], shape (3,)
-    :ivar quat_xyzw: of unit length, shape (4,)
-    """
-
-    position: FloatArray
-    quat_xyzw: FloatArray
-
-    @classmethod
-    def checked(cls, position: ArrayLike, quat_xyzw: ArrayLike) -> Pose:
-        """
-        Return a pose of numbers that somebody else gave.
-
-        :raises CommandError: if a number is not finite, the position is too far or the quaternion
-            is not of unit length
-        """
-        place = finite_numbers(position, 3, 'position')
-        quat = finite_numbers(quat_xyzw, 4, 'orientation')
-        if np.abs(place).max() > MAX_DISTANCE_M:
-            raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
-                               f'{place.tolist()}')
-        norm = float(np.linalg.norm(quat))
-        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
-            raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
-                               f'{quat.tolist()} of length {norm:g}')
-        return cls(place, quat / norm)
-
-
-@dataclass(frozen=True)
-class Twist:
-    """
-    How the frame of a body moves, in the axes of ``world``.
-
-    :ivar linear: of the frame's origin [m/s], shape (3,)
-    :ivar angular: [rad/s], shape (3,)
-    """
-
-    linear: FloatArray
-    angular: FloatArray
-
-    @classmethod
-    def checked(cls, linear: ArrayLike, angular: ArrayLike) -> Twist:
-        """
-        Return a twist of numbers that somebody else gave.
-
-        :raises CommandError: if a number is not finite or too great
-        """
-        speeds = {'linear velocity': finite_numbers(linear, 3, 'linear velocity'),
-                  'angular velocity': finite_numbers(angular, 3, 'angular velocity')}
-        for what, values in speeds.items():
-            if np.abs(values).max() > MAX_VELOCITY:
-                raise CommandError(f'{what} must be within {MAX_VELOCITY:g}, got '
-                                   f'{values.tolist()}')
-        return cls(*speeds.values())
 
 
 @dataclass(frozen=True)
@@ -143,6 +75,23 @@ class Entities:
             raise UnknownNameError('entity', name, self._bodies)
         return self._bodies[name]
 
+    @property
+    def free_names(self) -> list[str]:
+        """The free bodies."""
+        return list(self._joints)
+
+    def frame(self, data: Any, name: str) -> tuple[Pose, Twist]:
+        """
+        Return where an entity is and how it moves at the instant of the last ``mj_forward``.
+
+        :param data: the ``mujoco.MjData``
+        :raises UnknownNameError: if there is no such entity
+        """
+        body, velocity = self._body(name), np.empty(6)
+        mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+        return (Pose(data.xpos[body].copy(), wxyz_to_xyzw(data.xquat[body])),
+                Twist(velocity[3:], velocity[:3]))
+
     def read(self, data: Any, name: str) -> EntityState:
         """
         Return an entity at the instant of the last ``mj_forward``.
@@ -151,8 +100,7 @@ class Entities:
         :raises UnknownNameError: if there is no such entity
         """
         body, frame = self._body(name), mujoco.mjtObj.mjOBJ_XBODY
-        velocity, acceleration = np.empty(6), np.zeros(6)
-        mujoco.mj_objectVelocity(self._model, data, frame, body, velocity, 0)
+        acceleration = np.zeros(6)
         if self._model.body_weldid[body]:  # What is fixed to the world has none.
             # MuJoCo does this by itself only where a sensor needs it.
             mujoco.mj_rnePostConstraint(self._model, data)
@@ -160,9 +108,7 @@ class Entities:
             # MuJoCo lets the world fall upwards in place of gravity.
             acceleration[3:] += self._model.opt.gravity
         return EntityState(
-            Pose(data.xpos[body].copy(), wxyz_to_xyzw(data.xquat[body])),
-            Twist(velocity[3:], velocity[:3]),
-            acceleration[3:], acceleration[:3])
+            *self.frame(data, name), acceleration[3:], acceleration[:3])
 
     def place(self, data: Any, name: str, pose: Pose | None, twist: Twist | None) -> None:
         """

@@ -66,6 +66,11 @@ class GripperActuators:
         self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
                                    ).reshape(-1, 2)
 
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which these actuators are what and where they were."""
+        self._model = model
+        self.couplings.rebind(model)
+
     def name(self, index: int) -> str:
         """Return the name of an actuator."""
         return self._part.actuators[index]

@@ -79,6 +79,11 @@ class GripperController:
         return list(dict.fromkeys(joint for terms, servo in zip(self._actuators.terms, servos)
                                   if servo for joint, _ in terms))
 
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which the gripper is what and where it was."""
+        self._model = model
+        self._actuators.rebind(model)
+
     @property
     def faults(self) -> int:
         """How many calls of the gripper's ``format_action`` failed and changed nothing."""

@@ -70,10 +70,30 @@ class SimulatedRobot:
         self.indices_of = {name: np.array([place[j] for j in part.joints], dtype=np.int64)
                            for name, part in self.parts.items()}
 
+    def rebind(self, model: Any, data: Any) -> None:
+        """
+        Go on with a model in which the robot is what and where it was.
+
+        :param model: the ``mujoco.MjModel``
+        :param data: its ``mujoco.MjData``, in the present state
+        """
+        self._data = data
+        self.joints.rebind(model)
+        for gripper in self.grippers.values():
+            gripper.rebind(model)
+        for reader in self.end_effectors.values():
+            reader.rebind(model)
+
     @property
     def name(self) -> str:
         """What its names begin with, without the underscore that follows."""
         return self.robot_model.naming_prefix.rstrip('_')
+
+    @property
+    def frame_body(self) -> str:
+        """The body that says where the robot is, such as its mobile base."""
+        base = self.robot_model.base
+        return base.root_body if base is not None and base.joints else self.robot_model.root_body
 
     @property
     def moving(self) -> bool:

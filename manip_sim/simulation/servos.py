@@ -186,6 +186,11 @@ class Servos:
         model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
 
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which these actuators and joints are what and where they were."""
+        self._model = model
+        self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
+
     def start(self, data: Any, indices: IntArray, position: FloatArray, velocity: FloatArray
               ) -> None:
         """

@@ -5,17 +5,18 @@
 
 from __future__ import annotations
 
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.loading import compile_spec
 from manip_sim.models.world import World
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
+from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.spawning import (
+    carry_over, LiveWorld, Plan, plan_world, start_live)
 from manip_sim.simulation.start_check import check_start
 
 #: A generalised velocity that no robot has: the physics has diverged [rad/s or m/s].
@@ -28,7 +29,7 @@ _INTERVAL_S = 0.004
 
 class Simulation:
     """
-    The physics of a world, and the robots in it.
+    The physics of a world, the robots and the objects in it.
 
     Time is a count of steps. Nothing here waits or looks at a clock; one thread at a time may use
     it.
@@ -38,20 +39,22 @@ class Simulation:
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
     :ivar robots: what is commanded and seen of each robot, by name
+    :ivar entities: where robots and free bodies are
+    :ivar plan: what the world was compiled from
     :ivar step_count: physics steps since construction; a reset does not change it
     :ivar start_defects: what starts inside something, blocked or outside its range
     :ivar diverged: why the physics is held, or None
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
-        spec = world.compose(visual)
+        spec = world.compose(visual, objects=False)
         add_setpoint_activation(spec, [
             *(name for robot in world.robots for name in robot.all_actuators),
             *position_servos_without_dynamics(spec, world.gripper_actuators)])
-        self.model: Any = compile_spec(spec, world.name)
+        live = start_live(plan_world(spec, tuple(world.objects), world.name))
+        self.plan, self.model, self.data = live.plan, live.model, live.data
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self.data: Any = mujoco.MjData(self.model)
         self.step_count = 0
         self.diverged: str | None = None
         self._start = world.init_qpos()
@@ -61,11 +64,28 @@ class Simulation:
         robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
                   for robot in world.robots]
         self.robots = {robot.name: robot for robot in robots}
+        self._look_at_model()
         self._settle_linkages()
-        self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
         self.reset()
         self.start_defects = check_start(
             self.model, self.data, [robot.root_body for robot in world.robots])
+
+    def _look_at_model(self) -> None:
+        self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        self.entities = Entities(self.model, {
+            robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
+
+    def change_objects(self, plan: Plan) -> None:
+        """
+        Go on with other objects; everything else stays as it is, commands included.
+
+        :param plan: made from :attr:`plan`, by ``plan_with`` or ``plan_without``
+        """
+        live = carry_over(LiveWorld(self.plan, self.model, self.data), plan)
+        self.plan, self.model, self.data = live.plan, live.model, live.data
+        for robot in self.robots.values():
+            robot.rebind(self.model, self.data)
+        self._look_at_model()
 
     @property
     def robot(self) -> SimulatedRobot:

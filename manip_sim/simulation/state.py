@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.typing import BoolArray, FloatArray
 
 
@@ -28,18 +29,14 @@ class EndEffector:
     """
     A gripper as seen from the world and from its force/torque sensor.
 
-    :ivar position: of ``grip_site`` in ``world`` [m], shape (3,)
-    :ivar quat_xyzw: of ``grip_site`` in ``world``, shape (4,)
-    :ivar linear_velocity: of ``grip_site`` in ``world`` [m/s], shape (3,)
-    :ivar angular_velocity: of ``grip_site`` in ``world`` [rad/s], shape (3,)
+    :ivar pose: of ``grip_site``
+    :ivar twist: of ``grip_site``
     :ivar wrench: what ``force_ee`` and ``torque_ee`` measure, in ``ft_frame``
     :ivar external_wrench: what the world does to the tool, tared, in ``ft_frame``
     """
 
-    position: FloatArray
-    quat_xyzw: FloatArray
-    linear_velocity: FloatArray
-    angular_velocity: FloatArray
+    pose: Pose
+    twist: Twist
     wrench: Wrench
     external_wrench: Wrench
 

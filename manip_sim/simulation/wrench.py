@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector, Wrench
 from manip_sim.typing import FloatArray
 
@@ -36,6 +37,10 @@ class EndEffectorReader:
         self._bodies = _subtree(model, sensed)
         self._tare = np.zeros(6)
 
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which the gripper is what and where it was."""
+        self._model = model
+
     @property
     def ft_frame(self) -> str:
         """Name of the frame of the wrenches."""
@@ -54,9 +59,8 @@ class EndEffectorReader:
         mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
         external = self._external(data) - self._tare
         return EndEffector(
-            position=data.site_xpos[self._grip_site].copy(),
-            quat_xyzw=wxyz_to_xyzw(quat_wxyz),
-            linear_velocity=velocity[3:], angular_velocity=velocity[:3],
+            pose=Pose(data.site_xpos[self._grip_site].copy(), wxyz_to_xyzw(quat_wxyz)),
+            twist=Twist(velocity[3:], velocity[:3]),
             wrench=Wrench(data.sensordata[self._force:self._force + 3].copy(),
                           data.sensordata[self._torque:self._torque + 3].copy()),
             external_wrench=Wrench(external[:3], external[3:]))

@@ -171,7 +171,7 @@ def test_an_answer_that_comes_while_its_period_runs_is_stale(serve, client):
         client.publish('arm/joint_command', answer)
         assert entered.wait(20.0)
         client.publish('arm/joint_command', answer)
-        client.spin_until(lambda: node.commands.statistics['arm'].refused == 1)
+        client.spin_until(lambda: node.commands[0].statistics['arm'].refused == 1)
     finally:
         released.set()
     client.state()
@@ -179,7 +179,7 @@ def test_an_answer_that_comes_while_its_period_runs_is_stale(serve, client):
     # Late answers are told from early ones.
     with pytest.raises(CommandError, match=r'answers the state of 0\.010000000 s, the present '
                                            r'state is that of 0\.020000000 s$'):
-        node.runner.submit([], 10_000_000)
+        node.thread.submit([], 10_000_000)
 
 
 def test_a_reset_has_a_stamp_of_its_own_and_makes_answers_to_older_ones_stale(serve, client):
@@ -188,7 +188,7 @@ def test_a_reset_has_a_stamp_of_its_own_and_makes_answers_to_older_ones_stale(se
     client.spin_until(lambda: bool(states))
     assert client.call(Trigger, 'manip_sim/reset').success
     client.spin_until(lambda: nanoseconds(states[-1]) == 20_000_000)
-    statistics = node.commands.statistics['arm']
+    statistics = node.commands[0].statistics['arm']
     answer = JointState(name=['robot0_joint1'], position=[0.1])
     answer.header.stamp.nanosec = 10_000_000
     client.publish('arm/joint_command', answer)

@@ -26,6 +26,7 @@ def general(name):
     name = re.sub(r'^/manip_sim/', '~/', name)
     if name not in ('/clock', '/diagnostics'):
         name = name.lstrip('/')
+    name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
     if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
         return re.sub(r'^\w+/', '<part>/', name)
@@ -36,7 +37,7 @@ OF_ROS = {'/rosout', '/parameter_events'}
 
 
 def test_topics_are_documented_with_their_types(serve, client):
-    robots = [serve()]
+    robots = [serve(arena='table')]
     client.state()
     found = set()
     for node in robots:

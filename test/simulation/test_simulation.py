@@ -26,7 +26,7 @@ def numbers_of(state):
     """Return all numbers of a state in one array."""
     parts = [state.position, state.velocity, state.effort]
     for end in state.end_effectors.values():
-        parts += [end.position, end.quat_xyzw, end.linear_velocity, end.angular_velocity,
+        parts += [end.pose.position, end.pose.quat_xyzw, end.twist.linear, end.twist.angular,
                   end.wrench.force, end.wrench.torque, end.external_wrench.force,
                   end.external_wrench.torque]
     return np.concatenate(parts)
@@ -64,7 +64,7 @@ def test_state_is_that_of_one_instant(panda_sim, run):
                                rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(end.wrench.torque, fresh.sensor('gripper0_right_torque_ee').data,
                                rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(end.position, fresh.site('gripper0_right_grip_site').xpos)
+    np.testing.assert_allclose(end.pose.position, fresh.site('gripper0_right_grip_site').xpos)
     np.testing.assert_allclose(state.effort[:7], fresh.qfrc_actuator[:7], rtol=1e-6)
 
 
@@ -193,15 +193,15 @@ def test_absurd_velocity_of_a_free_object_is_told_as_such(cube_sim):
 def test_a_bad_control_is_divergence_and_does_not_last(panda_sim, run, bad):
     # MuJoCo sets all controls to zero then, and the arm would fall without a word.
     panda_sim.data.ctrl[1] = bad
-    start = panda_sim.state().position
+    start = panda_sim.robot.state().position
     panda_sim.advance(5)
     assert panda_sim.diverged == ('the physics diverged at 0.010 s: MuJoCo warns of a bad '
                                   'position, velocity, acceleration or control')
-    np.testing.assert_array_equal(panda_sim.state().position, start)
+    np.testing.assert_array_equal(panda_sim.robot.state().position, start)
     panda_sim.reset()
     run(panda_sim, 0.5)
     assert panda_sim.diverged is None
-    np.testing.assert_allclose(panda_sim.state().position, start, atol=1e-6)
+    np.testing.assert_allclose(panda_sim.robot.state().position, start, atol=1e-6)
 
 
 def test_divergence_is_mended_by_reset(panda_sim, run):

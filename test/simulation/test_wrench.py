@@ -122,7 +122,7 @@ def test_push_is_read_within_five_percent_while_the_arm_moves(panda_sim, run):
         _, rotation = frame_of(panda_sim)
         end = panda_sim.robot.state().end_effectors['right']
         errors.append(np.linalg.norm(end.external_wrench.force - rotation.T @ force))
-        speeds.append(np.linalg.norm(end.linear_velocity))
+        speeds.append(np.linalg.norm(end.twist.linear))
 
     run(panda_sim, 0.5, compare)
     assert max(speeds) > 0.2
@@ -180,10 +180,11 @@ def test_velocity_and_pose_agree_with_finite_differences(panda_sim, run):
         ends.append(panda_sim.robot.state().end_effectors['right'])
         panda_sim.advance(1)
     before, now, after = ends
-    linear = (after.position - before.position) / 0.004
-    np.testing.assert_allclose(now.linear_velocity, linear, atol=1e-3)
-    turn = Rotation.from_quat(after.quat_xyzw) * Rotation.from_quat(before.quat_xyzw).inv()
-    np.testing.assert_allclose(now.angular_velocity, turn.as_rotvec() / 0.004, atol=2e-3)
+    linear = (after.pose.position - before.pose.position) / 0.004
+    np.testing.assert_allclose(now.twist.linear, linear, atol=1e-3)
+    first, last = (Rotation.from_quat(end.pose.quat_xyzw) for end in (before, after))
+    turn = last * first.inv()
+    np.testing.assert_allclose(now.twist.angular, turn.as_rotvec() / 0.004, atol=2e-3)
     assert np.linalg.norm(linear) > 0.1
 
 

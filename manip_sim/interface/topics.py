@@ -2,20 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the node publishes, takes, offers and is configured by, as tables without ROS.
+What the node publishes, takes and offers, as tables.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
-has one topic or parameter for each; :func:`topics_of` and :func:`parameters_of` fill them in.
+has one topic for each, and ``<name>`` for each object; :func:`topics_of` fills them in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
-PART, ARM = '<part>', '<arm>'
+PART, ARM, OBJECT = '<part>', '<arm>', '<name>'
 _GRIPPER = f'{ARM}/gripper'
 
 
@@ -70,24 +70,6 @@ class Service:
     meaning: str
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """
-    A parameter of the node.
-
-    :ivar default: also tells the type
-    :ivar of_base: the default for the part ``base``, where it differs
-    :ivar live: whether it may change while the node runs
-    """
-
-    name: str
-    default: Any
-    meaning: str
-    unit: str = ''
-    live: bool = False
-    of_base: Any = None
-
-
 TOPICS = (
     Topic('joint_states', 'sensor_msgs/JointState', PUBLISHED, 'all joints of the robot'),
     Topic('<part>/joint_states', 'sensor_msgs/JointState', PUBLISHED, 'joints of a part',
@@ -104,6 +86,10 @@ TOPICS = (
     Topic('<part>/controller_state', 'trajectory_msgs/JointTrajectory', PUBLISHED,
           'reference, feedback, error, output; control_msgs/JointTrajectoryControllerState where '
           'control_msgs is installed', 'actuators'),
+    Topic('objects/<name>/pose', 'geometry_msgs/PoseStamped', PUBLISHED,
+          'a free body in world', 'object'),
+    Topic('objects/<name>/twist', 'geometry_msgs/TwistStamped', PUBLISHED,
+          'velocity of a free body, in the axes of world', 'object'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
@@ -130,40 +116,20 @@ SERVICES = (
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
 )
 
-PARAMETERS = (
-    Parameter('robot', 'Panda', 'robot of the catalogue'),
-    Parameter('gripper', 'default', "gripper on every arm; default is the robot's own, none is "
-              'no gripper'),
-    Parameter('base', 'default', "what the robot stands on; default is the robot's own, none is "
-              'the floor'),
-    Parameter('arena', 'empty', 'what is around the robot'),
-    Parameter('cube', True, 'in the arena table: a free cube on the table'),
-    Parameter('prefix', '', 'beginning of all names of the robot, its base and its grippers'),
-    Parameter('idn', 0, 'number of the robot in names, where prefix is empty'),
-    Parameter('timestep', 0.002, 'physics step', 's'),
-    Parameter('publish_rate', 100.0, 'control periods per second of simulation time', 'Hz'),
-    Parameter('stepping', 'realtime', 'realtime, free (as fast as possible) or lockstep'),
-    Parameter('lockstep_parts', ['arm'], 'parts whose commands drive lockstep'),
-    Parameter('start_paused', False, 'wait for ~/pause or ~/step'),
-    Parameter('real_time_factor', 1.0, 'simulation time per wall time, for realtime', live=True),
-    Parameter('gravity_compensation', True, 'the actuators carry the weight of links and '
-              'grippers'),
-    Parameter('publish_clock', True, 'publish /clock'),
-    Parameter('control_mode.<part>', 'position', 'position, velocity or effort', live=True,
-              of_base='velocity'),
-    Parameter('command_timeout.<part>', 0.0, 'without a fresh command for so long the part '
-              'rests; 0 is never', 's', live=True, of_base=0.5),
-)
 
-
-def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
+def topics_of(parts: Mapping[str, PartLike], twist: bool, objects: Iterable[str] = ()
+              ) -> list[Topic]:
     """
     Return the topics that the node has for a robot.
 
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
+    :param objects: names of free bodies
     """
-    return [topic for pattern in TOPICS for topic in _filled_in(pattern, parts, twist)]
+    found = [topic for pattern in TOPICS if pattern.needs != 'object'
+             for topic in _filled_in(pattern, parts, twist)]
+    return found + [replace(pattern, name=pattern.name.replace(OBJECT, name))
+                    for pattern in TOPICS if pattern.needs == 'object' for name in objects]
 
 
 def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> Iterator[Topic]:
@@ -181,19 +147,3 @@ def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> It
     for name in names:
         if not pattern.needs or getattr(parts[name], pattern.needs):
             yield replace(pattern, name=pattern.name.replace(placeholder, name))
-
-
-def parameters_of(parts: Mapping[str, PartLike]) -> list[Parameter]:
-    """
-    Return the parameters that the node has for a robot, with their defaults.
-
-    :param parts: by name
-    """
-    controlled = [name for name, part in parts.items() if part.gripper is None and part.actuators]
-    found = [parameter for parameter in PARAMETERS if PART not in parameter.name]
-    for name in controlled:
-        found += [replace(
-            parameter, name=parameter.name.replace(PART, name),
-            default=parameter.of_base if name == 'base' else parameter.default)
-            for parameter in PARAMETERS if PART in parameter.name]
-    return found

@@ -1,0 +1,211 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node's parameters: one table with type, default, limits and description."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Any
+
+from manip_sim.errors import describe_choices, ParameterError
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import PartLike
+from manip_sim.models.arena_parameters import ArenaParameter
+from manip_sim.models.arenas import arena_names, arena_parameters
+from manip_sim.models.bases import base_names
+from manip_sim.models.grippers import gripper_names
+from manip_sim.models.initialization_noise import TYPES
+from manip_sim.models.robots import robot_names
+from manip_sim.quoting import quoted
+from manip_sim.simulation.commands import MODES
+
+STEPPING = ('realtime', 'free', 'lockstep')
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """
+    One parameter.
+
+    :ivar default: also tells the type
+    :ivar live: whether it may change while the node runs
+    :ivar minimum: and ``maximum``: inclusive limits of a number
+    :ivar choices: the values that a string may have
+    :ivar length: of an array of finite numbers, where it is fixed
+    """
+
+    name: str
+    default: Any
+    description: str
+    unit: str = ''
+    live: bool = False
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    length: int | None = None
+
+    def within(self, scope: Scope) -> ParameterSpec:
+        """Return the same parameter for one of several robots."""
+        return replace(self, name=scope.parameter(self.name))
+
+    def problem_with(self, value: Any) -> str | None:
+        """Return what is wrong with a value that has the right type, or None."""
+        if self.choices:
+            for item in value if isinstance(value, (list, tuple)) else [value]:
+                if item not in self.choices:
+                    return (f"parameter '{self.name}': unknown value {quoted(item)}: "
+                            f'{describe_choices(item, self.choices)}')
+        if self.length is not None and not (
+                len(value) == self.length and all(map(math.isfinite, value))):
+            return (f"parameter '{self.name}' must be {self.length} finite numbers, "
+                    f'got {list(value)}')
+        if (self.minimum is not None and self.maximum is not None
+                and not self.minimum <= value <= self.maximum):
+            return (f"parameter '{self.name}' must be from {self.minimum:g} to "
+                    f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
+        return None
+
+
+def node_parameters() -> list[ParameterSpec]:
+    """Return the parameters of every node, before its robots are known."""
+    return [
+        ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
+                      'right: each has its topics in a namespace and its parameters, such as '
+                      'left.robot, below its name. Empty: one robot.'),
+        ParameterSpec('arena', 'empty', 'What is around the robot.',
+                      choices=tuple(arena_names())),
+        ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
+                      'the table.'),
+        ParameterSpec('objects', [''], 'Free bodies: YAML files that list objects, MJCF files, or '
+                      'descriptions such as {name: box, shape: box, size: [0.1, 0.1, 0.1], '
+                      'mass: 0.5, position: [0.5, 0.0, 0.05]}.'),
+        ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of what is added to "
+                      "the start of the robots' own joints.", choices=TYPES),
+        ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation, or the largest '
+                      'change either way, of what is added to the start; 0 is nothing.',
+                      'rad or m', minimum=0.0, maximum=3.0),
+        ParameterSpec('seed', 0, 'Of initialization_noise: the same seed gives the same start.',
+                      minimum=0, maximum=2**31 - 1),
+        ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
+        ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
+                      'per second of simulation time; a period is a whole number of timesteps.',
+                      'Hz', minimum=1.0, maximum=10000.0),
+        ParameterSpec('stepping', 'realtime', 'What drives the physics: the clock, nothing (as '
+                      'fast as possible), or the commands of lockstep_parts.', choices=STEPPING),
+        ParameterSpec('start_paused', False, 'Wait for ~/pause or ~/step after the start.'),
+        ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, for the stepping '
+                      'realtime.', live=True, minimum=0.1, maximum=10.0),
+        ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
+                      'links and grippers; it counts as effort and against the torque limits.'),
+        ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
+                      'domain but one.'),
+    ]
+
+
+def arena_specs(arena: str) -> list[ParameterSpec]:
+    """Return the parameters of an arena, such as ``arena.table_height``."""
+    # The parameter ``cube`` is older than the others and has no ``arena.`` before its name.
+    return [_arena_spec(parameter) for parameter in arena_parameters(arena)
+            if parameter.name != 'cube']
+
+
+def _arena_spec(parameter: ArenaParameter) -> ParameterSpec:
+    is_number = not isinstance(parameter.default, bool)
+    description = f'{parameter.description[:1].upper()}{parameter.description[1:]}.'
+    return ParameterSpec(
+        f'arena.{parameter.name}', parameter.default, description, parameter.unit,
+        minimum=parameter.low if is_number else None,
+        maximum=parameter.high if is_number else None)
+
+
+def composition_parameters(scope: Scope) -> list[ParameterSpec]:
+    """Return the parameters that say which robot there is."""
+    specs = [
+        ParameterSpec('robot', 'Panda', 'Robot of the catalogue.',
+                      choices=tuple(robot_names())),
+        ParameterSpec('gripper', 'default',
+                      "Gripper on every arm; 'default' is the robot's own, 'none' leaves it off.",
+                      choices=('default', 'none', *gripper_names())),
+        ParameterSpec('base', 'default',
+                      "What the robot stands on; 'default' is the robot's own, 'none' is the "
+                      'floor.', choices=('default', 'none', *base_names())),
+        ParameterSpec('prefix', f'{scope.name}_' if scope.name else '',
+                      'Beginning of all names of the robot, its base and its '
+                      'grippers: joints, frames, the model. Empty: names as in robot0_joint1.'),
+        ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each have had a command before '
+                      'lockstep advances by a control period, such as arm or right/gripper.')]
+    if not scope.name:
+        specs.append(ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1, '
+                                   'where prefix is empty.', minimum=0, maximum=999))
+    return [spec.within(scope) for spec in specs]
+
+
+def place_parameters(scope: Scope, position: Sequence[float]) -> list[ParameterSpec]:
+    """
+    Return the parameters that say where a robot stands.
+
+    :param position: where it stands unless the user says where [m], three numbers
+    """
+    return [spec.within(scope) for spec in (
+        ParameterSpec('position', [float(value) for value in position], 'Where the floor below '
+                      "the robot's root is in the frame world: x, y, z.", 'm', length=3),
+        ParameterSpec('orientation', [0.0, 0.0, 0.0], 'How the robot is turned in the frame '
+                      'world: roll, pitch, yaw.', 'rad', length=3))]
+
+
+def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters that depend on the parts of a robot.
+
+    :param parts: the parts with driven joints: subsystems and arms
+    """
+    specs = []
+    for part in parts:
+        moves = part == 'base'
+        specs += [
+            ParameterSpec(f'control_mode.{part}', 'velocity' if moves else 'position',
+                          f'What commands of the {part} mean; a change holds it where it is.',
+                          live=True, choices=MODES),
+            ParameterSpec(f'command_timeout.{part}', 0.5 if moves else 0.0,
+                          f'Without a fresh command of the {part} for so long (simulation time), '
+                          'position holds, velocity goes to zero, effort to gravity compensation; '
+                          '0 is never.', 's', live=True, minimum=0.0, maximum=3600.0)]
+    return [spec.within(scope) for spec in specs]
+
+
+def steps_per_period(publish_rate: float, timestep: float) -> int:
+    """
+    Return how many physics steps a control period has.
+
+    :param publish_rate: [Hz]
+    :param timestep: [s]
+    :raises ParameterError: if it is not a whole number, naming the nearest rates for which it is
+    """
+    steps = 1.0 / (publish_rate * timestep)
+    whole = max(1, round(steps))
+    if abs(steps - whole) > 1e-6 * whole:
+        lower, higher = int(steps) + 1, int(steps)
+        rates = [1.0 / (n * timestep) for n in (lower, higher) if n > 0]
+        raise ParameterError(
+            f"parameter 'publish_rate': a period of {publish_rate:g} Hz is not a whole number of "
+            f'timesteps of {timestep:g} s; the nearest rates that are: '
+            + ', '.join(f'{rate:.10g}' for rate in rates))
+    return whole
+
+
+def parameters_of(parts: Mapping[str, PartLike], arena: str = 'empty',
+                  position: Sequence[float] = (0.0, 0.0, 0.0)) -> list[ParameterSpec]:
+    """
+    Return the parameters of a node with one robot.
+
+    :param parts: of the robot, by name
+    :param arena: name of the arena
+    :param position: where the robot stands in it [m], three numbers
+    """
+    scope = Scope()
+    driven = [name for name, part in parts.items() if part.gripper is None and part.actuators]
+    return [*node_parameters(), *arena_specs(arena), *composition_parameters(scope),
+            *place_parameters(scope, position), *robot_parameters(scope, driven)]

@@ -1,0 +1,82 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where frames are in the world and how they move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import CommandError
+from manip_sim.simulation.numbers import finite_numbers
+from manip_sim.typing import FloatArray
+
+#: What is farther from the origin is lost [m].
+MAX_DISTANCE_M = 1e4
+#: What is faster flies through everything in a step [m/s, rad/s].
+MAX_VELOCITY = 1e3
+#: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
+_NORM_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class Pose:
+    """
+    Where the frame of a body is in ``world``.
+
+    :ivar position: [m], shape (3,)
+    :ivar quat_xyzw: of unit length, shape (4,)
+    """
+
+    position: FloatArray
+    quat_xyzw: FloatArray
+
+    @classmethod
+    def checked(cls, position: ArrayLike, quat_xyzw: ArrayLike) -> Pose:
+        """
+        Return a pose of numbers that somebody else gave.
+
+        :raises CommandError: if a number is not finite, the position is too far or the quaternion
+            is not of unit length
+        """
+        place = finite_numbers(position, 3, 'position')
+        quat = finite_numbers(quat_xyzw, 4, 'orientation')
+        if np.abs(place).max() > MAX_DISTANCE_M:
+            raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
+                               f'{place.tolist()}')
+        norm = float(np.linalg.norm(quat))
+        if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
+            raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
+                               f'{quat.tolist()} of length {norm:g}')
+        return cls(place, quat / norm)
+
+
+@dataclass(frozen=True)
+class Twist:
+    """
+    How the frame of a body moves, in the axes of ``world``.
+
+    :ivar linear: of the frame's origin [m/s], shape (3,)
+    :ivar angular: [rad/s], shape (3,)
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+
+    @classmethod
+    def checked(cls, linear: ArrayLike, angular: ArrayLike) -> Twist:
+        """
+        Return a twist of numbers that somebody else gave.
+
+        :raises CommandError: if a number is not finite or too great
+        """
+        speeds = {'linear velocity': finite_numbers(linear, 3, 'linear velocity'),
+                  'angular velocity': finite_numbers(angular, 3, 'angular velocity')}
+        for what, values in speeds.items():
+            if np.abs(values).max() > MAX_VELOCITY:
+                raise CommandError(f'{what} must be within {MAX_VELOCITY:g}, got '
+                                   f'{values.tolist()}')
+        return cls(*speeds.values())

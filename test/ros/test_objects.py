@@ -1,0 +1,63 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Free bodies over topics and parameters, arenas of another size, starts with noise."""
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+import numpy as np
+import pytest
+from std_srvs.srv import Trigger
+
+from manip_sim.errors import ManipSimError
+
+BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2, position: [1.5, 0.0, 2.0]}'
+
+
+def numbers(vector):
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def test_a_falling_ball_is_published_where_it_is_and_as_fast_as_it_falls(serve, client):
+    serve(objects=[BALL], start_paused=True)
+    poses = client.listen(PoseStamped, 'objects/ball/pose')
+    twists = client.listen(TwistStamped, 'objects/ball/twist')
+    client.spin_until(lambda: poses and twists)
+    assert poses[0].header.frame_id == twists[0].header.frame_id == 'world'
+    np.testing.assert_allclose(numbers(poses[0].pose.position), [1.5, 0.0, 2.0])
+    for _ in range(20):
+        assert client.call(Trigger, 'manip_sim/step').success
+    client.spin_until(lambda: len({str(t.header.stamp) for t in twists}) > 20)
+    # After 0.2 s; the integrator takes the new velocity for each step.
+    assert numbers(twists[-1].twist.linear)[2] == pytest.approx(-9.81 * 0.2, rel=1e-6)
+    assert numbers(poses[-1].pose.position)[2] == pytest.approx(
+        2.0 - 9.81 * 0.2 * (0.2 + 0.002) / 2.0, rel=1e-6)
+
+
+def test_the_cube_of_the_table_is_published(serve, client):
+    serve(arena='table', arena__table_height=0.6)
+    poses = client.listen(PoseStamped, 'objects/cube/pose')
+    client.spin_until(lambda: len(poses) > 5)
+    assert numbers(poses[-1].pose.position)[2] == pytest.approx(0.625, abs=1e-3)
+
+
+def test_noise_of_the_start_is_that_of_the_seed(serve, client):
+    noisy = {'initialization_noise__magnitude': 0.05, 'start_paused': True}
+    starts = [np.array(serve(seed=seed, **noisy).simulation.robot.state().position)
+              for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(starts[0], starts[1])
+    assert (starts[0][:7] != starts[2][:7]).all()
+    assert np.abs(starts[0][:7] - starts[2][:7]).max() < 0.5
+
+
+@pytest.mark.parametrize(('parameters', 'what'), [
+    ({'objects': ['{name: ball, shape: sfere, size: 0.1, mass: 1.0}']}, 'sphere'),
+    ({'objects': [BALL, BALL]}, "two objects have the name 'ball'"),
+    ({'objects': ['missing.yaml']}, 'no such YAML file: missing.yaml'),
+    ({'objects': ['{']}, "parameter 'objects' is not YAML"),
+    ({'arena': 'table', 'arena__table_height': 9.0}, 'must be from 0.1 to 2 m, got 9'),
+    ({'arena__table_height': 0.7}, r"unknown parameter 'arena\.table_height'"),
+    ({'seed': -1}, "parameter 'seed' must be from 0")])
+def test_what_cannot_be_is_told(serve, parameters, what):
+    with pytest.raises(ManipSimError, match=what) as error:
+        serve(**parameters)
+    assert '\n' not in str(error.value)
