@@ -131,7 +131,7 @@ def test_path_hardly_depends_on_how_finely_it_is_cut():
     np.testing.assert_allclose(ends, ends[-1], atol=0.02)
 
 
-@pytest.mark.parametrize('rate', [20, 50, 100, 500])
+@pytest.mark.parametrize('rate', [10, 20, 50, 100, 500])
 def test_stream_of_constant_speed_passes_with_one_and_a_half_intervals_of_delay(rate):
     course = streamed(lambda t: 0.5 * t, 2.0, rate)
     late = course.time > 1.5
@@ -139,6 +139,14 @@ def test_stream_of_constant_speed_passes_with_one_and_a_half_intervals_of_delay(
     delay_s = course.time[late] - course.position[late] / 0.5
     np.testing.assert_allclose(delay_s, 1.5 / rate, rtol=1e-6)
     np.testing.assert_allclose(course.acceleration[late], 0.0, atol=1e-6)
+
+
+def test_goals_that_come_five_times_a_second_are_steps():
+    course = streamed(lambda t: 0.1 * t, 3.0, rate=5)
+    for k in range(2, 14):
+        step = course.velocity[(course.time > 0.2 * k) & (course.time <= 0.2 * (k + 1) + 1e-9)]
+        assert step.max() > 0.15
+        assert abs(step[-1]) < 0.02
 
 
 @pytest.mark.parametrize('phase', [0.0, 0.25, 0.5])
