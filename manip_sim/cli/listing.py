@@ -74,7 +74,7 @@ def _parts(kind: str, failed: list[str], names: list[str], create: Callable[[str
     rows: list[Row] = []
     for name, part in _create(kind, names, create, failed):
         if isinstance(part, str):
-            rows.append((name, part, *[''] * len(header)))
+            rows.append((name, *['-'] * len(header), '-', part))
         else:
             rows.append((name, *tell(name, part), *origin(part, kind)))
     return table(kind.capitalize(), ('name', *header, 'from', 'file'), rows, terminal_width())

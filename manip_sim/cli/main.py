@@ -10,7 +10,6 @@ It imports little: a command imports what it needs when it runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-import contextlib
 import importlib
 import logging
 import os
@@ -36,7 +35,7 @@ def run() -> int:
     try:
         return main()
     except SystemExit as ended:  # By argparse: help, or a wrong command line.
-        return _flush() or int(ended.code or 0)
+        return _tell() or int(ended.code or 0)
     except Exception as error:  # A defect of the package, or of a model from another one.
         if sys.flags.dev_mode:
             raise
@@ -72,19 +71,15 @@ def _choose_renderer(command: str) -> None:
         os.environ['MUJOCO_GL'] = 'disable'
 
 
-def _tell(text: str) -> int:
-    """Print a text; return an exit code other than zero if that cannot be done."""
-    if text and sys.stdout is not None:
-        encoding = sys.stdout.encoding or 'utf-8'
-        with contextlib.suppress(OSError):  # It comes again with the flush.
-            print(text.encode(encoding, 'backslashreplace').decode(encoding))
-    return _flush()
-
-
-def _flush() -> int:
+def _tell(text: str = '') -> int:
+    """Print a text and all before it; return an exit code other than zero if that fails."""
+    if sys.stdout is None:
+        return 0
     try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        if text:
+            encoding = sys.stdout.encoding or 'utf-8'
+            print(text.encode(encoding, 'backslashreplace').decode(encoding))
+        sys.stdout.flush()
     except OSError as error:
         # Python flushes once more at the end, into nothing then.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -40,7 +40,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], widt
     """
     if not rows:
         return ''
-    columns = list(zip(header, *rows))
+    columns = list(zip(header, *rows, strict=True))
     room = width - len(_INDENT) - len(_GAP) * (len(columns) - 1)
     widths = [max(map(len, column)) for column in columns]
     text = [not _all_match(_NUMERIC_OR_SPAN, column) for column in columns]

@@ -1,0 +1,123 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim check``: compositions and files, and what it says to write."""
+
+import pytest
+
+from manip_sim.models.world import World
+from test_cli_list import NAMES
+
+LINK = """<body name="root"><geom size="0.05"/><body name="link" pos="0.3 0 0">
+    <joint name="a" axis="0 1 0" range="-2 2"/><geom size="0.05" mass="1"/>{}</body></body>"""
+SERVO = '<actuator><position name="s" joint="a" kp="900" kv="20" forcerange="-50 50"/></actuator>'
+
+
+@pytest.mark.parametrize('arena', NAMES['arenas']())
+@pytest.mark.parametrize('robot', NAMES['robots']())
+def test_nothing_is_wrong_with_a_robot_of_the_catalogue(robot, arena, here):
+    code, text, errors = here('check', '--robot', robot, '--arena', arena)
+    assert (code, errors) == (0, '')
+    assert text == f'{robot}0 in arena {arena}: nothing is wrong with the start\n'
+
+
+def test_each_defect_of_a_composition_comes_with_what_mends_it(here):
+    code, text, errors = here('check', '--gripper', 'FourierRightHand')
+    lines = text.splitlines()
+    assert (code, errors) == (1, '')
+    assert lines[0] == 'Panda0 in arena empty: 20 defects'
+    assert lines[1].startswith("- geom 'gripper0_right_R_middle_proximal_link_col' of body")
+    assert '47.4 mm inside' in lines[1]
+    assert lines[2].startswith('  mend: start in another pose')
+    assert len(lines) == 1 + 2 * 20 + 1
+    assert lines[-1] == ('In the files, names do not begin with robot0_, fixed_mount0_, '
+                         'gripper0_right_.')
+
+
+def test_a_robot_that_stands_in_the_table_is_told_to_move(here):
+    code, text, _ = here('check', '--arena', 'table', '--base', 'none', '--position', '0', '0',
+                         '0.4')
+    assert code == 1
+    assert "geom 'table_collision' of body 'table'" in text
+    assert "mend: place the robot elsewhere (its position, or base_xpos_offset), or move 'table'" \
+        in text
+
+
+def test_a_file_without_defects_is_told_so(here, mjcf):
+    file = mjcf(LINK.format(''), SERVO)
+    assert here('check', file) == (0, f'{file}: nothing is wrong with the start\n', '')
+
+
+def test_a_file_is_checked_at_its_keyframe_home_else_at_the_first(here, mjcf):
+    def key(name, value):
+        return f'<key name="{name}" qpos="{value}" ctrl="{value}"/>'
+
+    keys = f'<keyframe>{key("far", 2.5)}{key("home", 1.0)}</keyframe>'
+    assert here('check', mjcf(LINK.format(''), SERVO + keys))[0] == 0
+    code, text, _ = here('check', mjcf(LINK.format(''), SERVO + keys.replace('home', 'near')))
+    assert code == 1 and "joint 'a' starts at 2.5 rad, 0.5 outside its range of -2 to 2" in text
+
+
+def test_defects_of_a_file_name_what_to_write(here, mjcf):
+    inner = '<body name="tip" pos="0.3 0 0"><joint name="b"/><geom size="0.01"/></body>'
+    two = SERVO.replace('</actuator>', '<velocity name="v" joint="a"/></actuator>')
+    code, text, _ = here('check', mjcf(LINK.format(inner), two))
+    assert code == 1
+    assert text.splitlines()[0].endswith(': 2 defects')
+    assert "joint 'a' is driven by 2 actuators, 's', 'v'" in text
+    assert '<motor joint="b" ctrlrange="-LIMIT LIMIT"/>' in text
+    assert 'In the files' not in text
+
+
+def test_all_files_that_a_model_misses_are_told(here, mjcf, tmp_path):
+    (tmp_path / 'there.stl').write_bytes(b'')
+    assets = """<asset><mesh name="m" file="lost.stl"/><mesh file="there.stl"/>
+        <texture name="t" type="2d" file="wood.png"/></asset>"""
+    file = mjcf('<geom type="mesh" mesh="m"/>', assets)
+    code, text, _ = here('check', file)
+    assert code == 1
+    assert text.splitlines() == [
+        f'{file}: 2 defects',
+        f"- mesh 'm' misses its file {tmp_path}/lost.stl",
+        '  mend: put the file there, or write its folder into meshdir of <compiler>',
+        f"- texture 't' misses its file {tmp_path}/wood.png",
+        '  mend: put the file there, or write its folder into texturedir of <compiler>']
+
+
+def test_objects_and_furniture_of_a_file_are_no_robots(here, mjcf):
+    balls = ''.join(f'<body pos="{x} 3 1"><freejoint/><geom size="0.1"/></body>' for x in (0, 0.1))
+    assert here('check', mjcf(balls + LINK.format(''), SERVO))[0] == 0
+
+
+def test_a_walking_robot_is_one_though_its_root_is_free(here, mjcf):
+    walking = LINK.format('').replace('<geom', '<freejoint/><geom', 1)
+    code, text, _ = here('check', mjcf(walking))
+    assert code == 1 and "joint 'a' has no actuator" in text
+
+
+def test_several_robots_of_a_file_are_all_checked(here, mjcf):
+    other = LINK.replace('"root"', '"two"').replace('"link"', '"link2"').replace('"a"', '"c"')
+    code, text, _ = here('check', mjcf(LINK.format('') + other.format('').replace(
+        '<body name="two">', '<body name="two" pos="0 2 0">'), SERVO))
+    assert code == 1 and "joint 'c' has no actuator" in text
+
+
+def test_what_cannot_be_controlled_is_a_defect_beside_the_others(
+        here, one_joint_arm, monkeypatch):
+    two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
+    arm = one_joint_arm(two)
+    monkeypatch.setattr('manip_sim.cli.check.compose_from', lambda options: World([arm]))
+    code, text, errors = here('check')
+    assert (code, errors) == (1, '')
+    assert 'this cannot be simulated: joint ' in text
+    assert "joint 'robot0_joint1' is driven by 2 actuators, 'robot0_m', 'robot0_n'" in text
+
+
+@pytest.mark.parametrize(('content', 'what'), [
+    (None, 'no such MJCF file'), ('<mujoco><worldbody>', 'is not MJCF that MuJoCo can read'),
+    ('<mujoco><worldbody><geom size="-1"/></worldbody></mujoco>', 'does not compile')])
+def test_a_file_that_mujoco_cannot_read_is_one_line(content, what, refused, tmp_path):
+    file = tmp_path / 'broken.xml'
+    if content is not None:
+        file.write_text(content)
+    assert what in refused('check', file)

@@ -1,0 +1,207 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim describe``: what it tells is what the physics and the node have."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.interface import PUBLISHED, SUBSCRIBED
+from manip_sim.models import compose
+from manip_sim.models.robots import robot_names
+from manip_sim.simulation import Simulation
+
+DATASHEETS = json.loads(
+    (Path(__file__).resolve().parents[1] / 'data' / 'datasheets.json').read_text())
+PARTS_OF_PANDA = ['arm', 'right', 'right/gripper']
+
+
+@pytest.fixture
+def described(here):
+    """Return a function that returns what ``describe --json`` tells."""
+    def describe(*arguments):
+        code, text, errors = here('describe', '--json', *arguments)
+        assert (code, errors) == (0, '')
+        return json.loads(text)
+    return describe
+
+
+def by_name(rows):
+    return {row['name']: row for row in rows}
+
+
+def test_limits_of_the_panda_are_those_of_its_data_sheet(described):
+    joints = by_name(described()['joints'])
+    # Franka Emika, Panda: joint limits in position, velocity and torque.
+    sheet = [(-2.8973, 2.8973, 2.175, 87), (-1.7628, 1.7628, 2.175, 87),
+             (-2.8973, 2.8973, 2.175, 87), (-3.0718, -0.0698, 2.175, 87),
+             (-2.8973, 2.8973, 2.61, 12), (-0.0175, 3.7525, 2.61, 12),
+             (-2.8973, 2.8973, 2.61, 12)]
+    for number, (low, high, velocity, effort) in enumerate(sheet, start=1):
+        joint = joints[f'robot0_joint{number}']
+        assert joint['position'] == pytest.approx([low, high], abs=1e-3)
+        assert joint['velocity'] == pytest.approx(velocity)
+        assert joint['effort'] == pytest.approx([-effort, effort])
+        assert (joint['part'], joint['type'], joint['unit']) == ('arm', 'hinge', 'rad')
+        assert joint['driven_by'] == [f'robot0_torq_j{number}'] and not joint['coupled']
+    finger = joints['gripper0_right_finger_joint1']
+    assert (finger['part'], finger['type'], finger['unit']) == ('right/gripper', 'slide', 'm')
+    assert finger['position'] == [0.0, 0.04] and finger['effort'] == [-70.0, 70.0]
+
+
+@pytest.mark.parametrize('robot', robot_names())
+def test_masses_are_those_of_the_data_sheets_and_add_up(robot, described):
+    found = described('--robot', robot)
+    models = {model['kind']: model for model in found['models']}
+    expected = DATASHEETS['robots'][robot]['mass_kg']
+    assert models['robot']['mass_kg'] == pytest.approx(expected, rel=0.1)
+    assert sum(model['mass_kg'] for model in found['models']) == pytest.approx(found['mass_kg'])
+    frames = [frame['mass_kg'] for frame in found['frames'] if frame['kind'] == 'body']
+    assert sum(frames) == pytest.approx(found['mass_kg'])
+
+
+@pytest.mark.parametrize('robot', robot_names())
+def test_every_robot_is_described_in_numbers_that_json_has(robot, described):
+    found = described('--robot', robot)
+    simulation = Simulation(compose(robot))
+    assert [joint['name'] for joint in found['joints']] == list(simulation.joint_names)
+    assert [part['name'] for part in found['parts']] == list(simulation.parts)
+    starts = [joint['start'] for joint in found['joints']]
+    assert starts == pytest.approx(simulation.state().position)
+    assert len(found['actuators']) == simulation.model.nu
+    assert found['start_defects'] == []
+    for joint in found['joints']:
+        assert joint['driven_by'] or joint['coupled'], joint['name']
+
+
+def test_frames_stand_where_forward_kinematics_puts_them(described):
+    frames = by_name(described('--arena', 'table')['frames'])
+    world = compose('Panda', arena='table')
+    model = world.compile()
+    data = mujoco.MjData(model)
+    for joint, position in world.init_qpos().items():
+        data.joint(joint).qpos = position
+    mujoco.mj_kinematics(model, data)
+    for name in ('robot0_link3', 'gripper0_right_eef', 'fixed_mount0_pedestal'):
+        assert frames[name]['position_m'] == pytest.approx(data.body(name).xpos, abs=1e-9)
+        w, x, y, z = data.body(name).xquat
+        assert frames[name]['quat_xyzw'] == pytest.approx([x, y, z, w], abs=1e-9)
+    site = frames['gripper0_right_grip_site']
+    assert site['parent'] == 'gripper0_right_eef' and site['kind'] == 'site'
+    assert site['position_m'] == pytest.approx(data.site('gripper0_right_grip_site').xpos)
+    rotation = np.empty(9)
+    x, y, z, w = site['quat_xyzw']
+    mujoco.mju_quat2Mat(rotation, np.array([w, x, y, z]))
+    assert rotation == pytest.approx(data.site('gripper0_right_grip_site').xmat, abs=1e-9)
+    assert 'gripper0_right_ft_frame' in frames and 'table' not in frames
+
+
+def test_actuators_tell_what_they_are_in_the_files(described):
+    actuators = by_name(described()['actuators'])
+    elbow = actuators['robot0_torq_j4']
+    assert (elbow['type'], elbow['drives'], elbow['target']) == (
+        'position servo', 'joint', 'robot0_joint4')
+    assert elbow['control'] == pytest.approx([-3.0718, -0.0698], abs=1e-3)
+    assert elbow['force'] == [-87.0, 87.0]
+
+
+@pytest.mark.parametrize(('actuator', 'kind', 'effort', 'velocity'), [
+    ('<motor name="a" joint="joint1" ctrlrange="-30 30"/>', 'motor', [-30.0, 30.0], np.pi),
+    ('<motor name="a" joint="joint1"/>', 'motor', None, np.pi),
+    ('<velocity name="a" joint="joint1" kv="5" ctrlrange="-2 2"/>', 'velocity servo', None, 2.0),
+    ('<position name="a" joint="joint1" kp="50" forcerange="-7 9"/>', 'position servo',
+     [-7.0, 9.0], np.pi)])
+def test_limits_follow_from_the_kind_of_the_actuator(
+        actuator, kind, effort, velocity, here, one_joint_arm, monkeypatch):
+    from manip_sim.models.world import World
+    arm = one_joint_arm(actuator)
+    monkeypatch.setattr('manip_sim.cli.describe.compose_from', lambda options: World([arm]))
+    found = json.loads(here('describe', '--json')[1])
+    joint, = found['joints']
+    assert found['actuators'][0]['type'] == kind
+    assert joint['effort'] == (None if effort is None else pytest.approx(effort))
+    assert joint['velocity'] == pytest.approx(velocity)
+
+
+def test_passive_joints_of_a_linkage_are_told_as_coupled(described):
+    joints = by_name(described('--robot', 'UR5e')['joints'])
+    passive = joints['gripper0_right_left_inner_finger_joint']
+    assert passive['driven_by'] == [] and passive['coupled']
+    assert passive['effort'] is None
+
+
+def test_a_tendon_drives_all_its_joints(here, hand_sim, monkeypatch):
+    made = []
+    hand_sim('<position name="pull" tendon="t" kp="900" kv="9" ctrlrange="0 0.04"/>',
+             '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '
+             'coef="1"/></fixed></tendon>', coupled=False, before=made.append)
+    from manip_sim.cli.elements import actuator_rows
+    from manip_sim.simulation.mechanism import actuated_joints
+    model = made[0].compile()
+    row, = actuator_rows(model, {'gripper0_pull': 'right/gripper'})
+    assert (row['drives'], row['target']) == ('tendon', 'gripper0_t')
+    assert {model.joint(j).name for j in actuated_joints(model, 0)} == {
+        'gripper0_left', 'gripper0_right'}
+
+
+def test_sensors_and_cameras_tell_where_they_are(described):
+    found = described()
+    force = by_name(found['sensors'])['gripper0_right_force_ee']
+    assert force == {'name': 'gripper0_right_force_ee', 'type': 'force',
+                     'of': 'gripper0_right_ft_frame', 'length': 3}
+    camera = by_name(found['cameras'])['robot0_eye_in_hand']
+    assert camera['body'] == 'robot0_right_hand' and camera['fovy_rad'] == pytest.approx(
+        np.radians(75.0))
+
+
+def test_topics_and_parameters_are_those_of_the_parts(described):
+    found = described('--robot', 'PandaOmron')
+    topics = {(topic['name'], topic['direction']) for topic in found['topics']}
+    assert {('base/cmd_vel', SUBSCRIBED), ('torso/joint_states', PUBLISHED),
+            ('right/wrench', PUBLISHED), ('/clock', PUBLISHED)} <= topics
+    assert ('base/cmd_vel', SUBSCRIBED) not in {
+        (t['name'], t['direction']) for t in described()['topics']}
+    parameters = by_name(found['parameters'])
+    assert parameters['control_mode.base']['value'] == 'velocity'
+    assert parameters['robot']['value'] == 'PandaOmron'
+    assert parameters['robot']['default'] == 'Panda'
+    assert {service['name'] for service in found['services']} >= {'~/reset', '~/step'}
+
+
+def test_a_hand_on_each_arm_is_told_with_its_arm(described):
+    found = described('--robot', 'Baxter')
+    assert [(m['class'], m['arm']) for m in found['models'] if m['kind'] == 'gripper'] == [
+        ('RethinkGripper', 'right'), ('RethinkGripper', 'left')]
+    arm = by_name(found['parts'])['arm']
+    assert arm['consists_of'] == ['right', 'left'] and len(arm['joints']) == 14
+
+
+def test_tables_hold_what_the_description_has(here):
+    code, text, errors = here('describe', '--arena', 'table', '--arena-param', 'cube=true')
+    assert (code, errors) == (0, '')
+    for title in ('Models', 'Parts', 'Joints', 'Actuators', 'Sensors', 'Frames', 'Cameras',
+                  'Objects', 'Topics', 'Services', 'Parameters'):
+        assert f'\n{title}' in text
+    assert text.startswith('Panda0 in arena table, ')
+    row = next(line for line in text.splitlines() if line.startswith('  robot0_joint4'))
+    assert row.split() == ['robot0_joint4', 'arm', '-2.618', '-3.072', 'to', '-0.0698', 'rad',
+                           '2.175', '-87', 'to', '87', 'robot0_torq_j4']
+    topic = next(line for line in text.splitlines() if line.startswith('  arm/joint_command'))
+    assert topic.split()[1:3] == ['sensor_msgs/JointState', 'subscribes']
+    for part in PARTS_OF_PANDA:
+        assert f'\n  {part} ' in text
+
+
+def test_tables_keep_to_the_width_of_the_terminal(here, monkeypatch):
+    monkeypatch.setenv('COLUMNS', '100')
+    lines = here('describe', '--robot', 'GR1')[1].splitlines()
+    assert max(map(len, lines)) <= 100 and len(lines) > 200
+
+
+def test_a_start_with_defects_is_pointed_out(here):
+    text = here('describe', '--robot', 'UR5e', '--gripper', 'FourierRightHand')[1]
+    assert "The start has 17 defects, see 'manip_sim check'" in text

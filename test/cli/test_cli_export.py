@@ -1,0 +1,81 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim export``: files that MuJoCo loads and that make the same model."""
+
+import os
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.cli.output import write_whole
+from manip_sim.models import compose
+
+
+def loaded(file):
+    if file.suffix == '.xml':
+        return mujoco.MjModel.from_xml_path(str(file))
+    with file.open('rb') as archive:
+        return mujoco.MjSpec.from_zip(archive).compile()
+
+
+@pytest.mark.parametrize('name', ['out.xml', 'out.mjz', 'out.ZIP'])
+def test_a_file_makes_the_same_model(name, here, tmp_path):
+    code, text, errors = here('export', tmp_path / name, '--robot', 'UR5e', '--arena', 'table',
+                              '--prefix', 'left_', '--position', '1', '0', '0')
+    assert (code, errors) == (0, '')
+    assert str(tmp_path / name) in text and text.endswith(' kB)\n')
+    expected = compose('UR5e', arena='table', prefix='left_', position=[1, 0, 0]).compile()
+    model = loaded(tmp_path / name)
+    assert model.nbody == expected.nbody and model.nu == expected.nu
+    assert np.allclose(model.body_pos, expected.body_pos, atol=1e-9)
+    assert np.allclose(model.body_mass, expected.body_mass, atol=1e-9)
+    assert model.opt.timestep == expected.opt.timestep
+    assert model.joint('left_shoulder_pan_joint').id >= 0
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
+    before = os.umask(0o027)
+    try:
+        here('export', tmp_path / 'out.xml')
+    finally:
+        os.umask(before)
+    assert (tmp_path / 'out.xml').stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize(('name', 'what'), [
+    ('out.urdf', 'out.urdf: URDF cannot be written yet, only .xml, .mjz and .zip'),
+    ('out.sdf', 'out.sdf: the name must end with .xml, .mjz or .zip'),
+    ('out', 'the name must end with'), ('lost/out.xml', 'no such folder: '),
+    ('folder.xml', 'is a folder, give the name of a file')])
+def test_what_cannot_be_written_is_told_and_leaves_nothing(name, what, refused, tmp_path):
+    (tmp_path / 'folder.xml').mkdir()
+    assert what in refused('export', tmp_path / name)
+    assert [file.name for file in tmp_path.iterdir()] == ['folder.xml']
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason='the superuser may write everywhere')
+def test_a_folder_that_cannot_be_written_to_is_told(refused, tmp_path):
+    tmp_path.chmod(0o500)
+    assert 'Permission denied' in refused('export', tmp_path / 'out.xml')
+
+
+def test_a_wrong_name_leaves_an_older_file_as_it_is(refused, tmp_path):
+    (tmp_path / 'out.xml').write_text('old')
+    assert 'unknown robot' in refused('export', tmp_path / 'out.xml', '--robot', 'Pnda')
+    assert (tmp_path / 'out.xml').read_text() == 'old'
+
+
+def test_a_file_that_is_not_finished_does_not_replace_an_older_one(tmp_path):
+    file = tmp_path / 'out.xml'
+    file.write_text('old')
+
+    def fail(path):
+        path.write_text('half')
+        raise OSError(28, 'No space left on device')
+
+    with pytest.raises(OSError, match='No space left'):
+        write_whole(file, fail)
+    assert file.read_text() == 'old' and list(tmp_path.iterdir()) == [file]

@@ -1,0 +1,109 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim list``."""
+
+import sys
+
+import pytest
+
+from manip_sim.models.arenas import arena_names
+from manip_sim.models.bases import base_names
+from manip_sim.models.grippers import gripper_names
+from manip_sim.models.robots import robot_names
+from manip_sim.resources import share_directory
+
+NAMES = {'robots': robot_names, 'grippers': gripper_names, 'bases': base_names,
+         'arenas': arena_names}
+
+
+def rows_of(text, title):
+    """Return the rows of one table of the output as dictionaries by the name of the column."""
+    header, *rows = text.split(f'{title}\n')[1].split('\n\n')[0].splitlines()
+    return [dict(zip(_cells(header), _cells(row))) for row in rows]
+
+
+def _cells(line):
+    return [cell.strip() for cell in line.split('  ') if cell.strip()]
+
+
+@pytest.mark.parametrize('kind', NAMES)
+def test_all_of_a_kind_are_listed_with_their_files(kind, here):
+    code, text, errors = here('list', kind)
+    rows = rows_of(text, kind.capitalize())
+    assert (code, errors) == (0, '')
+    assert [row['name'] for row in rows] == NAMES[kind]()
+    for row in rows:
+        assert row['from'] == 'manip_sim'
+        assert (share_directory() / row['file']).is_file()
+    assert text.rstrip().endswith(f'Files of manip_sim lie in {share_directory()}')
+
+
+def test_robots_tell_their_arms_and_what_they_carry_by_default(here):
+    rows = {row['name']: row for row in rows_of(here('list', 'robots')[1], 'Robots')}
+    assert rows['GR1']['arms'] == '2' and rows['GR1']['joints'] == '32'
+    assert rows['GR1']['default gripper'] == 'FourierRightHand, FourierLeftHand'
+    assert rows['Panda']['default base'] == 'RethinkMount'
+
+
+def test_everything_is_listed_unless_a_kind_is_asked_for(here):
+    text = here('list')[1]
+    for kind in (*NAMES, 'objects'):
+        assert f'{kind.capitalize()}\n' in text
+    assert 'Grippers' not in here('list', 'bases')[1]
+
+
+def test_arenas_tell_their_parameters(here):
+    rows = {row['name']: row for row in rows_of(here('list', 'arenas')[1], 'Arenas')}
+    assert rows['table']['parameters and defaults'] == (
+        'table_length_m=0.8, table_height_m=0.8, cube=false')
+
+
+def test_objects_tell_their_arena_and_what_brings_them(here):
+    row, = rows_of(here('list', 'objects')[1], 'Objects')
+    assert (row['name'], row['mass kg'], row['arena']) == ('cube', '0.1', 'table')
+    assert row['parameters'] == 'cube=true'
+
+
+def test_a_robot_of_the_users_own_file_tells_its_folder(here, one_joint_arm, tmp_path):
+    class OwnArm(type(one_joint_arm())):
+        def __init__(self, idn=0):
+            super().__init__(tmp_path / 'model.xml', idn)
+
+    OwnArm.__module__ = 'manip_sim.models.loaded'
+    row = next(r for r in rows_of(here('list', 'robots')[1], 'Robots') if r['name'] == 'OwnArm')
+    assert (row['from'], row['file']) == (f'folder {tmp_path}', 'model.xml')
+
+
+def test_a_robot_of_another_package_tells_its_package_or_entry_point(
+        here, one_joint_arm, tmp_path, monkeypatch):
+    class Foreign(type(one_joint_arm())):
+        def __init__(self, idn=0):
+            super().__init__(tmp_path / 'model.xml', idn)
+
+    Foreign.__module__ = 'their_robots.arms'
+
+    def source():
+        rows = rows_of(here('list', 'robots')[1], 'Robots')
+        return next(row['from'] for row in rows if row['name'] == 'Foreign')
+
+    assert source() == 'package their_robots'
+    metadata = tmp_path / 'site' / 'their_robots-1.0.dist-info'
+    metadata.mkdir(parents=True)
+    (metadata / 'METADATA').write_text('Metadata-Version: 2.1\nName: their-robots\nVersion: 1.0\n')
+    (metadata / 'entry_points.txt').write_text(
+        '[manip_sim.robots]\nforeign = their_robots.arms:Foreign\n')
+    monkeypatch.setattr(sys, 'path', [str(metadata.parent), *sys.path])
+    assert source() == 'entry point foreign of their-robots'
+
+
+def test_a_part_that_cannot_be_created_does_not_hide_the_others(here, one_joint_arm, tmp_path):
+    class Broken(type(one_joint_arm())):
+        def __init__(self, idn=0):
+            super().__init__(tmp_path / 'lost.xml', idn)
+
+    code, text, _ = here('list', 'robots')
+    assert code == 1
+    line = next(line for line in text.splitlines() if 'Broken' in line)
+    assert f'cannot be created: ModelError: no such MJCF file: {tmp_path}/lost.xml' in line
+    assert 'Panda ' in text

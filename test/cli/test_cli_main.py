@@ -1,0 +1,207 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command as a user meets it: help, exit codes, errors, pipes."""
+
+import json
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from manip_sim.cli import composition
+from manip_sim.cli.parser import COMPOSITION
+
+COMMANDS = ('list', 'describe', 'export', 'render', 'check')
+#: Raises what a class of another package may raise, in place of a command.
+FAILING = """
+import sys
+from manip_sim.cli import main
+class Command:
+    @staticmethod
+    def run(options):
+        raise KeyError('lost\\nand found')
+sys.modules['manip_sim.cli.listing'] = Command
+sys.exit(main.run())
+"""
+
+
+def test_help_names_every_command(command):
+    done = command('--help')
+    assert done.returncode == 0 and done.stderr == ''
+    for name in COMMANDS:
+        assert re.search(rf'^ +{name} +\w', done.stdout, re.MULTILINE), name
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_help_of_each_command_tells_all_options_and_exit_codes(name, here):
+    code, text, errors = here(name, '--help')
+    assert code == 0 and errors == ''
+    assert 'Exit codes: 0' in text and 'example' in text
+    composes = name != 'list'
+    for option in COMPOSITION:
+        assert (f'--{option.replace("_", "-")}' in text) == composes
+
+
+def test_every_option_of_a_composition_has_a_default():
+    assert set(composition._DEFAULTS) == set(COMPOSITION)
+
+
+@pytest.mark.parametrize(('arguments', 'what', 'of'), [
+    ((), 'COMMAND', ''), (('lst',), 'invalid choice', ''), (('list', 'cars'), 'cars', ' list'),
+    (('describe', '--robt', 'Panda'), '--robt', ''),
+    (('describe', '--rob', 'Panda'), '--rob', ''), (('export',), 'FILE', ' export'),
+    (('describe', '--position', '1', '2'), '--position', ' describe'),
+    (('describe', '--position', '1', '2', 'nan'), "finite number, got 'nan'", ' describe'),
+    (('describe', '--arena-param', 'cube'), "must be like NAME=VALUE, got 'cube'", ' describe'),
+    (('render', 'a.png', '--size', '800'), "must be like 800x540, got '800'", ' render'),
+    (('render', 'a.png', '--size', '8x9000'), 'from 16 to 8192 pixels', ' render'),
+    (('render', 'a.png', '--camera', 'c', '--azimuth', '3'), 'either --camera or', ' render'),
+    (('render', 'a.png', '--robot', 'none'), 'give one of --gripper, --base and', ' render'),
+    (('render', 'a.png', '--robot', 'none', '--base', 'B', '--arena', 'a'), 'one of', ' render'),
+    (('check', 'a.xml', '--robot', 'Panda'), 'either a FILE or a composition', ' check')])
+def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, refused):
+    line = refused(*arguments, code=2)
+    assert what in line
+    assert line.endswith(f'; see manip_sim{of} --help')
+
+
+@pytest.mark.parametrize(('arguments', 'what'), [
+    (('describe', '--robot', 'Pnda'), "unknown robot 'Pnda': did you mean 'Panda'"),
+    (('describe', '--robot', 'none'), "unknown robot 'none'"),
+    (('check', '--gripper', 'Robotiq'), "unknown gripper 'Robotiq'"),
+    (('check', '--base', 'Retink'), "unknown base 'Retink': did you mean"),
+    (('check', '--arena', 'tabel'), "unknown arena 'tabel': did you mean 'table'"),
+    (('check', '--arena', 'tabel', '--arena-param', 'a=1'), "unknown arena 'tabel'"),
+    (('check', '--arena', 'table', '--arena-param', 'cub=true'),
+     "unknown parameter of arena 'table' 'cub': did you mean 'cube'"),
+    (('check', '--arena', 'table', '--arena-param', 'cube=maybe'),
+     "table: cube must be true or false, got 'maybe'"),
+    (('check', '--arena', 'table', '--arena-param', 'table_height_m=high'),
+     "table: table_height_m must be a number, got 'high'"),
+    (('check', '--arena', 'table', '--arena-param', 'table_height_m=-1'), 'a table needs'),
+    (('check', '--prefix', 'left/'), "prefix 'left/'"),
+    (('check', '--timestep', '0'), 'a timestep must be positive')])
+def test_what_cannot_be_composed_is_one_line_and_exit_code_1(arguments, what, refused):
+    assert what in refused(*arguments)
+
+
+def test_a_process_ends_with_the_exit_code_and_one_line(command):
+    for arguments, code in ((('check',), 0), (('check', '--robot', 'Pnda'), 1), (('chek',), 2)):
+        done = command(*arguments)
+        assert done.returncode == code
+        assert done.stderr.count('\n') == (code != 0)
+
+
+def test_composition_options_reach_the_world(here):
+    code, text, _ = here('describe', '--json', '--robot', 'UR5e', '--gripper', 'none', '--base',
+                         'none', '--arena', 'table', '--arena-param', 'cube=true', '--arena-param',
+                         'table_height_m=1.25', '--idn', '3', '--position', '1', '-2', '0.5',
+                         '--orientation', '0', '0', '1.5707963', '--timestep', '0.001',
+                         '--no-gravity-compensation')
+    found = json.loads(text)
+    values = {parameter['name']: parameter['value'] for parameter in found['parameters']}
+    assert code == 0 and found['arena'] == 'table'
+    assert [model['class'] for model in found['models']] == ['UR5e']
+    assert found['joints'][0]['name'].startswith('robot3_')
+    root = found['frames'][0]
+    assert root['position_m'] == pytest.approx([1.0, -2.0, 0.5])
+    assert root['quat_xyzw'] == pytest.approx([0.0, 0.0, 0.5**0.5, 0.5**0.5], abs=1e-6)
+    assert found['objects'] == [{'name': 'cube', 'mass_kg': pytest.approx(0.1)}]
+    assert {'gripper': 'none', 'base': 'none', 'idn': 3, 'timestep': 0.001, 'cube': True,
+            'gravity_compensation': False}.items() <= values.items()
+
+
+def test_a_prefix_begins_all_names(here):
+    _, text, _ = here('describe', '--prefix', 'left_')
+    assert 'left_joint1' in text and 'left_gripper_finger_joint1' in text
+    assert 'robot0_' not in text.replace('as in robot0_joint1', '')
+
+
+@pytest.mark.parametrize('unbuffered', ['', '1'])
+@pytest.mark.parametrize('arguments', [('describe', '--robot', 'GR1'), ('--help',)])
+def test_a_reader_that_has_seen_enough_is_no_error(arguments, unbuffered, environment):
+    process = subprocess.Popen([sys.executable, '-m', 'manip_sim.cli', *arguments],
+                               env={**environment, 'PYTHONUNBUFFERED': unbuffered},
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b''
+    process.stderr.close()
+    assert process.wait(timeout=60) == 0
+
+
+def test_defects_are_the_exit_code_though_nobody_reads_them(environment):
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'manip_sim.cli', 'check', '--robot', 'UR5e', '--gripper',
+         'FourierRightHand'], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b''
+    process.stderr.close()
+    assert process.wait(timeout=60) == 1
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+@pytest.mark.parametrize('unbuffered', ['', '1'])
+def test_output_that_cannot_be_written_is_one_line(unbuffered, environment):
+    with Path('/dev/full').open('w') as full:
+        done = subprocess.run(
+            [sys.executable, '-m', 'manip_sim.cli', 'list', 'arenas'], text=True, stdout=full,
+            env={**environment, 'PYTHONUNBUFFERED': unbuffered}, stderr=subprocess.PIPE,
+            timeout=60)
+    assert done.returncode == 1
+    assert done.stderr == 'manip_sim: cannot write the output: No space left on device\n'
+
+
+def test_no_output_at_all_is_no_error(environment):
+    shell = f'exec {sys.executable} -m manip_sim.cli list arenas >&-'
+    done = subprocess.run(['sh', '-c', shell], env=environment, capture_output=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, b'')
+
+
+def test_characters_that_the_terminal_does_not_have_are_escaped(command, tmp_path):
+    done = command('check', tmp_path / 'grün.xml', PYTHONIOENCODING='ascii', PYTHONUTF8='0')
+    assert done.returncode == 1 and 'gr\\xfcn.xml' in done.stderr
+
+
+def test_what_nobody_expected_is_one_line_too(environment):
+    def run(*options):
+        return subprocess.run([sys.executable, *options, '-c', FAILING, 'list'], text=True,
+                              env=environment, capture_output=True, timeout=60)
+    done = run()
+    assert done.returncode == 1 and done.stderr.count('\n') == 1
+    assert done.stderr.startswith('manip_sim: unexpected KeyError: ')
+    assert 'python3 -X dev -m manip_sim.cli' in done.stderr
+    assert 'Traceback' in run('-X', 'dev').stderr
+
+
+def test_ctrl_c_ends_it_without_a_traceback(environment):
+    slow = ("import sys, time; from manip_sim.cli import main, listing; "
+            "listing.run = lambda options: (print('ready', flush=True), time.sleep(60)); "
+            'sys.exit(main.run())')
+    process = subprocess.Popen([sys.executable, '-c', slow, 'list'], env=environment, text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout.readline() == 'ready\n'
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=20)[1] == ''
+    assert process.returncode == -signal.SIGINT
+
+
+def test_help_needs_neither_mujoco_nor_numpy_nor_ros(environment):
+    script = ("import sys; from manip_sim.cli.main import main\n"
+              "try: main(['render', '--help'])\nexcept SystemExit: pass\n"
+              "print({'mujoco', 'numpy', 'rclpy', 'PIL'} & set(sys.modules))")
+    done = subprocess.run([sys.executable, '-c', script], env=environment, text=True,
+                          capture_output=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == 'set()'
+
+
+def test_no_command_needs_ros_or_a_renderer_but_render(environment):
+    script = ("import sys; sys.modules['rclpy'] = None; from manip_sim.cli.main import main\n"
+              "assert main(['list']) == main(['describe']) == main(['check']) == 0\n"
+              "print({'OpenGL', 'glfw', 'PIL'} & set(sys.modules))")
+    done = subprocess.run([sys.executable, '-c', script], text=True, capture_output=True,
+                          env={**environment, 'MUJOCO_GL': 'nonsense'}, timeout=60)
+    assert done.stdout.splitlines()[-1] == 'set()', done.stderr

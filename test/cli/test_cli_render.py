@@ -1,0 +1,119 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim render``: pictures, each by a process of its own."""
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('PIL', reason='pillow is in the extra gallery')
+from PIL import Image, ImageChops, ImageStat  # noqa: E402
+
+
+@pytest.fixture
+def rendered(command, tmp_path):
+    """Return a function that renders and returns the picture."""
+    def render(*arguments, name='picture.png'):
+        done = command('render', tmp_path / name, *arguments)
+        if done.returncode and 'cannot render' in done.stderr:
+            pytest.skip(done.stderr.strip())
+        assert (done.returncode, done.stderr) == (0, '')
+        assert done.stdout == f'{tmp_path / name}\n'
+        with Image.open(tmp_path / name) as picture:
+            return picture.convert('RGB')
+    return render
+
+
+def dark(picture):
+    """Return the share of pixels that are nearly black."""
+    counts = picture.convert('L').histogram()
+    return sum(counts[:45]) / sum(counts)
+
+
+def difference(one, other):
+    """Return the mean difference of two pictures, from 0 to 255."""
+    return max(ImageStat.Stat(ImageChops.difference(one, other)).mean)
+
+
+def test_a_robot_is_shown_from_two_sides(rendered):
+    picture = rendered('--size', '301x200')
+    assert picture.size == (301, 200)
+    left, right = picture.crop((0, 0, 150, 200)), picture.crop((151, 0, 301, 200))
+    # The pedestal is black and is seen from both sides.
+    assert dark(left) > 0.03 and dark(right) > 0.03
+    assert difference(left, right) > 3.0
+    # Neither half has an edge that nothing was drawn on.
+    for x in (0, 150, 300):
+        assert max(picture.getpixel((x, 20))) > 60
+
+
+def test_one_side_fills_the_picture_and_turns_with_the_azimuth(rendered):
+    front = rendered('--size', '200x200', '--azimuth', '180')
+    side = rendered('--size', '200x200', '--azimuth', '90')
+    above = rendered('--size', '200x200', '--azimuth', '180', '--elevation', '-80')
+    assert front.size == (200, 200)
+    assert difference(front, side) > 3.0 and difference(front, above) > 3.0
+    sky = front.getpixel((5, 5))
+    assert sky[2] > sky[0] + 20  # Blue; from above there is the floor only.
+    assert abs(above.getpixel((5, 5))[2] - above.getpixel((5, 5))[0]) < 20
+
+
+@pytest.mark.parametrize(('arguments', 'black'), [
+    (('--gripper', 'Robotiq85Gripper'), 0.1), (('--base', 'RethinkMount'), 0.1),
+    (('--arena', 'bins'), 0.0), (('--arena', 'empty'), 0.0)])
+def test_a_part_is_shown_alone(arguments, black, rendered):
+    picture = rendered('--robot', 'none', '--size', '200x120', *arguments)
+    assert dark(picture) >= black
+    assert ImageStat.Stat(picture).stddev[0] > 5.0
+
+
+def test_arena_and_its_parameters_are_in_the_picture(rendered):
+    options = ('--robot', 'none', '--arena', 'table', '--size', '200x120')
+    for parameters, cubes in (((), 0), (('--arena-param', 'cube=true'), 2)):
+        colours = rendered(*options, *parameters).getcolors(1 << 20)
+        red = sum(count for count, (r, g, _) in colours if r > 100 and r > 2 * g)
+        assert (red > 10) == (cubes > 0)
+
+
+def test_a_camera_of_the_robot_sees_the_table_below_the_hand(rendered):
+    options = ('--camera', 'robot0_eye_in_hand', '--size', '160x120')
+    table = rendered('--arena', 'table', *options, name='hand.jpg')
+    r, g, b = table.getpixel((80, 30))
+    assert r > g > b  # Wood, where the floor is grey.
+    assert difference(table, rendered(*options)) > 10.0
+
+
+@pytest.mark.parametrize(('arguments', 'what'), [
+    (('picture.gif',), 'picture.gif: the name must end with .png or .jpg'),
+    (('lost/picture.png',), 'no such folder: lost'),
+    (('picture.png', '--robot', 'Pnda'), "unknown robot 'Pnda'"),
+    (('picture.png', '--robot', 'none', '--gripper', 'Pnda'), "unknown gripper 'Pnda'"),
+    (('picture.png', '--robot', 'none', '--gripper', 'none'), "unknown gripper 'none'"),
+    (('picture.png', '--robot', 'none', '--base', 'NullMount'),
+     'NullMount0 has no visible shapes (group 0 to 2), so no picture'),
+    (('picture.png', '--camera', 'eye'),
+     "unknown camera 'eye': available: robot0_robotview, robot0_eye_in_hand")])
+def test_what_cannot_be_rendered_is_one_line(arguments, what, refused):
+    assert what in refused('render', *arguments)
+    assert not Path('picture.png').exists()
+
+
+def test_an_unknown_way_to_render_is_one_line(command, tmp_path):
+    done = command('render', tmp_path / 'a.png', MUJOCO_GL='nonsense')
+    assert done.returncode == 1
+    assert done.stderr == ('manip_sim: cannot render with MUJOCO_GL=nonsense: invalid value for '
+                           'environment variable MUJOCO_GL: nonsense\n')
+
+
+def test_without_pillow_the_extra_is_named(refused, monkeypatch):
+    monkeypatch.setitem(__import__('sys').modules, 'PIL', None)
+    assert refused('render', 'a.png') == 'needs pillow: pip install "manip_sim[gallery]"'
+
+
+def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):
+    from manip_sim.cli.rendering import _start_of
+    from manip_sim.models.world import World
+    two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
+    model, data = _start_of(World([one_joint_arm(two)]))
+    assert model.joint('robot0_joint1').id == 0 and data.time == 0.0
