@@ -10,7 +10,8 @@ that arrays of later versions of MuJoCo are carried too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import lru_cache
 import itertools
 from typing import Any
 
@@ -104,36 +105,31 @@ def carry_edits(compiled: Any, edited: Any, target: Any, both: ElementMap) -> No
     :param target: the model to change; options and statistics become those of the edited one
     :param both: the elements that are in the edited model and in the target
     """
-    for name, size in _arrays('mjModel'):
-        before, after, other = (getattr(model, name) for model in (compiled, edited, target))
-        if not isinstance(after, np.ndarray):
+    for name, size in _arrays('mjModel').items():
+        before, after = getattr(compiled, name), getattr(edited, name)
+        if not isinstance(after, np.ndarray) or not after.size or (
+                name not in _DERIVED and np.array_equal(before, after)):
             continue
-        differs = _rows_that_differ(before, after, name in _DERIVED)
-        if not differs.any():
-            continue
+        other = getattr(target, name)
         old, new = both.rows(size, after, other)
-        chosen = differs[old]
-        _assign(other, new[chosen], after[old[chosen]])
+        if name not in _DERIVED:
+            differs: BoolArray = (before != after).reshape(len(after), -1).any(axis=1)
+            old, new = old[differs[old]], new[differs[old]]
+        _assign(other, new, after[old])
     for group in ('opt', 'vis', 'stat'):
         _copy_fields(getattr(edited, group), getattr(target, group))
 
 
-def _arrays(struct: str) -> Iterator[tuple[str, str]]:
-    """Yield the name of each array of a struct and the size that its rows count."""
+@lru_cache(maxsize=2)
+def _arrays(struct: str) -> dict[str, str]:
+    """Return what the rows of each array of a struct are counted by, such as ``nbody``."""
     bound = getattr(mujoco, struct[:1].upper() + struct[1:])
+    found: dict[str, str] = {}
     for field in structs.STRUCTS[struct].fields:
         extent: Any = getattr(field, 'array_extent', None)
         if extent and isinstance(extent[0], str) and hasattr(bound, field.name):
-            yield str(field.name), extent[0]
-
-
-def _rows_that_differ(before: Any, after: Any, all_rows: bool) -> BoolArray:
-    if all_rows:
-        return np.ones(len(after), dtype=bool)
-    if before.tobytes() == after.tobytes():
-        return np.zeros(len(after), dtype=bool)
-    differs: BoolArray = (before != after).reshape(len(after), -1).any(axis=1)
-    return differs
+            found[field.name] = extent[0]
+    return found
 
 
 def _assign(target: Any, rows: IntArray, values: Any) -> None:
@@ -164,7 +160,7 @@ def carry_data(source: Any, target: Any, both: ElementMap) -> None:
     :param both: the elements that are in both models
     """
     target.time = source.time
-    sizes = dict(_arrays('mjData'))
+    sizes = _arrays('mjData')
     for name in _STATE:
         if name in sizes:
             old, new = both.rows(sizes[name], getattr(source, name), getattr(target, name))
