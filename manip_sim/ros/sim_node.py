@@ -88,7 +88,7 @@ class SimNode(Node):
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
         SimulationServices(self, self.simulation, self.thread)
-        offer_simulation_interfaces(self, self.simulation, self.thread)
+        offer_simulation_interfaces(self, self.simulation, self.thread, self.objects.follow)
         Diagnostics(self, self.simulation, self.thread, self.commands)
         publish_mjcf(self, world.to_xml())
         check_qos_names(self)

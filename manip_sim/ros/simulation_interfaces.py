@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
-from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
+from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.posix_ere import PosixExpression
@@ -26,6 +26,9 @@ try:
     from simulation_interfaces.srv import (
         GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures, ResetSimulation,
         SetEntityState, SetSimulationState, StepSimulation)
+
+    from manip_sim.ros.refusal import Refusal, result_of
+    from manip_sim.ros.spawning_services import FORMATS, SpawningServices
     AVAILABLE = True
 except ModuleNotFoundError as missing:
     if str(missing.name).split('.')[0] != 'simulation_interfaces':
@@ -36,17 +39,10 @@ except ModuleNotFoundError as missing:
 _FEATURES = (
     'ENTITY_CATEGORIES', 'ENTITY_STATE_GETTING', 'ENTITY_STATE_SETTING', 'SIMULATION_RESET',
     'SIMULATION_RESET_STATE', 'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING',
-    'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE')
+    'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE', 'SPAWNING',
+    'SPAWNING_RESOURCE_STRING', 'DELETING')
 _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
           'of a reset restarts simulation time, scope STATE lets it go on.')
-
-
-class _Refusal(Exception):
-    """A request cannot be met, with the result code that says why."""
-
-    def __init__(self, code: int, message: str) -> None:
-        super().__init__(message)
-        self.code = code
 
 
 class _Others:
@@ -63,17 +59,19 @@ class _Others:
         yield
 
 
-def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: SimulationThread
-                                ) -> None:
+def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: SimulationThread,
+                                objects_changed: Callable[[Simulation], None]) -> None:
     """
     Offer the standard's services under ``~/`` if their package is installed, else do nothing.
 
     :param node: the node
     :param simulation: what is controlled
     :param thread: runs it
+    :param objects_changed: is called after objects have come or gone
     """
     if AVAILABLE:
         SimulationInterfaces(node, simulation, thread)
+        SpawningServices(node, simulation, thread, objects_changed)
 
 
 class SimulationInterfaces:
@@ -108,13 +106,8 @@ class SimulationInterfaces:
             response.result.result = Result.RESULT_OK
             try:
                 await meet(request, response)
-            except _Refusal as refusal:
-                response.result = Result(result=refusal.code, error_message=str(refusal))
-            except UnknownNameError as error:
-                response.result = Result(result=Result.RESULT_NOT_FOUND, error_message=str(error))
             except ManipSimError as error:
-                response.result = Result(result=Result.RESULT_OPERATION_FAILED,
-                                         error_message=str(error))
+                response.result = result_of(error)
             return response
 
         # Each has a group of its own, because a request for many steps takes long.
@@ -123,6 +116,7 @@ class SimulationInterfaces:
 
     def _features(self, _: Any, response: Any) -> Any:
         response.features.features = [getattr(SimulatorFeatures, name) for name in _FEATURES]
+        response.features.spawn_formats = list(FORMATS)
         response.features.custom_info = _ABOUT
         return response
 
@@ -142,14 +136,14 @@ class SimulationInterfaces:
         target = request.state.state
         if target not in (SimulationState.STATE_STOPPED, SimulationState.STATE_PLAYING,
                           SimulationState.STATE_PAUSED):
-            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                            f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
                            'PAUSED (2); SIGTERM ends the simulator')
         if target == self._state():
-            raise _Refusal(SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
+            raise Refusal(SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
                            'the simulation is in this state already')
         if target == SimulationState.STATE_PLAYING and self._simulation.diverged is not None:
-            raise _Refusal(SetSimulationState.Response.STATE_TRANSITION_ERROR,
+            raise Refusal(SetSimulationState.Response.STATE_TRANSITION_ERROR,
                            f'{self._simulation.diverged}; reset it first')
         self._thread.pause(target != SimulationState.STATE_PLAYING)
         if target == SimulationState.STATE_STOPPED:
@@ -158,9 +152,9 @@ class SimulationInterfaces:
 
     async def _step(self, request: Any, response: Any) -> None:
         if request.steps == 0:
-            raise _Refusal(Result.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
+            raise Refusal(Result.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
         if self._state() == SimulationState.STATE_STOPPED:
-            raise _Refusal(Result.RESULT_OPERATION_FAILED,
+            raise Refusal(Result.RESULT_OPERATION_FAILED,
                            'the simulation is stopped: pause it first')
         for done in range(request.steps):
             try:
@@ -176,7 +170,7 @@ class SimulationInterfaces:
                                ResetSimulation.Request.SCOPE_ALL)
         known = ResetSimulation.Request.SCOPE_TIME | ResetSimulation.Request.SCOPE_STATE
         if not everything and (scope & ~known or not scope & ResetSimulation.Request.SCOPE_STATE):
-            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                            f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
                            'STATE with TIME (3)')
         self._thread.reset(
@@ -187,9 +181,9 @@ class SimulationInterfaces:
     async def _get_entities(self, request: Any, response: Any) -> None:
         filters = request.filters
         if filters.tags.tags:
-            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
+            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
         if filters.bounds.type != Bounds.TYPE_EMPTY:
-            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
+            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
         wanted = {category.category for category in filters.categories}
         response.entities = _matching(filters.filter, [
             name for name in self._simulation.entities.names
@@ -215,17 +209,17 @@ class SimulationInterfaces:
     async def _set_entity_state(self, request: Any, response: Any) -> None:
         name = request.entity
         if not self._simulation.entities.is_free(name):
-            raise _Refusal(Result.RESULT_OPERATION_FAILED,
+            raise Refusal(Result.RESULT_OPERATION_FAILED,
                            f"'{request.entity}' cannot be moved, only free bodies can")
         if request.state.header.frame_id not in ('', WORLD):
-            raise _Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                            f"frame_id '{request.state.header.frame_id}' is not supported: leave "
                            f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
         def place() -> None:
             if self._simulation.diverged is not None:
-                raise _Refusal(Result.RESULT_INCORRECT_STATE,
+                raise Refusal(Result.RESULT_INCORRECT_STATE,
                                f'{self._simulation.diverged}; reset it first')
             self._simulation.entities.place(self._simulation.data, name, pose, twist)
         self._thread.call(place)
@@ -247,13 +241,13 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
     set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
     pose = twist = None
     if not (set_pose or set_twist):
-        raise _Refusal(Result.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
+        raise Refusal(Result.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
                        'are false, and an acceleration cannot be set')
     if set_pose:
         try:
             pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
         except CommandError as error:
-            raise _Refusal(SetEntityState.Response.INVALID_POSE, str(error)) from error
+            raise Refusal(SetEntityState.Response.INVALID_POSE, str(error)) from error
     if set_twist:
         twist = Twist.checked(_numbers(state.twist.linear), _numbers(state.twist.angular))
     return pose, twist
@@ -266,6 +260,6 @@ def _matching(pattern: str, names: list[str]) -> list[str]:
     try:
         expression = PosixExpression(pattern)
     except ValueError as error:
-        raise _Refusal(Result.RESULT_OPERATION_FAILED,
+        raise Refusal(Result.RESULT_OPERATION_FAILED,
                        f'filter {quoted(pattern)}: {error}') from error
     return [name for name in names if expression.found_in(name)]

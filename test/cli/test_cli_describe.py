@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.interface import PUBLISHED, SUBSCRIBED
+from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation

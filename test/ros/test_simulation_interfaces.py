@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 import re
 
-from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
 import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
@@ -21,8 +21,8 @@ from simulation_interfaces.msg import (  # noqa: E402
     Bounds, EntityCategory, EntityFilters, Result, SimulationState,
     SimulatorFeatures, TagsFilter)
 from simulation_interfaces.srv import (  # noqa: E402
-    GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures, ResetSimulation,
-    SetEntityState, SetSimulationState, StepSimulation)
+    DeleteEntity, GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures,
+    ResetSimulation, SetEntityState, SetSimulationState, SpawnEntity, StepSimulation)
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STOPPED, PLAYING, PAUSED = (
@@ -33,6 +33,8 @@ FAILED, INCORRECT_STATE = Result.RESULT_OPERATION_FAILED, Result.RESULT_INCORREC
 INVALID_POSE = SetEntityState.Response.INVALID_POSE
 HAS_FLAGS = 'set_pose' in SetEntityState.Request.get_fields_and_field_types()
 NAN = math.nan
+#: The first instant is one control period after zero, which as a stamp means none.
+FIRST_NS = 10_000_000
 
 
 def get_state(client):
@@ -102,8 +104,10 @@ def test_the_features_are_those_that_work(serve, client):
         SimulatorFeatures.ENTITY_STATE_SETTING, SimulatorFeatures.SIMULATION_RESET,
         SimulatorFeatures.SIMULATION_RESET_STATE, SimulatorFeatures.SIMULATION_STATE_GETTING,
         SimulatorFeatures.SIMULATION_STATE_SETTING, SimulatorFeatures.SIMULATION_STATE_PAUSE,
-        SimulatorFeatures.STEP_SIMULATION_SINGLE, SimulatorFeatures.STEP_SIMULATION_MULTIPLE}
-    assert not features.spawn_formats
+        SimulatorFeatures.STEP_SIMULATION_SINGLE, SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
+        SimulatorFeatures.SPAWNING, SimulatorFeatures.SPAWNING_RESOURCE_STRING,
+        SimulatorFeatures.DELETING}
+    assert list(features.spawn_formats) == ['mjcf', 'yaml']
     assert 'control period' in features.custom_info
 
 
@@ -149,20 +153,20 @@ def test_a_state_that_cannot_be_set_is_refused(state, serve, client):
     assert get_state(client) == PLAYING
 
 
-def test_stopped_is_at_the_start_with_time_zero(serve, client):
+def test_stopped_is_at_the_start_of_time(serve, client):
     serve()
     client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[0.5]))
     client.spin_until(lambda: client.state().position[0] > 0.1)
     states, clocks = client.listen(JointState, 'joint_states'), client.listen(Clock, '/clock')
     assert set_state(client, STOPPED).result == OK
-    client.spin_until(lambda: bool(states) and nanoseconds(states[-1].header.stamp) == 0)
-    client.spin_until(lambda: bool(clocks) and nanoseconds(clocks[-1].clock) == 0)
+    client.spin_until(lambda: bool(states) and nanoseconds(states[-1].header.stamp) == FIRST_NS)
+    client.spin_until(lambda: bool(clocks) and nanoseconds(clocks[-1].clock) == FIRST_NS)
     assert abs(states[-1].position[0]) < 1e-6
     refused = step(client, 1)
     assert refused.result == FAILED and 'pause it first' in refused.error_message
     assert set_state(client, PAUSED).result == OK
     assert step(client, 1).result == OK
-    client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == 10_000_000)
+    client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == FIRST_NS + 10_000_000)
 
 
 @pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
@@ -171,8 +175,8 @@ def test_steps_are_control_periods_and_are_done_when_the_answer_comes(stepping, 
     states = client.listen(JointState, 'joint_states')
     for steps, time_ns in ((1, 10_000_000), (20, 210_000_000)):
         assert step(client, steps).result == OK
-        assert node.simulation.time_ns == time_ns
-    client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == 210_000_000)
+        assert node.simulation.time_ns == FIRST_NS + time_ns
+    client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == FIRST_NS + 210_000_000)
     assert get_state(client) == PAUSED
 
 
@@ -222,7 +226,7 @@ def test_a_reset_puts_all_back_and_keeps_or_restarts_time(scope, restarts, serve
     assert place(client, position=(0.1, 0.2, 1.5)).result == OK
     assert step(client, 10).result == OK
     assert reset(client, scope).result == OK
-    assert node.simulation.time_ns == (0 if restarts else 110_000_000)
+    assert node.simulation.time_ns == FIRST_NS + (0 if restarts else 110_000_000)
     np.testing.assert_array_equal(
         numbers(entity_state(client, 'cube').state.pose.position), start)
     assert get_state(client) == PAUSED
@@ -235,7 +239,7 @@ def test_a_scope_that_does_not_work_is_refused(scope, serve, client):
     step(client, 1)
     refused = reset(client, scope)
     assert refused.result == UNSUPPORTED and f'scope {scope}' in refused.error_message
-    assert node.simulation.time_ns == 10_000_000
+    assert node.simulation.time_ns == FIRST_NS + 10_000_000
 
 
 def test_a_simulation_that_diverged_can_be_reset_only(serve, client):
@@ -302,7 +306,8 @@ def test_a_falling_cube_obeys_the_laws_of_motion(serve, client):
     response = entity_state(client, 'cube')
     assert response.result.result == OK
     state = response.state
-    assert state.header.frame_id == 'world' and nanoseconds(state.header.stamp) == 200_000_000
+    assert state.header.frame_id == 'world'
+    assert nanoseconds(state.header.stamp) == FIRST_NS + 200_000_000
     np.testing.assert_allclose(
         numbers(state.pose.position),
         [0.5 * time_s, 0.0, height + time_s - gravity * time_s**2 / 2], atol=2e-3)
@@ -390,3 +395,99 @@ def test_only_what_is_flagged_is_set(serve, client):
     assert numbers(state.twist.linear) == [0.0, 0.5, 0.0]
     refused = place(client, set_pose=False, set_twist=False, set_acceleration=True)
     assert refused.result == FAILED and 'nothing to set' in refused.error_message
+
+
+# ---------------------------------------------------------------------- objects that come and go
+
+BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2}'
+MJCF = """<mujoco><worldbody><body name="pin">
+  <geom type="capsule" size="0.02 0.05" mass="0.1"/></body></worldbody></mujoco>"""
+Code = SpawnEntity.Response
+
+
+def spawn(client, text=BALL, name='', rename=False, uri='', position=(1.5, 0.0, 1.0), **more):
+    request = SpawnEntity.Request(name=name, allow_renaming=rename, uri=uri, resource_string=text)
+    request.initial_pose.pose.position = Point(x=position[0], y=position[1], z=position[2])
+    for field, value in more.items():
+        setattr(request, field, value)
+    return client.call(SpawnEntity, 'manip_sim/spawn_entity', request)
+
+
+def delete(client, name):
+    request = DeleteEntity.Request(entity=name)
+    return client.call(DeleteEntity, 'manip_sim/delete_entity', request).result
+
+
+@pytest.mark.parametrize(('text', 'name'), [(BALL, 'ball'), (MJCF, 'pin')])
+def test_an_object_comes_moves_is_published_and_goes(text, name, serve, client):
+    serve(arena='table')
+    response = spawn(client, text)
+    assert (response.result.result, response.entity_name) == (OK, name), response.result
+    assert name in entities(client).entities
+    poses = client.listen(PoseStamped, f'objects/{name}/pose')
+    client.spin_until(lambda: poses and poses[-1].pose.position.z < 0.2)
+    assert poses[-1].pose.position.x == pytest.approx(1.5, abs=0.05)
+    assert delete(client, name).result == OK
+    assert name not in entities(client).entities
+    assert delete(client, name).result == NOT_FOUND
+    client.spin_until(lambda: client.node.count_publishers(f'objects/{name}/pose') == 0)
+
+
+def test_a_moving_arm_does_not_notice_that_an_object_comes_and_goes(serve, client):
+    serve(arena='table', objects=[BALL.replace('ball', 'other')])
+    names = ARM[:1]
+    client.publish('arm/joint_command', JointState(name=names, position=[1.0]))
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: states and states[-1].velocity[0] > 0.5)
+    for _ in range(3):
+        assert spawn(client).result.result == OK
+        assert delete(client, 'ball').result == OK
+    client.spin_until(lambda: abs(states[-1].position[0] - 1.0) < 1e-4)
+    velocity = np.array([state.velocity[0] for state in states])
+    stamps = np.array([s.header.stamp.sec + s.header.stamp.nanosec * 1e-9 for s in states])
+    assert np.abs(np.diff(velocity) / np.diff(stamps)).max() < 25.0
+    assert velocity.min() > -1e-3
+
+
+def test_names_are_unique_or_made_so(serve, client):
+    serve(arena='table')
+    assert spawn(client).entity_name == 'ball'
+    assert spawn(client).result.result == Code.NAME_NOT_UNIQUE
+    assert spawn(client, rename=True).entity_name == 'ball_1'
+    assert spawn(client, name='1 Ball!', rename=True).entity_name == 'Ball_'
+    assert spawn(client, name='cube').result.result == Code.NAME_NOT_UNIQUE
+    assert spawn(client, name='a b').result.result == Code.NAME_INVALID
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'what'), [
+    ({'text': ''}, Code.NO_RESOURCE, 'give a file'),
+    ({'text': '<mujoco'}, Code.RESOURCE_PARSE_ERROR, 'MJCF'),
+    ({'text': '{shape: sfere, size: 1.0}'}, Code.RESOURCE_PARSE_ERROR, 'sphere'),
+    ({'uri': 'http://example.org/a.xml'}, Code.UNSUPPORTED_FORMAT, 'only paths and file://'),
+    ({'uri': 'a.usd'}, Code.UNSUPPORTED_FORMAT, 'only MJCF'),
+    ({'uri': 'missing.xml'}, Code.RESOURCE_PARSE_ERROR, 'missing.xml'),
+    ({'entity_namespace': 'a'}, Code.NAMESPACE_INVALID, 'no namespace'),
+    ({'position': (NAN, 0.0, 0.0)}, Code.INVALID_POSE, 'finite')])
+def test_what_cannot_be_spawned_is_told_and_changes_nothing(arguments, code, what, serve, client):
+    serve(arena='table')
+    before = list(entities(client).entities)
+    result = spawn(client, **arguments).result
+    assert result.result == code, result
+    assert what in result.error_message and '\n' not in result.error_message
+    assert list(entities(client).entities) == before
+
+
+def test_what_is_not_an_object_is_not_deleted(serve, client):
+    serve(arena='table')
+    result = delete(client, 'robot0_base')
+    assert result.result == FAILED
+    assert 'cannot be deleted' in result.error_message
+
+
+def test_a_reset_brings_spawned_objects_back_to_where_they_came(serve, client):
+    serve(arena='table')
+    assert spawn(client).result.result == OK
+    client.spin_until(lambda: entity_state(client, 'ball').state.pose.position.z < 0.2)
+    set_state(client, PAUSED)
+    assert client.call(Trigger, 'manip_sim/reset').success
+    assert entity_state(client, 'ball').state.pose.position.z == pytest.approx(1.0)
