@@ -68,8 +68,8 @@ def test_masses_are_those_of_the_data_sheets_and_add_up(robot, described):
 def test_every_robot_is_described_in_numbers_that_json_has(robot, described):
     found = described('--robot', robot)
     simulation = Simulation(compose(robot))
-    assert [joint['name'] for joint in found['joints']] == list(simulation.joint_names)
-    assert [part['name'] for part in found['parts']] == list(simulation.parts)
+    assert [joint['name'] for joint in found['joints']] == list(simulation.robot.joint_names)
+    assert [part['name'] for part in found['parts']] == list(simulation.robot.parts)
     starts = [joint['start'] for joint in found['joints']]
     assert starts == pytest.approx(simulation.state().position)
     assert len(found['actuators']) == simulation.model.nu

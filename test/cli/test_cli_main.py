@@ -82,7 +82,7 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, r
      "table: cube must be true or false, got 'maybe'"),
     (('check', '--arena', 'table', '--arena-param', 'table_height_m=high'),
      "table: table_height_m must be a number, got 'high'"),
-    (('check', '--arena', 'table', '--arena-param', 'table_height_m=-1'), 'a table needs'),
+    (('check', '--arena', 'table', '--arena-param', 'table_height_m=-1'), 'must be 0.1 to 2 m'),
     (('check', '--prefix', 'left/'), "prefix 'left/'"),
     (('check', '--timestep', '0'), 'a timestep must be positive')])
 def test_what_cannot_be_composed_is_one_line_and_exit_code_1(arguments, what, refused):
