@@ -36,6 +36,37 @@ def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
     assert not (tmp_path / 'gallery').exists()
 
 
+def test_grippers_and_bases_have_folders_and_contact_sheets_of_their_own(tmp_path):
+    pytest.importorskip('PIL', reason='pillow is in the extra gallery')
+    done = run_gallery('--output', tmp_path, 'PandaGripper', 'RethinkMount')
+    if done.returncode and 'cannot render' in done.stderr:
+        pytest.skip(done.stderr.strip())
+    assert done.returncode == 0, done.stderr
+    files = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob('*.png')}
+    assert files == {'grippers/PandaGripper.png', 'grippers/contact_sheet.png',
+                     'bases/RethinkMount.png', 'bases/contact_sheet.png'}
+
+
+def test_a_part_without_shapes_is_told_where_it_is_asked_for(tmp_path):
+    pytest.importorskip('PIL', reason='pillow is in the extra gallery')
+    done = run_gallery('--output', tmp_path, 'NullMount')
+    assert done.returncode == 1 and done.stderr.count('\n') == 1
+    assert 'NullMount0 has no visible shapes' in done.stderr
+
+
+def test_every_part_with_shapes_is_in_the_gallery_of_the_documentation():
+    from manip_sim.models.bases import base_names, create_base
+    from manip_sim.models.grippers import create_gripper, gripper_names
+    from manip_sim.models.robots import robot_names
+    shown = {str(file.relative_to(SOURCE / 'docs' / 'gallery').with_suffix(''))
+             for file in (SOURCE / 'docs' / 'gallery').rglob('*.png')
+             if file.name != 'contact_sheet.png'}
+    with_shapes = [(folder, name) for folder, names, create in (
+        ('grippers', gripper_names(), create_gripper), ('bases', base_names(), create_base))
+        for name in names if any(geom.group < 3 for geom in create(name).spec.geoms)]
+    assert shown == {*robot_names(), *(f'{folder}/{name}' for folder, name in with_shapes)}
+
+
 def test_a_robot_is_rendered_small_and_in_colour(tmp_path):
     image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
     done = run_gallery('--output', tmp_path, 'Panda')

@@ -82,8 +82,12 @@ def test_the_node_runs_from_the_place_that_ros2_run_looks_at(install):
     assert node.returncode == 0, errors
 
 
-def test_the_example_is_installed_beside_it(install):
+def test_the_example_and_the_command_are_installed_beside_it(install):
     executable('pick_cube', install)
+    done = subprocess.run([executable('manip_sim', install), 'list', 'robots'], env=install,
+                          capture_output=True, text=True, check=True, cwd='/')
+    prefix = Path(install['AMENT_PREFIX_PATH'].split(':')[0])
+    assert f'Files of manip_sim lie in {prefix}/share/manip_sim' in done.stdout
 
 
 def test_assets_and_configuration_are_installed(install):

@@ -19,7 +19,6 @@ from manip_sim.models import World
 from manip_sim.models.archive import file_references
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.mechanism import actuated_joints
 from manip_sim.simulation.start_check import find_start_defects
 from manip_sim.simulation.start_defect import StartDefect
 
@@ -73,7 +72,10 @@ def _defects_of_file(file: Path) -> list[StartDefect]:
         home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, 'home')
         mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
     mujoco.mj_forward(model, data)
-    return find_start_defects(model, data, _robots(model))
+    roots = _robots(model)
+    if not roots:
+        raise ModelError(f'{file} has no body with joints, so no robot to check')
+    return find_start_defects(model, data, roots)
 
 
 def _missing_files(spec: Any) -> Iterator[StartDefect]:
@@ -86,9 +88,6 @@ def _missing_files(spec: Any) -> Iterator[StartDefect]:
 
 
 def _robots(model: Any) -> list[str]:
-    """Return the bodies on the world that have joints below them, or actuators on them."""
-    driven = {int(model.jnt_bodyid[joint]) for actuator in range(model.nu)
-              for joint in actuated_joints(model, actuator)}
-    jointed = {int(body) for body in model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]}
-    roots = sorted({int(model.body_rootid[body]) for body in driven | jointed})
-    return [model.body(root).name for root in roots]
+    """Return the bodies on the world that have joints below them; free bodies are objects."""
+    jointed = model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]
+    return [model.body(root).name for root in np.unique(model.body_rootid[jointed]).tolist()]

@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import arena_names, compose, World
-from manip_sim.models.arenas import Arena, ARENAS, create_arena
+from manip_sim.models import arenas, compose, World
+from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.robots import robot_names
 from manip_sim.quoting import quoted
@@ -74,11 +73,7 @@ def arena_parameters(name: str) -> dict[str, Any]:
 
     :raises UnknownNameError: if there is no such arena
     """
-    classes = {ARENAS.get(key).arena_name: ARENAS.get(key) for key in ARENAS.names()}
-    if name not in classes:
-        raise UnknownNameError('arena', name, arena_names())
-    return {parameter.name: parameter.default
-            for parameter in inspect.signature(classes[name]).parameters.values()}
+    return {parameter.name: parameter.default for parameter in arenas.arena_parameters(name)}
 
 
 def _as(default: Any, name: str, text: str) -> Any:

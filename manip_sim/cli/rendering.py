@@ -133,8 +133,8 @@ def _picture(model: Any, data: Any, size: tuple[int, int], views: Sequence[View]
         with mujoco.Renderer(model, height, width) as renderer:
             for index, camera in enumerate(cameras):
                 renderer.update_scene(data, camera, shown)
-                picture.paste(Image.fromarray(renderer.render()),
-                              (index * size[0] // len(views), 0))
+                view = Image.fromarray(renderer.render())
+                picture.paste(view, (index * size[0] // len(views), 0))
     except Exception as error:  # Each way to render has exceptions of its own.
         raise cannot_render(error) from error
     return picture

@@ -115,8 +115,10 @@ def test_what_cannot_be_controlled_is_a_defect_beside_the_others(
 
 @pytest.mark.parametrize(('content', 'what'), [
     (None, 'no such MJCF file'), ('<mujoco><worldbody>', 'is not MJCF that MuJoCo can read'),
-    ('<mujoco><worldbody><geom size="-1"/></worldbody></mujoco>', 'does not compile')])
-def test_a_file_that_mujoco_cannot_read_is_one_line(content, what, refused, tmp_path):
+    ('<mujoco><worldbody><geom size="-1"/></worldbody></mujoco>', 'does not compile'),
+    ('<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
+     'has no body with joints, so no robot to check')])
+def test_a_file_that_cannot_be_checked_is_one_line(content, what, refused, tmp_path):
     file = tmp_path / 'broken.xml'
     if content is not None:
         file.write_text(content)

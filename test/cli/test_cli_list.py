@@ -56,7 +56,7 @@ def test_everything_is_listed_unless_a_kind_is_asked_for(here):
 def test_arenas_tell_their_parameters(here):
     rows = {row['name']: row for row in rows_of(here('list', 'arenas')[1], 'Arenas')}
     assert rows['table']['parameters and defaults'] == (
-        'table_length_m=0.8, table_height_m=0.8, cube=false')
+        'table_length=0.8, table_width=0.8, table_height=0.8, friction=1.0, cube=false')
 
 
 def test_objects_tell_their_arena_and_what_brings_them(here):

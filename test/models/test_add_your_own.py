@@ -67,6 +67,12 @@ def test_the_new_parts_are_found_and_mounted(package):
     assert 'robot0_elbow' in done.stdout and 'gripper0_left_finger' in done.stdout
 
 
+def test_the_command_finds_nothing_wrong_with_the_new_arm(package):
+    done = run(package, '-m', 'manip_sim.cli', 'check', '--robot', 'TinyArm')
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout == 'TinyArm0 in arena empty: nothing is wrong with the start\n'
+
+
 def test_the_scripts_of_the_document_run(package):
     scripts = SCRIPT.findall(DOCUMENT.read_text())
     assert scripts

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import compose
+from manip_sim.models import Arena, compose
 from manip_sim.models.archive import file_references, world_xml, write_archive
+from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.world import World
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
@@ -171,3 +172,24 @@ def test_a_file_with_an_absolute_path_needs_no_folder(mjcf, arm_class, tmp_path)
         <geom size="0.1"/><body name="right_hand"/></body></body>"""
     robot = arm_class(mjcf(worldbody, f'<asset><mesh file="{mesh}"/></asset>'))
     assert str(mesh) in world_xml(World([robot]))
+
+
+def test_an_arena_may_have_files_in_a_folder_of_its_own(tmp_path, mjcf):
+    (tmp_path / 'stones').mkdir()
+    (tmp_path / 'stones' / 'stone.obj').write_text(tetrahedron(0.3))
+    file = mjcf('<geom type="mesh" mesh="stone"/>', '<compiler meshdir="stones"/>'
+                '<asset><mesh file="stone.obj"/></asset>')
+
+    class Quarry(Arena):
+        arena_name = 'quarry'
+
+        def __init__(self):
+            MujocoXMLModel.__init__(self, file)
+
+    world = World([], Quarry())
+    assert write_archive(world, tmp_path / 'world.zip') == 1
+    (tmp_path / 'stones' / 'stone.obj').unlink()
+    with zipfile.ZipFile(tmp_path / 'world.zip') as archive:
+        archive.extractall(tmp_path / 'unpacked')
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / 'unpacked' / 'model.xml'))
+    assert model.nmesh == 1
