@@ -20,9 +20,10 @@ from manip_sim.models.object_descriptions import (
 from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.strict_yaml import checked, read_yaml
-from manip_sim.quoting import quoted, shown
+from manip_sim.quoting import one_line, quoted, shown
 
-__all__ = ['check_object_names', 'create_object', 'create_objects', 'load_objects', 'ObjectModel']
+__all__ = ['check_object_names', 'create_object', 'create_objects', 'load_objects',
+           'object_from_xml', 'ObjectModel']
 
 _YAML = ('.yaml', '.yml')
 ObjectFile = Union[str, PathLike[str]]
@@ -48,6 +49,24 @@ def create_object(description: Description) -> ObjectModel:
     if len(found) != 1:
         raise ModelError(f'{path} must list one object here, it lists {len(found)}')
     return found[0]
+
+
+def object_from_xml(name: str, xml: str) -> ObjectModel:
+    """
+    Create an object from the text of an MJCF file, such as a service gets.
+
+    MuJoCo reads the files that the text names: relative ones from the working directory.
+
+    :raises ModelError: if it is not the text of an object
+    """
+    where = f'object {quoted(name)}'
+    try:
+        spec = mujoco.MjSpec.from_string(xml)
+    except (ValueError, mujoco.FatalError) as error:
+        reason = ', '.join(str(error).split('\n'))
+        raise ModelError(f'{where} is not MJCF that MuJoCo can read: {one_line(reason)}'
+                         ) from error
+    return ObjectModel(name, spec, where)
 
 
 def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:

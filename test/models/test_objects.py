@@ -13,7 +13,8 @@ import pytest
 from manip_sim.errors import ModelError
 from manip_sim.models import compose
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.objects import create_object, create_objects, load_objects
+from manip_sim.models.objects import (
+    create_object, create_objects, load_objects, object_from_xml)
 from manip_sim.models.world import World
 
 BOX = {'name': 'brick', 'shape': 'box', 'size': [0.1, 0.2, 0.3], 'mass': 2.0}
@@ -206,6 +207,17 @@ def test_a_file_that_is_too_heavy_is_refused(mjcf):
 def test_a_file_without_a_name_of_its_body_needs_one(mjcf):
     with pytest.raises(ModelError, match="'MuJoCo Model' cannot be the name of an object"):
         create_object(mjcf('<body><geom size="0.1"/></body>'))
+
+
+def test_an_object_may_be_the_text_of_a_file():
+    text = '<mujoco><worldbody><body name="any"><geom size="0.1"/></body></worldbody></mujoco>'
+    assert object_from_xml('ball', text).compile().body('ball').mass[0] > 1.0
+    with pytest.raises(ModelError, match="^object 'ball' is not MJCF that MuJoCo can read: "
+                                         r'XML.*$') as error:
+        object_from_xml('ball', text[:-20])
+    assert '\n' not in str(error.value)
+    with pytest.raises(ModelError, match="^object 'ball': an object is one root body, found 0"):
+        object_from_xml('ball', '<mujoco/>')
 
 
 # ---------------------------------------------------------------------- YAML
