@@ -16,6 +16,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.models.validation import finite_numbers
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
 
@@ -50,15 +51,17 @@ class Arena(MujocoXMLModel):
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """Return where the robot stands in this arena [m], shape (3,)."""
         placement = robot.base_xpos_offset.get(self.arena_name, (0.0, 0.0, 0.0))
-        return np.array(placement(self.table_length_m) if callable(placement) else placement)
+        return finite_numbers(
+            placement(self.table_length_m) if callable(placement) else placement, 3,
+            f"base_xpos_offset['{self.arena_name}'] of {robot.name}")
 
     @property
     def table_length_m(self) -> float:
         """Edge of the table along x [m], zero where there is none."""
         return 0.0
 
-    def compose(self) -> Any:
-        """Return a new ``mujoco.MjSpec`` of the arena alone."""
+    def compose(self) -> mujoco.MjSpec:
+        """Return a new spec of the arena alone."""
         return self._spec.copy()
 
 
@@ -95,7 +98,7 @@ class TableArena(Arena):
         self._fit_table(table_length_m, table_height_m, thickness)
         if cube:
             self._add_cube(table_height_m)
-        self._record()
+        self.refresh()
 
     def _fit_table(self, length_m: float, height_m: float, thickness: float) -> None:
         spec = self.spec
