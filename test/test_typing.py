@@ -8,8 +8,13 @@ from pathlib import Path
 import re
 import subprocess
 import sys
+from typing import get_type_hints
 
+import mujoco
 import pytest
+
+from manip_sim.models import World
+from manip_sim.models.robots import Panda
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCKS = [block for block in re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(),
@@ -51,3 +56,11 @@ def test_a_wrong_name_or_argument_is_found(check):
     assert 'has no attribute "Pandda"' in found
     assert 'Argument 1 to "add_gripper"' in found
     assert '"PandaGripper" has no attribute "add_base"' in found
+
+
+@pytest.mark.parametrize(('function', 'argument', 'kind'), [
+    (World.compile, 'return', mujoco.MjModel), (World.compose, 'return', mujoco.MjSpec),
+    (Panda.compile, 'return', mujoco.MjModel), (Panda.attach_to, 'spec', mujoco.MjSpec),
+    (Panda.attach_to, 'frame', mujoco.MjsFrame), (Panda.spec.fget, 'return', mujoco.MjSpec)])
+def test_annotations_name_the_types_of_mujoco(function, argument, kind):
+    assert get_type_hints(function)[argument] is kind

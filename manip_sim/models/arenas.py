@@ -9,6 +9,7 @@ import inspect
 from os import PathLike
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
@@ -18,6 +19,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.models.validation import finite_numbers
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
 
@@ -64,15 +66,17 @@ class Arena(MujocoXMLModel):
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """Return where the robot stands in this arena [m], shape (3,)."""
         placement = robot.base_xpos_offset.get(self.arena_name, (0.0, 0.0, 0.0))
-        return np.array(placement(self.table_length_m) if callable(placement) else placement)
+        return finite_numbers(
+            placement(self.table_length_m) if callable(placement) else placement, 3,
+            f"base_xpos_offset['{self.arena_name}'] of {robot.name}")
 
     @property
     def table_length_m(self) -> float:
         """Edge of the table along x [m], zero where there is none."""
         return 0.0
 
-    def compose(self) -> Any:
-        """Return a new ``mujoco.MjSpec`` of the arena alone, without its objects."""
+    def compose(self) -> mujoco.MjSpec:
+        """Return a new spec of the arena alone, without its objects."""
         return self._spec.copy()
 
     def compile(self) -> Any:
@@ -142,7 +146,7 @@ class TableArena(Arena):
         self.spec.geom('table_collision').friction[0] = friction
         if cube:
             self._objects.append(_cube(table_height_m))
-        self._record()
+        self.refresh()
 
     def _fit_table(self, edges_m: FloatArray, height_m: float) -> None:
         spec = self.spec
@@ -216,7 +220,8 @@ def create_arena(name: str, **parameters: Any) -> Arena:
     """
     kind = ARENAS.get(name)
     argument_of = {parameter.name: parameter.argument for parameter in kind.parameters}
-    keywords = inspect.signature(kind).parameters
+    keywords = {name: keyword for name, keyword in inspect.signature(kind).parameters.items()
+                if name != 'fname'}
     takes_any = any(keyword.kind is keyword.VAR_KEYWORD for keyword in keywords.values())
     arguments: dict[str, Any] = {}
     for given, value in parameters.items():

@@ -17,17 +17,22 @@ from manip_sim.errors import ModelError
 #: MuJoCo raises the first for what is wrong in a file; the others where memory does not suffice.
 _ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
 
+def _log(warning: str) -> None:
+    # An arena has no prefix; what this warns of is done in name_main_default.
+    if 'Attaching a spec with an empty prefix' not in warning:
+        logging.getLogger('manip_sim.mujoco').warning(warning)
+
+
 # Without a function of its own MuJoCo appends its warnings to a file in the working directory.
 if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(logging.getLogger('manip_sim.mujoco').warning)
+    mujoco.set_mju_user_warning(_log)
 
 
-def compile_spec(spec: Any, name: str) -> Any:
+def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     """
     Compile a spec.
 
     :param name: what it is, for the message
-    :returns: a new ``mujoco.MjModel``
     :raises ModelError: with what MuJoCo says
     """
     try:
@@ -36,11 +41,10 @@ def compile_spec(spec: Any, name: str) -> Any:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
 
 
-def load_spec(file: Path) -> Any:
+def load_spec(file: Path) -> mujoco.MjSpec:
     """
     Read a spec from an MJCF file.
 
-    :returns: a new ``mujoco.MjSpec``
     :raises ModelError: if the file is missing or is not MJCF
     """
     if not file.is_file():
@@ -56,7 +60,7 @@ def _one_line(error: Exception) -> str:
     return text or type(error).__name__
 
 
-def name_unnamed_elements(spec: Any) -> None:
+def name_unnamed_elements(spec: mujoco.MjSpec) -> None:
     """Give a name to each element of a spec that has none, by kind and number."""
     for kind, elements in (
             ('body', spec.bodies), ('joint', spec.joints), ('site', spec.sites),
@@ -79,5 +83,5 @@ def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> Non
         next_number[form] = number + 1
 
 
-def _collides(geom: Any) -> bool:
+def _collides(geom: mujoco.MjsGeom) -> bool:
     return bool(geom.contype or geom.conaffinity)

@@ -16,6 +16,7 @@ import numpy as np
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.naming import check_names_are_free, check_prefix
+from manip_sim.models.spec_edits import name_main_default, yield_globals
 from manip_sim.typing import FloatArray
 
 _MIN_MASS_KG = 1e-6
@@ -50,8 +51,17 @@ class MujocoXMLModel:
         name_unnamed_elements(self._spec)
         self._record()
 
-    def _prepare_spec(self, spec: Any) -> None:
+    def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
         """Complete the spec that was just loaded; for subclasses with a standard to fill in."""
+
+    def refresh(self) -> None:
+        """
+        Record again what the lists and figures tell, after edits of :attr:`spec`.
+
+        :raises ModelError: if it does not compile any more, or something that is needed is missing
+        """
+        name_unnamed_elements(self._spec)
+        self._record()
 
     def _record(self) -> None:
         alone = self._own_model = self._compile_alone()
@@ -83,7 +93,7 @@ class MujocoXMLModel:
             if name not in existing:
                 raise UnknownNameError(f'{kind} of {self.name} in {self.file}', name, existing)
 
-    def _compile_alone(self) -> Any:
+    def _compile_alone(self) -> mujoco.MjModel:
         # Parts without mass, such as a virtual base, are only usable below something that has it.
         # The spec itself is compiled: a copy has lost what refers to something that is not there.
         compiler = self._spec.compiler
@@ -95,12 +105,15 @@ class MujocoXMLModel:
             compiler.boundmass, compiler.boundinertia = bounds
 
     @property
-    def spec(self) -> Any:
+    def spec(self) -> mujoco.MjSpec:
         """
         This part's own ``mujoco.MjSpec``, with the names of its file, without prefix.
 
         Edits are seen by every later :meth:`compile`, also of a robot that this part is mounted
-        on. Parts that are mounted on this one are not in it.
+        on or of a world. What this part tells of itself (:attr:`joints` and the other lists,
+        ranges in ``format_action``, offsets) is recorded: after an edit call :meth:`refresh`;
+        compiling, composing and mounting do so too. Parts that are mounted on this one are not
+        in the spec.
         """
         return self._spec
 
@@ -168,7 +181,7 @@ class MujocoXMLModel:
         """
         return f'{self.naming_prefix}{self._root().name}'
 
-    def _root(self) -> Any:
+    def _root(self) -> mujoco.MjsBody:
         roots = self._spec.worldbody.bodies
         if len(roots) != 1:
             found = ', '.join(body.name for body in roots) or 'none'
@@ -256,38 +269,41 @@ class MujocoXMLModel:
         """Radius of the upright cylinder about the origin that holds the part [m]."""
         return self._horizontal_radius
 
-    def attach_to(self, spec: Any, frame: Any) -> None:
+    def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:
         """
         Add a copy of this part, with prefixed names, to another spec.
 
         Options, keyframes and visual settings of the file are left behind.
 
-        :param spec: the ``mujoco.MjSpec`` to add to
+        :param spec: the spec to add to
         :param frame: the frame of that spec to hang the part on
         :raises ModelError: if the spec has one of the names already
         """
+        self.refresh()
         self._attach_copy(spec, frame, self._spec.copy())
 
-    def _attach_copy(self, spec: Any, frame: Any, own: Any) -> None:
+    def _attach_copy(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                     own: mujoco.MjSpec) -> None:
+        if not self.naming_prefix:
+            name_main_default(own)
         check_names_are_free(spec, own, self.naming_prefix, self.name)
         for key in list(own.keys):
             own.delete(key)
-        own.option = spec.option
+        yield_globals(own, spec)
         spec.attach(own, prefix=self.naming_prefix, frame=frame)
 
-    def compose(self) -> Any:
-        """Return a new ``mujoco.MjSpec`` of this part and all that is mounted on it."""
+    def compose(self) -> mujoco.MjSpec:
+        """Return a new spec of this part and all that is mounted on it."""
         spec = mujoco.MjSpec()
         spec.modelname = self.name
         spec.option = self._spec.option
         self.attach_to(spec, spec.worldbody.add_frame())
         return spec
 
-    def compile(self) -> Any:
+    def compile(self) -> mujoco.MjModel:
         """
         Compile this part and all that is mounted on it.
 
-        :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
         return compile_spec(self.compose(), self.name)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import re
-from typing import Any
+
+import mujoco
 
 from manip_sim.errors import ModelError
 
@@ -35,14 +36,15 @@ def check_prefix(prefix: str) -> None:
                          'it needs a letter, then at most 63 letters, digits and underscores')
 
 
-def check_names_are_free(spec: Any, own: Any, prefix: str, part: str) -> None:
+def check_names_are_free(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str,
+                         part: str) -> None:
     """
     Refuse to attach a spec to another that has one of its names already.
 
     MuJoCo would compile neither, or write an XML that it cannot read again.
 
-    :param spec: the ``mujoco.MjSpec`` to attach to
-    :param own: the ``mujoco.MjSpec`` to be attached
+    :param spec: the spec to attach to
+    :param own: the spec to be attached
     :param prefix: what its names will begin with
     :param part: what it is, for the message
     :raises ModelError: naming the element
@@ -51,18 +53,21 @@ def check_names_are_free(spec: Any, own: Any, prefix: str, part: str) -> None:
         taken = {element.name for element in getattr(spec, elements) if element.name}
         for element in getattr(own, elements):
             if prefix + element.name in taken and element.name not in ('', 'world'):
-                raise _taken(kind, prefix + element.name, part)
+                raise _taken(kind, prefix, element.name, part)
     for name in sorted(set(_default_classes(own))):
         if spec.find_default(prefix + name) is not None:
-            raise _taken('default class', prefix + name, part)
+            raise _taken('default class', prefix, name, part)
 
 
-def _default_classes(spec: Any) -> Iterator[str]:
+def _default_classes(spec: mujoco.MjSpec) -> Iterator[str]:
     for elements in _WITH_DEFAULTS:
         for element in getattr(spec, elements):
             yield element.classname.name
 
 
-def _taken(kind: str, name: str, part: str) -> ModelError:
-    return ModelError(f"{kind} '{name}' is there already, {part} cannot bring another: change "
-                      f'the idn or prefix of {part}, or the name in its file')
+def _taken(kind: str, prefix: str, name: str, part: str) -> ModelError:
+    if not prefix:
+        return ModelError(f"{kind} '{name}' of {part} is there already, from a robot: "
+                          'change the idn or prefix of the robot')
+    return ModelError(f"{kind} '{prefix}{name}' is there already, {part} cannot bring another: "
+                      f'change the idn or prefix of {part}, or the name in its file')

@@ -11,14 +11,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
+_SIZES = ('memory', 'nuserdata')
+_USER_COUNTS = tuple(f'nuser_{kind}' for kind in (
+    'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor'))
 _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 'signature'))
 
 
-def rename_body(spec: Any, body: Any, name: str) -> None:
+def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
     """
     Rename a body, also where other elements refer to it.
 
-    :param spec: the ``mujoco.MjSpec`` that has the body
+    :param spec: the spec that has the body
     :param body: the body
     :param name: its new name
     """
@@ -28,7 +31,7 @@ def rename_body(spec: Any, body: Any, name: str) -> None:
     body.name = name
 
 
-def _references_to_bodies(spec: Any) -> Iterator[tuple[Any, str]]:
+def _references_to_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[Any, str]]:
     bodies = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
     for exclude in spec.excludes:
         yield exclude, 'bodyname1'
@@ -49,7 +52,50 @@ def _references_to_bodies(spec: Any) -> Iterator[tuple[Any, str]]:
             yield sensor, 'refname'
 
 
-def rotate_actuators(actuators: list[Any], count: int) -> None:
+def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Return a new spec with nothing in it, and the options, visual settings and sizes of one."""
+    new = mujoco.MjSpec()
+    for settings in ('option', 'visual', 'stat', *_SIZES):
+        setattr(new, settings, getattr(spec, settings))
+    return new
+
+
+def yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+    """
+    Let a spec have the global settings of another that it will be attached to.
+
+    MuJoCo would keep those of the other too, but warn of each that differs. Memory becomes the
+    larger one; how many ``user`` numbers elements have is counted when they are compiled.
+
+    :param own: the spec that will be attached
+    :param spec: the spec to attach to
+    """
+    own.option, own.visual = spec.option, spec.visual
+    for size in _SIZES:
+        setattr(spec, size, max(getattr(own, size), getattr(spec, size), key=_signed))
+        setattr(own, size, getattr(spec, size))
+    for count in _USER_COUNTS:
+        setattr(own, count, -1)
+
+
+def _signed(size: int) -> int:
+    # Some versions of MuJoCo give the -1 of a size that is not set as a number without sign.
+    return size if size < 2**63 else size - 2**64
+
+
+def name_main_default(own: mujoco.MjSpec) -> None:
+    """
+    Give the default class ``main`` of a spec another name.
+
+    Where a spec is attached without a prefix, there would be two of that name.
+    """
+    name = 'arena'
+    while own.find_default(name) is not None:
+        name += '_main'
+    own.default.name = name
+
+
+def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
     """
     Let the first of some consecutive actuators of a spec come last.
 
@@ -66,7 +112,7 @@ def rotate_actuators(actuators: list[Any], count: int) -> None:
             setattr(actuator, field, value)
 
 
-def _content(actuator: Any) -> dict[str, Any]:
+def _content(actuator: mujoco.MjsActuator) -> dict[str, Any]:
     fields = (field for field in dir(actuator) if field not in _OF_THE_ELEMENT
               and not field.startswith(('_', 'set_to_')))
     content = {field: getattr(actuator, field) for field in fields}

@@ -10,7 +10,6 @@ import math
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, EmptyArena
@@ -19,6 +18,8 @@ from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.spec_edits import begin_like
+from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 
 #: Friction cones and their stiffness: what lets a grasp hold without creeping
 #: (mujoco.readthedocs.io, modeling, "Preventing slip").
@@ -53,7 +54,7 @@ class World:
                  seed: int | None = None) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
-        self.timestep_s = _whole_nanoseconds(timestep_s)
+        self.timestep_s = whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
         prefixes = [robot.naming_prefix for robot in self.robots]
         if len(set(prefixes)) != len(prefixes):
@@ -75,9 +76,12 @@ class World:
         return [actuator for robot in self.robots if isinstance(robot, ManipulatorModel)
                 for gripper in robot.grippers.values() for actuator in gripper.actuators]
 
-    def compose(self, visual: bool = True, objects: bool = True) -> Any:
+    def compose(self, visual: bool = True, objects: bool = True) -> mujoco.MjSpec:
         """
-        Return a new ``mujoco.MjSpec`` of the whole world.
+        Return a new spec of the whole world: the robots, then what is in the arena.
+
+        The root of the first robot is the first body, and the addresses of the robots' joints do
+        not depend on the arena.
 
         Objects are last, so that no address of a robot depends on them.
 
@@ -86,17 +90,17 @@ class World:
         :param objects: with :attr:`objects`
         :raises ModelError: if two parts have a name in common
         """
-        spec = self.arena.compose()
+        spec = begin_like(self.arena.spec)
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
         spec.option.timestep = self.timestep_s
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = _IMPRATIO
         for robot in self.robots:
-            if not robot.is_placed:
-                robot.set_base_xpos(self.arena.robot_position(robot))
-                robot.is_placed = False
-            robot.attach_to(spec, spec.worldbody.add_frame())
+            place = None if robot.is_placed else self.arena.robot_position(robot)
+            robot.attach_to(spec, spec.worldbody.add_frame(), place)
+        self.arena.attach_to(spec, spec.worldbody.add_frame())
+        spec = spec.copy()  # That leaves behind what MuJoCo warns of when names have no prefix.
         if self.gravity_compensation:
             self._compensate_gravity(spec)
         spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
@@ -104,11 +108,11 @@ class World:
             self._attach_objects(spec)
         return spec
 
-    def _attach_objects(self, spec: Any) -> None:
+    def _attach_objects(self, spec: mujoco.MjSpec) -> None:
         for item in self.objects:
             item.attach(spec)
 
-    def _compensate_gravity(self, spec: Any) -> None:
+    def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
         # All that is mounted on a robot hangs below its root, also the bodies of no part's file.
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         for robot in self.robots:
@@ -122,12 +126,11 @@ class World:
                 for joint in body.joints:
                     joint.actgravcomp = True
 
-    def compile(self, visual: bool = True) -> Any:
+    def compile(self, visual: bool = True) -> mujoco.MjModel:
         """
         Compile the world.
 
         :param visual: as for :meth:`compose`
-        :returns: a new ``mujoco.MjModel``
         :raises ModelError: with what MuJoCo says
         """
         return compile_spec(self.compose(visual), self.name)
@@ -149,7 +152,7 @@ class World:
             if isinstance(robot, ManipulatorModel):
                 starts += [(gripper, gripper.init_qpos) for gripper in robot.grippers.values()]
             for part, qpos in starts:
-                start.update(_by_joint(part, qpos))
+                start.update(start_by_joint(part.name, part.joints, qpos))
         if self.noise is not None:
             self._add_noise(start, self.noise)
         return start
@@ -162,30 +165,3 @@ class World:
                       for joint in own.values()]
             noisy = noise.added([start[name] for name in own], ranges, number)
             start.update(zip(own, noisy.tolist()))
-
-
-def _whole_nanoseconds(timestep_s: float) -> float:
-    """
-    Return a timestep; stamps count in nanoseconds, and would drift from the physics otherwise.
-
-    :raises ModelError: naming the nearest timestep that can be used
-    """
-    if not 1e-9 <= timestep_s < math.inf:
-        raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')
-    nanoseconds = timestep_s * 1e9
-    if abs(nanoseconds - round(nanoseconds)) > 1e-5:
-        raise ModelError('a timestep must be a whole number of nanoseconds, got '
-                         f'{timestep_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
-    return timestep_s
-
-
-def _by_joint(part: MujocoXMLModel, qpos: Any) -> dict[str, float]:
-    if qpos is None:
-        return {}
-    values = np.asarray(qpos, dtype=float)
-    if values.shape != (len(part.joints),):
-        raise ModelError(f'init_qpos of {part.name} must have {len(part.joints)} values, one for '
-                         f'each joint, got shape {values.shape}')
-    if not np.isfinite(values).all():
-        raise ModelError(f'init_qpos of {part.name} must be finite, got {values.tolist()}')
-    return dict(zip(part.joints, values.tolist()))

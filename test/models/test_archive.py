@@ -16,7 +16,6 @@ import pytest
 from manip_sim.errors import ModelError
 from manip_sim.models import Arena, compose
 from manip_sim.models.archive import file_references, world_xml, write_archive
-from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.world import World
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
@@ -184,7 +183,7 @@ def test_an_arena_may_have_files_in_a_folder_of_its_own(tmp_path, mjcf):
         arena_name = 'quarry'
 
         def __init__(self):
-            MujocoXMLModel.__init__(self, file)
+            super().__init__(file)
 
     world = World([], Quarry())
     assert write_archive(world, tmp_path / 'world.zip') == 1

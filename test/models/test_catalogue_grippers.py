@@ -153,11 +153,11 @@ def test_the_state_of_the_action_has_the_shape_and_value_of_the_reference(name):
 @pytest.mark.parametrize('name', GRIPPERS)
 def test_an_action_of_the_wrong_length_or_not_finite_is_refused_and_changes_nothing(name):
     gripper, twin = create_gripper(name), create_gripper(name)
-    with pytest.raises(CommandError, match=f'{name} takes {gripper.dof} numbers, got shape'):
+    with pytest.raises(CommandError, match=f'{name} must have {gripper.dof} numbers, got'):
         gripper.format_action(np.zeros(gripper.dof + 1))
     for number in (np.nan, np.inf):
         if gripper.dof:
-            with pytest.raises(CommandError, match=f'{name} takes finite numbers'):
+            with pytest.raises(CommandError, match=f'{name} must be finite'):
                 gripper.format_action(np.full(gripper.dof, number))
     np.testing.assert_array_equal(gripper.current_action, twin.current_action)
 

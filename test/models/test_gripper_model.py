@@ -131,11 +131,12 @@ def test_franka_hand_has_the_names_and_numbers_of_the_reference(reference):
 
 
 @pytest.mark.parametrize(('action', 'message'), [
-    ([], r'^PandaGripper takes 1 numbers, got shape \(0,\)$'),
-    ([1.0, 1.0], r'^PandaGripper takes 1 numbers, got shape \(2,\)$'),
-    (1.0, r'^PandaGripper takes 1 numbers, got shape \(\)$'),
-    ([np.nan], r'^PandaGripper takes finite numbers, got \[nan\]$'),
-    ([-np.inf], r'^PandaGripper takes finite numbers, got \[-inf\]$')])
+    ([], r'^an action of PandaGripper must have 1 numbers, got 0$'),
+    ([1.0, 1.0], r'^an action of PandaGripper must have 1 numbers, got 2$'),
+    (1.0, r'^an action of PandaGripper must have 1 numbers, got the shape \(\)$'),
+    ([np.nan], r'^an action of PandaGripper must be finite, got nan at index 0$'),
+    ([-np.inf], r'^an action of PandaGripper must be finite, got -inf at index 0$'),
+    (['shut'], r"^an action of PandaGripper must be numbers, got \['shut'\]$")])
 def test_action_that_does_not_fit_changes_nothing(action, message):
     hand = PandaGripper()
     hand.format_action([1.0])
@@ -156,7 +157,7 @@ def test_fingers_are_commanded_one_by_one_without_a_state():
     assert hand.dof == 2
     np.testing.assert_array_equal(hand.format_action(action), action)
     assert hand.format_action(action) is not action
-    with pytest.raises(CommandError, match='^PandaGripperBase takes 2 numbers'):
+    with pytest.raises(CommandError, match='PandaGripperBase must have 2 numbers, got 1$'):
         hand.format_action([1.0])
 
 

@@ -42,10 +42,10 @@ def test_a_seed_gives_the_same_start_in_another_world_and_after_a_reset():
     world = compose('Panda', initialization_noise=UNIFORM)
     assert world.init_qpos() == world.init_qpos() == start(world.noise.seed)
     simulation = Simulation(world)
-    first = simulation.state().position
+    first = simulation.robot.state().position
     simulation.advance(100)
     simulation.reset()
-    np.testing.assert_array_equal(simulation.state().position, first)
+    np.testing.assert_array_equal(simulation.robot.state().position, first)
     np.testing.assert_array_equal(
         first[:7], list(world.init_qpos().values())[:7])
 

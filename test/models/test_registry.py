@@ -146,8 +146,8 @@ def test_parameters_of_an_arena_are_passed_on():
 
 
 def test_unknown_parameter_of_an_arena_tells_the_nearest():
-    with pytest.raises(UnknownNameError, match=r"^unknown parameter of arena 'table' "
-                                               r"'table_heigth_m': did you mean 'table_height_m'"):
+    with pytest.raises(UnknownNameError, match=r"^unknown parameter of the arena table "
+                                               r"'table_heigth_m': did you mean 'table_height'"):
         arenas.create_arena('table', table_heigth_m=1.1)
 
 

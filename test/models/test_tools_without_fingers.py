@@ -77,5 +77,5 @@ def test_tools_without_fingers_take_no_action(cls):
     tool = cls()
     assert tool.dof == 0 and tool.init_qpos is None
     assert tool.format_action([]).shape == (0,)
-    with pytest.raises(CommandError, match=f'{cls.__name__} takes 0 numbers, got shape'):
+    with pytest.raises(CommandError, match=f'{cls.__name__} must have 0 numbers, got 1'):
         tool.format_action([1.0])

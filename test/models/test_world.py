@@ -4,13 +4,16 @@
 """Tests of arenas and of robots placed in them."""
 
 import math
+from xml.etree import ElementTree
 
+from catalogue import ROBOTS
 import mujoco
 import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models.arenas import EmptyArena, TableArena
+from manip_sim.models import compose_robot
+from manip_sim.models.arenas import Arena, create_arena, EmptyArena, TableArena
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
@@ -148,6 +151,63 @@ def test_robot_with_a_free_joint_falls_and_does_not_float(one_joint_arm, panda):
     assert other.body_gravcomp[other.body('robot1_link1').id] == 0.0
 
 
+@pytest.mark.parametrize('name', [*ROBOTS, 'TwoPandas'])
+def test_the_robot_is_the_first_body_and_its_addresses_are_those_of_any_arena(name):
+    pandas = [compose_robot('Panda', idn=idn) for idn in (0, 1)]
+    robots = pandas if name == 'TwoPandas' else [compose_robot(name)]
+    places = []
+    for arena in (EmptyArena(), TableArena(cube=True), create_arena('bins')):
+        world = World(robots, arena)
+        (worldbody,) = ElementTree.fromstring(world.to_xml()).iter('worldbody')
+        assert worldbody.find('body').get('name') == robots[0].root_body
+        model = world.compile()
+        assert model.body(1).name == robots[0].root_body
+        joints = [model.joint(name) for name in world.init_qpos()]
+        places.append([(joint.name, int(joint.qposadr[0]), int(joint.dofadr[0]))
+                       for joint in joints])
+        assert len(places[-1]) == len({address for _, address, _ in places[-1]})
+    assert places[0] == places[1] == places[2]
+
+
+def test_options_and_visual_settings_are_those_of_the_arena(panda):
+    arena = TableArena()
+    arena.spec.option.gravity = [0.0, 0.0, -3.0]
+    arena.spec.stat.extent = 7.0
+    arena.spec.visual.map.znear = 0.25
+    arena.spec.memory = 50_000_000
+    arena.spec.add_numeric(name='answer', data=[42.0])
+    model = World([panda], arena).compile()
+    assert model.opt.gravity[2] == -3.0
+    assert (model.stat.extent, model.vis.map.znear) == (7.0, 0.25)
+    assert (model.narena, model.numeric('answer').data[0]) == (50_000_000, 42.0)
+    assert model.vis.global_.offwidth == 1920
+
+
+def test_defaults_of_an_arena_stay_its_own_and_are_written(panda, mjcf):
+    class Hall(Arena):
+        arena_name = 'hall'
+
+    path = mjcf('<geom name="ground" type="plane" size="1 1 0.1"/>'
+                '<body name="post" childclass="arena"><geom name="post" size="0.1"/></body>',
+                '<default><geom friction="0.3 0.1 0.1"/><default class="arena">'
+                '<geom friction="0.2 0.1 0.1"/></default></default>')
+    world = World([panda], Hall(path))
+    for model in (world.compile(), mujoco.MjModel.from_xml_string(world.to_xml())):
+        assert model.geom('ground').friction[0] == 0.3
+        assert model.geom('post').friction[0] == 0.2
+        assert model.geom('robot0_link1_collision').friction[0] == 1.0
+
+
+def test_composing_warns_of_nothing(one_joint_arm, caplog):
+    robot = one_joint_arm(sections="""
+        <option integrator="RK4" impratio="3"/><size memory="20M" nuserdata="3" nuser_geom="2"/>
+        <visual><map znear="0.3"/></visual><statistic extent="9"/>""")
+    model = World([robot]).compile()
+    assert caplog.records == []
+    assert (model.narena, model.nuserdata) == (20 * 2**20, 3)
+    assert model.opt.impratio == 10.0
+
+
 def test_physics_is_set_for_grasping(panda):
     option = World([panda], timestep_s=0.001).compile().opt
     assert option.timestep == 0.001
@@ -167,8 +227,7 @@ def test_world_in_xml_is_the_same_model(panda):
 
 def test_start_that_does_not_fit_the_joints_is_refused(one_joint_arm, arm_class):
     arm_class.init_qpos = np.zeros(3)
-    with pytest.raises(ModelError, match=r'^init_qpos of Arm0 must have 1 values, one for each '
-                                         r'joint, got shape \(3,\)$'):
+    with pytest.raises(ModelError, match=r'^init_qpos of Arm0 must have 1 numbers, got 3$'):
         World([one_joint_arm()]).init_qpos()
 
 

@@ -432,7 +432,7 @@ def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
 
 def test_start_that_is_not_finite_ends_it(hand_sim, hand_class):
     hand_class.init_qpos = [0.01, np.nan]
-    with pytest.raises(ModelError, match=r'^init_qpos of Hand0 must be finite, got \[0\.01, nan'):
+    with pytest.raises(ModelError, match=r'^init_qpos of Hand0 must be finite, got nan at'):
         hand_sim(SERVOS)
 
 

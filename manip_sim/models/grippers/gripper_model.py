@@ -19,6 +19,7 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.registry import Registry
+from manip_sim.models.validation import finite_numbers, unit_quaternion
 from manip_sim.typing import FloatArray
 
 _IDENTITY_WXYZ = (1.0, 0.0, 0.0, 0.0)
@@ -61,7 +62,18 @@ class GripperModel(MujocoXMLModel, ABC):
         self._root()
         self.current_action = np.zeros(self.dof)
 
-    def _prepare_spec(self, spec: Any) -> None:
+    def refresh(self) -> None:
+        """
+        Record again what the lists and figures tell, after edits of :attr:`spec`.
+
+        :attr:`current_action` becomes zeros where the number of actuators changes.
+        """
+        actuators = len(self._actuators)
+        super().refresh()
+        if len(self._actuators) != actuators:
+            self.current_action = np.zeros(self.dof)
+
+    def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
         eef = spec.body('eef')
         if eef is None:
             raise UnknownNameError(f'body of gripper {self.file}', 'eef',
@@ -82,7 +94,7 @@ class GripperModel(MujocoXMLModel, ABC):
                 spec.add_sensor(name=name, type=kind, objname='ft_frame',
                                 objtype=mujoco.mjtObj.mjOBJ_SITE)
 
-    def _mount_body(self, spec: Any) -> Any:
+    def _mount_body(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
         self._spec = spec
         return self._root()
 
@@ -137,14 +149,15 @@ class GripperModel(MujocoXMLModel, ABC):
 
         :param pos: position [m], shape (3,); None keeps it
         :param quat_wxyz: w, x, y, z, shape (4,); None keeps it
+        :raises ModelError: if a number is not finite, or the quaternion is zero
         """
         root = self._root()
         if pos is not None:
-            root.pos = np.asarray(pos, dtype=float)
+            root.pos = finite_numbers(pos, 3, f'position of {self.name}')
         if quat_wxyz is not None:
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            root.quat = np.asarray(quat_wxyz, dtype=float)
-        self._record()
+            root.quat = unit_quaternion(quat_wxyz, f'quaternion of {self.name}')
+        self.refresh()
 
     def clone(self: GripperT, idn: int | str) -> GripperT:
         """Return an own copy with another idn."""
@@ -177,13 +190,8 @@ class GripperModel(MujocoXMLModel, ABC):
 
     def _checked(self, action: ArrayLike) -> FloatArray:
         """Return an action as an array, or raise :class:`CommandError`."""
-        checked = np.asarray(action, dtype=float)
-        if checked.shape != (self.dof,):
-            raise CommandError(f'{type(self).__name__} takes {self.dof} numbers, '
-                               f'got shape {checked.shape}')
-        if not np.isfinite(checked).all():
-            raise CommandError(f'{type(self).__name__} takes finite numbers, got {checked}')
-        return checked
+        return finite_numbers(action, self.dof, f'an action of {type(self).__name__}',
+                              CommandError)
 
     def _integrate(self, step: FloatArray) -> FloatArray:
         """Move :attr:`current_action` by a step, within [-1, 1], and return a copy."""
@@ -195,5 +203,5 @@ GRIPPERS: Registry[GripperModel] = Registry(
     'gripper', GripperModel)  # type: ignore[type-abstract]
 
 
-def _add_site(body: Any, name: str, pos: ArrayLike) -> None:
+def _add_site(body: mujoco.MjsBody, name: str, pos: ArrayLike) -> None:
     body.add_site(name=name, pos=np.asarray(pos, dtype=float), group=4, size=[0.005] * 3)

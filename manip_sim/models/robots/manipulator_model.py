@@ -11,6 +11,9 @@ from collections.abc import Callable
 from os import PathLike
 from typing import Any, TypeVar
 
+import mujoco
+from numpy.typing import ArrayLike
+
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -62,9 +65,19 @@ class ManipulatorModel(RobotModel):
         if set(self.arms) != set(self._eef_name):
             raise ModelError(f'{self.name} is {self.arm_type}, so it needs an end effector body '
                              f'for {", ".join(self.arms)}; it has {self._eef_name}')
-        for body in self._eef_name.values():
-            self._check_important('body', [body], self._bodies)
+        self._check_important('body', self._eef_name.values(), self._bodies)
         self._grippers: ArmDict[GripperModel] = ArmDict(self._arm_of_body)
+
+    def refresh(self) -> None:
+        """
+        Record again what the lists and figures tell, after edits of :attr:`spec`.
+
+        Also of all that is mounted on the robot.
+
+        :raises UnknownNameError: if an end effector body is not there any more
+        """
+        super().refresh()
+        self._check_important('body', self._eef_name.values(), self._bodies)
 
     @property
     @abstractmethod
@@ -172,13 +185,15 @@ class ManipulatorModel(RobotModel):
         raise UnknownNameError(f'arm of {self.name}', arm_name,
                                [*self.arms, *self.eef_name.values()])
 
-    def attach_to(self, spec: Any, frame: Any) -> None:
+    def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                  floor_xpos: ArrayLike | None = None) -> None:
         """
         Add a copy of the robot and of all that is mounted on it to another spec.
 
-        :param spec: the ``mujoco.MjSpec`` to add to
+        :param spec: the spec to add to
         :param frame: the frame of that spec to hang the robot on
+        :param floor_xpos: as for :meth:`RobotModel.attach_to`
         """
-        super().attach_to(spec, frame)
+        super().attach_to(spec, frame, floor_xpos)
         for arm, gripper in self._grippers.items():
             gripper.attach_to(spec, spec.body(self.eef_name[arm]).add_frame())

@@ -22,6 +22,7 @@ from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import classify, driven_joint, SUBSYSTEMS, Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
+from manip_sim.models.validation import finite_numbers
 from manip_sim.typing import FloatArray
 
 MANIPULATOR_MOUNT = 'manipulator_mount'
@@ -56,11 +57,11 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         super().__init__(fname, idn=idn)
-        self._resolve_root_pose()
-        self._authored_offset = self.base_offset
+        self._root()
         self._base: RobotBaseModel | None = None
-        #: Whether :meth:`set_base_xpos` was called; else an arena places the robot.
-        self.is_placed = False
+        #: Where :meth:`set_base_xpos` and :meth:`set_base_ori` want the robot.
+        self._floor_xpos: FloatArray | None = None
+        self._root_quat: FloatArray | None = None
         self.update_joints()
         self.update_actuators()
 
@@ -91,8 +92,7 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
     def _was_mounted(self) -> None:
         if self._given_prefix:
             self.set_naming_prefix(self._given_prefix)
-        self.update_joints()
-        self.update_actuators()
+        self.refresh()
 
     @property
     @abstractmethod
@@ -120,6 +120,11 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         return None
 
     # ------------------------------------------------------------------ base and place
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether :meth:`set_base_xpos` was called; else an arena places the robot."""
+        return self._floor_xpos is not None
 
     @property
     def base(self) -> RobotBaseModel | None:
@@ -154,7 +159,7 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
     def foot_offset(self) -> FloatArray:
         """From the root body to what the robot stands with [m], shape (3,), a copy."""
         if self._foot_offset is None:
-            return -self._authored_offset
+            return -self.base_offset
         return np.array(self._foot_offset)
 
     @property
@@ -179,17 +184,19 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         Place the robot.
 
         :param pos: where the floor below the root shall be, in the world [m], shape (3,)
+        :raises ModelError: if a number is not finite
         """
-        self.is_placed = True
-        self._root().pos = np.asarray(pos, dtype=float) - self.bottom_offset
+        self._floor_xpos = finite_numbers(pos, 3, f'position of {self.name}')
 
     def set_base_ori(self, rpy: ArrayLike) -> None:
         """
         Turn the robot.
 
         :param rpy: roll, pitch, yaw of the root in the world [rad], shape (3,)
+        :raises ModelError: if a number is not finite
         """
-        self._root().quat = quat_wxyz_from_rpy(rpy)
+        self._root_quat = quat_wxyz_from_rpy(
+            finite_numbers(rpy, 3, f'orientation of {self.name}'))
 
     def set_joint_attribute(self, attrib: str, values: ArrayLike, force: bool = True) -> None:
         """
@@ -204,10 +211,8 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         settable = ('damping', 'frictionloss', 'armature', 'stiffness')
         if attrib not in settable:
             raise UnknownNameError('joint attribute', attrib, settable)
-        numbers = np.asarray(values, dtype=float)
-        if numbers.shape != (len(self._joints),) or not np.isfinite(numbers).all():
-            raise CommandError(f'{attrib} of {self.name} takes {len(self._joints)} finite values, '
-                               f'got {numbers.shape}: {numbers}')
+        numbers = finite_numbers(values, len(self._joints), f'{attrib} of {self.name}',
+                                 CommandError)
         for name, value in zip(self._joints, numbers):
             joint = self._spec.joint(name)
             if force or not np.any(getattr(joint, attrib)):
@@ -225,6 +230,18 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
     def all_actuators(self) -> list[str]:
         """Actuators of the robot, then of its base."""
         return self.actuators + (self._base.actuators if self._base else [])
+
+    def refresh(self) -> None:
+        """
+        Record again what the lists and figures tell, after edits of :attr:`spec`.
+
+        Also of all that is mounted on the robot.
+        """
+        super().refresh()
+        for part in self.models:
+            part.refresh()
+        self.update_joints()
+        self.update_actuators()
 
     def update_joints(self) -> None:
         """Sort all joints into subsystems again; done by every ``add_*`` too."""
@@ -263,12 +280,8 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         :raises CommandError: if the length is wrong or a number is not finite
         """
         names = self.actuators_of(subsystem)
-        checked = np.asarray(action, dtype=float)
-        if checked.shape != (len(names),):
-            raise CommandError(f"{self.name}'s {subsystem} takes {len(names)} numbers, "
-                               f'got shape {checked.shape}')
-        if not np.isfinite(checked).all():
-            raise CommandError(f"{self.name}'s {subsystem} takes finite numbers, got {checked}")
+        checked = finite_numbers(action, len(names), f'an action of the {subsystem} of '
+                                 f'{self.name}', CommandError)
         low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
                                dtype=float).reshape(-1, 2).T
         commands: FloatArray = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
@@ -281,31 +294,36 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
 
     # ------------------------------------------------------------------ composing
 
-    def attach_to(self, spec: Any, frame: Any) -> None:
+    def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                  floor_xpos: ArrayLike | None = None) -> None:
         """
         Add a copy of the robot and of all that is mounted on it to another spec.
 
         On a mobile base the root body stays fixed and holds the base; what the root held hangs on
         a body ``manipulator_mount`` of the base's support.
 
-        :param spec: the ``mujoco.MjSpec`` to add to
+        :param spec: the spec to add to
         :param frame: the frame of that spec to hang the robot on
+        :param floor_xpos: where the floor below the copy's root shall be, in the frame [m], shape
+            (3,); None: where :meth:`set_base_xpos` or else the file puts it
         :raises ModelError: if the spec, the robot's base or a gripper has one of the names already
         """
-        base = self._base
+        self.refresh()
+        own, base = self._placed_copy(floor_xpos), self._base
         if isinstance(base, MobileBaseModel):
-            self._attach_on_mobile_base(spec, frame, base)
+            self._attach_on_mobile_base(spec, frame, base, own)
             return
-        super().attach_to(spec, frame)
+        self._attach_copy(spec, frame, own)
         if isinstance(base, MountModel):
             self._attach_base(spec, spec.body(self.root_body), base)
 
-    def _attach_base(self, spec: Any, root: Any, base: RobotBaseModel) -> None:
+    def _attach_base(self, spec: mujoco.MjSpec, root: mujoco.MjsBody,
+                     base: RobotBaseModel) -> None:
         base.attach_to(spec, root.add_frame(
             pos=self.foot_offset - base.top_offset - base.base_offset))
 
-    def _attach_on_mobile_base(self, spec: Any, frame: Any, base: MobileBaseModel) -> None:
-        own = self._spec.copy()
+    def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                               base: MobileBaseModel, own: mujoco.MjSpec) -> None:
         check_names_are_free(spec, own, self.naming_prefix, self.name)
         mount = own.body(self._root().name)
         if own.body(MANIPULATOR_MOUNT) is not None:
@@ -324,13 +342,18 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         self._attach_copy(spec, support.add_frame(), own)
         rotate_actuators(spec.actuators[present:], len(base.actuators))
 
-    def _resolve_root_pose(self) -> None:
-        # Placing the robot sets position and quaternion, so nothing else may turn or move it.
-        root = self._root()
+    def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
+        """Return a copy of the spec whose root stands and is turned as the robot shall be."""
+        own = self._spec.copy()
+        root = own.body(self._root().name)
         compiled = self._own_model.body(root.name)
-        root.pos, root.quat = compiled.pos, compiled.quat
+        floor = self._floor_xpos if floor_xpos is None else np.asarray(floor_xpos, dtype=float)
+        root.pos = compiled.pos if floor is None else floor - self.bottom_offset
+        root.quat = compiled.quat if self._root_quat is None else self._root_quat
+        # Nothing else may turn or move it.
         root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        root.set_frame(self._spec.worldbody.add_frame())
+        root.set_frame(own.worldbody.add_frame())
+        return own
 
 
 ROBOTS: Registry[RobotModel] = Registry('robot', RobotModel)  # type: ignore[type-abstract]

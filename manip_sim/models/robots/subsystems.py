@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import mujoco
 
@@ -110,11 +109,10 @@ def classify(name: str) -> str:
     return 'arm'
 
 
-def driven_joint(model: Any, actuator: int) -> str | None:
+def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     """
     Return the name of the joint that an actuator drives, or None.
 
-    :param model: a ``mujoco.MjModel``
     :param actuator: number of the actuator
     """
     kind = int(model.actuator_trntype[actuator])

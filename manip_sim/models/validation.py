@@ -1,0 +1,80 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Check numbers that come from outside, with one wording; what they are for is the caller's."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.typing import FloatArray
+
+
+def finite_numbers(values: ArrayLike, length: int, what: str,
+                   error: type[ManipSimError] = ModelError) -> FloatArray:
+    """
+    Return numbers as an array of shape (length,), always a copy.
+
+    :param what: what they are, for the message
+    :param error: what to raise
+    :raises ManipSimError: the error, if they are no numbers, not as many, or one is not finite
+    """
+    try:
+        numbers: FloatArray = np.array(values, dtype=float)
+    except (TypeError, ValueError) as cause:
+        raise error(f'{what} must be numbers, got {values!r:.60}') from cause
+    if numbers.shape != (length,):
+        found = str(numbers.size) if numbers.ndim == 1 else f'the shape {numbers.shape}'
+        raise error(f'{what} must have {length} numbers, got {found}')
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if bad.size:
+        raise error(f'{what} must be finite, got {numbers[bad[0]]} at index {bad[0]}')
+    return numbers
+
+
+def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
+    """
+    Return a quaternion with unit norm, shape (4,), a copy.
+
+    :param what: what it is, for the message
+    :raises ModelError: if it has not four finite numbers, or all are zero
+    """
+    quat = finite_numbers(values, 4, what)
+    norm = float(np.linalg.norm(quat))
+    if not norm > 0.0:
+        raise ModelError(f'{what} must not be zero')
+    return quat / norm
+
+
+def start_by_joint(part: str, joints: list[str], qpos: Any) -> dict[str, float]:
+    """
+    Return where joints start, by name [rad or m].
+
+    :param part: whose joints they are, for the message
+    :param qpos: one number for each joint, or None for no start
+    :raises ModelError: if there are not as many finite numbers
+    """
+    if qpos is None:
+        return {}
+    values = finite_numbers(qpos, len(joints), f'init_qpos of {part}')
+    return dict(zip(joints, values.tolist()))
+
+
+def whole_nanoseconds(timestep_s: float) -> float:
+    """
+    Return a timestep; stamps count in nanoseconds, and would drift from the physics otherwise.
+
+    :raises ModelError: naming the nearest timestep that can be used
+    """
+    if not 1e-9 <= timestep_s < math.inf:
+        raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')
+    nanoseconds = timestep_s * 1e9
+    if abs(nanoseconds - round(nanoseconds)) > 1e-5:
+        raise ModelError('a timestep must be a whole number of nanoseconds, got '
+                         f'{timestep_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
+    return timestep_s
