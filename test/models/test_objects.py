@@ -209,6 +209,16 @@ def test_a_file_without_a_name_of_its_body_needs_one(mjcf):
         create_object(mjcf('<body><geom size="0.1"/></body>'))
 
 
+def test_options_and_keyframes_of_a_file_stay_behind(mug_file):
+    item = create_object(mug_file(sections=(
+        '<option timestep="0.1" gravity="0 0 1" integrator="RK4"/><keyframe><key/></keyframe>')))
+    plain, model = World([]).compile(), World([], objects=[item]).compile()
+    assert model.opt.timestep == plain.opt.timestep
+    assert model.opt.integrator == plain.opt.integrator
+    np.testing.assert_array_equal(model.opt.gravity, plain.opt.gravity)
+    assert model.nkey == 0
+
+
 def test_an_object_may_be_the_text_of_a_file():
     text = '<mujoco><worldbody><body name="any"><geom size="0.1"/></body></worldbody></mujoco>'
     assert object_from_xml('ball', text).compile().body('ball').mass[0] > 1.0
@@ -223,8 +233,9 @@ def test_an_object_may_be_the_text_of_a_file():
 # ---------------------------------------------------------------------- YAML
 
 
-def test_a_yaml_file_lists_objects_with_files_beside_it(mug_file, yaml_file):
+def test_a_yaml_file_lists_objects_with_files_beside_it(mug_file, yaml_file, monkeypatch):
     mug_file()
+    monkeypatch.chdir('/')
     path = yaml_file("""
 objects:
 - name: brick
@@ -373,8 +384,11 @@ def test_a_name_that_the_world_has_already_is_refused(panda, name, taken):
 
 
 def test_elements_whose_names_meet_are_refused(mug_file):
-    with pytest.raises(ModelError, match="body 'mug_lid' is there already"):
-        World([], objects=[mug_file(), {**BOX, 'name': 'mug_lid'}]).compile()
+    lid = {**BOX, 'name': 'mug_lid'}
+    for objects in ([mug_file(), lid], [lid, mug_file()]):
+        with pytest.raises(ModelError, match="^body 'mug_lid' is there already, .* (needs another "
+                                             'name|cannot bring another)'):
+            World([], objects=objects).compile()
 
 
 def test_one_object_can_be_in_two_worlds():
