@@ -60,7 +60,8 @@ def find_start_defects(model: Any, data: Any, roots: Iterable[str],
                 and own[model.geom_bodyid[contact.geom]].any()]
     joints = [joint for joint in _actuated_joints(model) if own[model.jnt_bodyid[joint]]]
     return [*_overlaps(model, contacts, own), *_blocked(model, data, contacts, joints, own),
-            *_out_of_range(model, data, own, declared or {}), *find_drive_defects(model, data, own)]
+            *_out_of_range(model, data, own, declared or {}),
+            *find_drive_defects(model, data, own)]
 
 
 def _bodies_below(model: Any, roots: list[int]) -> BoolArray:

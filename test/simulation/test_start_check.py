@@ -132,7 +132,8 @@ def test_coupled_fingers_outside_their_range_are_told_although_they_start_inside
         init_qpos = np.array([0.3, -0.04])
     simulation = Simulation(compose('Panda', Torn(idn='0_right')))
     assert simulation.start_defects == [
-        "joint 'gripper0_right_finger_joint1' starts at 0.3 m, 0.26 outside its range of 0 to 0.04"]
+        "joint 'gripper0_right_finger_joint1' starts at 0.3 m, 0.26 outside its range of 0 to "
+        '0.04']
     start = simulation.data.joint('gripper0_right_finger_joint1').qpos[0]
     assert -1e-4 < start < 0.0401
 
