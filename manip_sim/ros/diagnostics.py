@@ -14,11 +14,13 @@ import mujoco
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from manip_sim.quoting import one_line
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.gripper_controller import GripperController
 
 _PERIOD_S = 1.0
 #: Of simulation time; less is lost to the moments between two messages.
@@ -99,6 +101,7 @@ class Diagnostics:
         self._pace = Pace(thread)
         self._neighbours = Neighbours(node, [c.scope for c in commands])
         self._last_accepted: dict[str, int] = {}
+        self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
         self._told: str | None = None
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -165,6 +168,7 @@ class Diagnostics:
             'clamped': statistics.clamped, 'slowed': statistics.slowed}
         if part in robot.grippers:
             values['control_mode'] = 'position'
+            values['faults'] = robot.grippers[part].faults
         elif part in robot.parts:
             joints = robot.joints
             modes = dict.fromkeys(joints.modes_of(joints.indices_of(part)))
@@ -172,7 +176,19 @@ class Diagnostics:
             values['timeouts'] = sum(
                 joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
             values['limited'] = joints.limited(part)
-        return _status(name, 'commands', values)
+        status = _status(name, 'commands', values)
+        if part in robot.grippers:
+            self._tell_faults(status, robot.grippers[part])
+        return status
+
+    def _tell_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
+        """Warn of a gripper's own code that has failed since the last status."""
+        faults, before = gripper.faults, self._last_faults.get(status.name, 0)
+        self._last_faults[status.name] = faults
+        if faults > before:
+            status.level = DiagnosticStatus.WARN
+            status.message = one_line(f'the fingers hold, {gripper.last_fault}')
+            self._node.rejections.warn(status.name, 'fault', f'{status.name}: {status.message}')
 
 
 _WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,

@@ -24,6 +24,7 @@ class Formatter:
     :param gripper: whose method it is; it is called once with zeros, and its state put back
     :param count: how many commands it has to return
     :ivar faults: how many calls raised or returned something else since then
+    :ivar last_fault: what the last one of these did
     :raises ModelError: if the call with zeros raises or does not return as many finite numbers
     """
 
@@ -32,6 +33,7 @@ class Formatter:
         self._count = count
         self.dof = gripper.dof
         self.faults = 0
+        self.last_fault = ''
         state = {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
                  for name, value in vars(gripper).items()}
         fault = self._fault(np.zeros(self.dof))[1]
@@ -50,7 +52,7 @@ class Formatter:
         """
         command, fault = self._fault(action)
         if fault is not None:
-            self.faults += 1
+            self._take_note(f'format_action: {fault}')
             return None
         return np.clip(command, -1.0, 1.0)
 
@@ -58,10 +60,14 @@ class Formatter:
         """Let ``format_action`` go on from a command; return whether that worked."""
         try:
             self._gripper.start_at(command)
-        except Exception:
-            self.faults += 1
+        except Exception as error:
+            self._take_note(f'start_at: it raised {type(error).__name__}: {error}')
             return False
         return True
+
+    def _take_note(self, fault: str) -> None:
+        self.faults += 1
+        self.last_fault = fault
 
     def _fault(self, action: FloatArray) -> tuple[FloatArray, str | None]:
         """Return what an action comes to, and what is wrong with it."""

@@ -90,6 +90,11 @@ class GripperController:
         return self._formatter.faults
 
     @property
+    def last_fault(self) -> str:
+        """What the last one of these calls did; empty if there was none."""
+        return self._formatter.last_fault
+
+    @property
     def moving(self) -> bool:
         """Whether :meth:`tick` has to be called; if not, the setpoints stay where they are."""
         return self._moving

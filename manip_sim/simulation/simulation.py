@@ -68,7 +68,8 @@ class Simulation:
         self._settle_linkages()
         self.reset()
         self.start_defects = check_start(
-            self.model, self.data, [robot.root_body for robot in world.robots])
+            self.model, self.data, [robot.root_body for robot in world.robots],
+            world.init_qpos())
 
     def _look_at_model(self) -> None:
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))

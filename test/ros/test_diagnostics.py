@@ -10,6 +10,8 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from manip_sim.models.grippers import PandaGripper
+
 
 def values(status):
     return {pair.key: pair.value for pair in status.values}
@@ -175,6 +177,33 @@ def test_timeouts_of_commands_are_counted(serve, client):
         client.publish('arm/joint_command', JointState(name=['robot0_joint1'], velocity=[0.1]))
         client.spin_until(lambda n=count: bool(arrays) and part(
             arrays[-1], 'arm')['timeouts'] == str(n))
+
+
+def test_a_gripper_whose_own_code_fails_is_told(serve, client):
+    class FailingGripper(PandaGripper):
+        fails = False
+
+        def format_action(self, action):
+            if FailingGripper.fails:
+                raise RuntimeError('no\nbattery')
+            return super().format_action(action)
+    log = client.log()
+    serve(gripper='FailingGripper')
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: bool(arrays))
+    assert part(arrays[-1], 'right/gripper')['faults'] == '0'
+    FailingGripper.fails = True
+    client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
+    text = r'the fingers hold, format_action: it raised RuntimeError: no\nbattery'
+
+    def status():
+        return next(s for s in arrays[-1].status if s.name == 'manip_sim: right/gripper')
+    client.spin_until(lambda: status().level == DiagnosticStatus.WARN)
+    assert status().message == text
+    assert int(values(status())['faults']) > 0
+    client.spin_until(lambda: f'manip_sim: right/gripper: {text}' in log)
+    FailingGripper.fails = False
+    client.spin_until(lambda: status().level == DiagnosticStatus.OK)
 
 
 def test_the_combined_topic_counts_what_it_accepts(serve, client):

@@ -408,6 +408,7 @@ def test_bad_return_at_run_time_holds_and_is_counted(hand_sim, hand_class, run, 
     np.testing.assert_array_equal(simulation.data.act, held)
     assert simulation.diverged is None
     assert np.isfinite(simulation.data.ctrl).all()
+    assert simulation.robot.grippers[GRIPPER].last_fault.startswith('format_action: it r')
     gripper.format_action = good
     run(simulation, 1.5)
     np.testing.assert_allclose(fingers(simulation), [0.04, 0.04], atol=1e-3)
@@ -427,6 +428,8 @@ def test_gripper_that_raises_at_run_time_is_counted_and_held(hand_sim, run):
     assert simulation.robot.grippers[GRIPPER].faults == 10
     simulation.reset()
     assert simulation.robot.grippers[GRIPPER].faults == 11
+    assert simulation.robot.grippers[GRIPPER].last_fault == (
+        'start_at: it raised RuntimeError: broken')
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
 
 
