@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
 MODULES = sorted(PACKAGE.rglob('*.py'))
-PURE = {'mujoco', 'numpy', 'scipy'}
+PURE = {'mujoco', 'numpy', 'pydantic', 'scipy', 'yaml'}
 MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),

@@ -5,8 +5,26 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from manip_sim.models.arenas import Arena, arena_names, create_arena
 from manip_sim.models.composing import compose, compose_robot
+from manip_sim.models.sources import set_model_path
 from manip_sim.models.world import World
 
-__all__ = ['Arena', 'World', 'arena_names', 'compose', 'compose_robot', 'create_arena']
+if TYPE_CHECKING:
+    from manip_sim.models.files import load_arena, load_base, load_gripper, load_robot
+
+_OF_FILES = ('load_arena', 'load_base', 'load_gripper', 'load_robot')
+
+
+def __getattr__(name: str) -> object:
+    # What reads descriptions is imported when it is needed: pydantic takes a while.
+    if name in _OF_FILES:
+        from manip_sim.models import files
+        return getattr(files, name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+
+
+__all__ = ['Arena', 'World', 'arena_names', 'compose', 'compose_robot', 'create_arena',
+           'load_arena', 'load_base', 'load_gripper', 'load_robot', 'set_model_path']

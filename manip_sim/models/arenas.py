@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import Any, ClassVar
 
 import mujoco
@@ -14,6 +15,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.models.sources import check_no_parameters, find_source, names_in_folders
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
 
@@ -31,9 +33,10 @@ class Arena(MujocoXMLModel):
 
     arena_name: ClassVar[str]
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
+    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        ARENAS.register(cls)
+        if registered:
+            ARENAS.register(cls)
 
     def __init__(self) -> None:
         super().__init__(asset_path('arenas', self.arena_name))
@@ -122,17 +125,29 @@ class BinsArena(Arena):
 
 
 def arena_names() -> list[str]:
-    """Return the names that :func:`create_arena` takes."""
-    return sorted(ARENAS.get(name).arena_name for name in ARENAS.names())
+    """Return the names that :func:`create_arena` takes, those of the user's folders too."""
+    return sorted({*_by_name(), *names_in_folders('arenas')})
 
 
-def create_arena(name: str, **parameters: Any) -> Arena:
+def _by_name() -> dict[str, type[Arena]]:
+    return {ARENAS.get(name).arena_name: ARENAS.get(name) for name in ARENAS.names()}
+
+
+def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     """
-    Create an arena by its name, such as ``table``.
+    Create an arena by its name, such as ``table``, or from a file.
 
+    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
+    :param parameters: of an arena of the package, such as ``table_height_m``
     :raises UnknownNameError: naming the nearest ones
+    :raises ModelError: if a file cannot be used
     """
-    by_name = {ARENAS.get(cls).arena_name: ARENAS.get(cls) for cls in ARENAS.names()}
-    if name not in by_name:
-        raise UnknownNameError('arena', name, sorted(by_name))
-    return by_name[name](**parameters)
+    classes = _by_name()
+    if isinstance(name, str) and name in classes:
+        return classes[name](**parameters)
+    source = find_source(name, 'arenas')
+    if source is None:
+        raise UnknownNameError('arena', name, arena_names())
+    check_no_parameters(name, parameters)
+    from manip_sim.models.files import load_arena
+    return load_arena(source)

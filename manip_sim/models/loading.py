@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 import logging
 from pathlib import Path
 from typing import Any
+import warnings
 
 import mujoco
 
@@ -17,9 +18,18 @@ from manip_sim.errors import ModelError
 #: MuJoCo raises the first for what is wrong in a file; the others where memory does not suffice.
 _ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
 
+#: What MuJoCo warns of where a root body was put above several; what is composed gets a prefix.
+_EMPTY_PREFIX = 'Attaching a spec with an empty prefix'
+
+
+def _log_warning(message: str) -> None:
+    if not message.startswith(_EMPTY_PREFIX):
+        logging.getLogger('manip_sim.mujoco').warning(message)
+
+
 # Without a function of its own MuJoCo appends its warnings to a file in the working directory.
 if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(logging.getLogger('manip_sim.mujoco').warning)
+    mujoco.set_mju_user_warning(_log_warning)
 
 
 def compile_spec(spec: Any, name: str) -> Any:
@@ -31,7 +41,9 @@ def compile_spec(spec: Any, name: str) -> Any:
     :raises ModelError: with what MuJoCo says
     """
     try:
-        return spec.compile()
+        with warnings.catch_warnings():
+            warnings.filterwarnings('ignore', _EMPTY_PREFIX)
+            return spec.compile()
     except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
 

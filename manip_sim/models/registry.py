@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import importlib
 import inspect
 import pkgutil
@@ -34,14 +35,15 @@ class Registry(Generic[T]):
         """Return the names of all classes that can be created, sorted."""
         return sorted(n for n, cls in self._classes.items() if not inspect.isabstract(cls))
 
-    def get(self, name: str) -> type[T]:
+    def get(self, name: str, available: Iterable[str] = ()) -> type[T]:
         """
         Return the class of a name.
 
+        :param available: other names that exist, for the message
         :raises UnknownNameError: naming the nearest ones
         """
         if name not in self.names():
-            raise UnknownNameError(self.kind, name, self.names())
+            raise UnknownNameError(self.kind, name, sorted({*self.names(), *available}))
         return self._classes[name]
 
 

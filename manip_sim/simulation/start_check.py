@@ -87,11 +87,12 @@ def _overlaps(model: Any, contacts: list[Any], own: Any) -> list[str]:
 
 
 def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int]) -> Iterator[str]:
+    trial = copy.copy(model) if contacts else model
     for joint in joints:
         moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
         against = [contact for contact in contacts
                    if moved[model.geom_bodyid[contact.geom]].sum() == 1]
-        if not against or not _is_blocked(model, data, joint):
+        if not against or not _is_blocked(model, trial, data, joint):
             continue
         contact = min(against, key=lambda contact: float(contact.dist))
         # Named is what does not move with the joint.
@@ -99,9 +100,13 @@ def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int]) -> I
         yield f"joint '{model.joint(joint).name}' starts blocked by {_geom(model, neighbour)}"
 
 
-def _is_blocked(model: Any, data: Any, joint: int) -> bool:
-    """Tell whether the full force, forwards and backwards, moves a joint hardly at all."""
-    trial = copy.copy(model)
+def _is_blocked(model: Any, trial: Any, data: Any, joint: int) -> bool:
+    """
+    Tell whether the full force, forwards and backwards, moves a joint hardly at all.
+
+    :param trial: a copy of the model to try it with
+    """
+    trial.dof_armature[:], trial.opt.disableflags = model.dof_armature, model.opt.disableflags
     scalar = np.flatnonzero(np.isin(model.jnt_type, _SCALAR)).tolist()
     together = JointCouplings(model, scalar).group(joint)
     held = np.ones(model.nv, dtype=bool)
