@@ -23,6 +23,7 @@ MENAGERIE_VARIABLE = 'MENAGERIE_ROOT'
 KINDS = ('robots', 'grippers', 'bases', 'arenas')
 _YAML = ('.yaml', '.yml')
 _SUFFIXES = (*_YAML, '.xml', '.mjcf', '.urdf')
+_SCHEMES = ('menagerie:', 'robosuite:')
 _INCLUDE = re.compile(r'<include\s+file\s*=\s*"([^"]+)"')
 
 _model_path: list[Path] = []
@@ -108,7 +109,7 @@ def find_source(name: str | os.PathLike[str], kind: str) -> Path | None:
         return _of_menagerie(rest)
     if colon and scheme == 'robosuite':
         return _of_robosuite(rest, kind)
-    if is_source(name):
+    if is_path(name):
         return Path(name)
     return names_in_folders(kind).get(name)
 
@@ -193,10 +194,10 @@ def _letters(name: str) -> str:
     return ''.join(character for character in name.lower() if character.isalnum())
 
 
-def is_source(name: str) -> bool:
-    """Tell whether a name is a path or says which collection it is of."""
-    return (name.startswith(('menagerie:', 'robosuite:')) or '/' in name or os.sep in name
-            or Path(name).suffix.lower() in _SUFFIXES)
+def is_path(name: str) -> bool:
+    """Tell whether a name is a path: it has a slash, or ends as models and descriptions do."""
+    return not name.startswith(_SCHEMES) and (
+        '/' in name or os.sep in name or Path(name).suffix.lower() in _SUFFIXES)
 
 
 def check_no_parameters(name: object, parameters: Any) -> None:

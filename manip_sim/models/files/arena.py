@@ -33,6 +33,11 @@ class FileArena(Arena, registered=False):
         MujocoXMLModel.__init__(self, file)
         self.arena_name = file.stem  # type: ignore[misc]
 
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.file.stem
+
     def _read(self) -> Any:
         spec = load_spec(self.file)
         keys = list(spec.keys)

@@ -8,7 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from manip_sim.errors import ModelError
-from manip_sim.models.files.description import Description, DescriptionT, read_description
+from manip_sim.models.files.description import (
+    Description, DescriptionT, read_description, RobotDescription)
+from manip_sim.models.sources import is_path
 
 YAML = ('.yaml', '.yml')
 MODELS = ('.xml', '.mjcf', '.urdf')
@@ -32,7 +34,7 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, D
     if not path.is_file():
         raise ModelError(f'no such file: {path}')
     if path.suffix.lower() in YAML:
-        description = read_description(path, kind)
+        description = _described(path, kind)
         return _model_of(path, description, stem), description, str(path)
     if path.suffix.lower() not in MODELS:
         raise ModelError(f'{path} is neither a model ({", ".join(MODELS)}) nor a description '
@@ -42,10 +44,22 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, D
             beside = path.with_name(name + suffix)
             if not beside.is_file():
                 continue
-            description = read_description(beside, kind)
+            description = _described(beside, kind)
             if _model_of(beside, description, stem).resolve() == path.resolve():
                 return path, description, str(beside)
     return path, kind(), str(path)
+
+
+def _described(file: Path, kind: type[DescriptionT]) -> DescriptionT:
+    """Read a description; what it names as other files is relative to it."""
+    description = read_description(file, kind)
+    if isinstance(description, RobotDescription):
+        for part in (*description.arms.values(), description):
+            key = 'base' if part is description else 'gripper'
+            named = getattr(part, key)
+            if named is not None and is_path(named):
+                setattr(part, key, str(file.parent / Path(named).expanduser()))
+    return description
 
 
 def _in_folder(folder: Path, stem: str) -> Path:
