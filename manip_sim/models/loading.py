@@ -63,6 +63,19 @@ def load_spec(file: Path) -> Any:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
 
 
+def spec_from_string(text: str, file: Path) -> Any:
+    """
+    Read a spec from the text of a file, in which all paths are absolute.
+
+    :returns: a new ``mujoco.MjSpec``
+    :raises ModelError: if MuJoCo cannot read it
+    """
+    try:
+        return mujoco.MjSpec.from_string(text)
+    except _ERRORS as error:
+        raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
+
+
 def _one_line(error: Exception) -> str:
     text = ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
     return text or type(error).__name__

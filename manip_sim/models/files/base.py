@@ -70,7 +70,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     :raises ModelError: if the file cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    model_file = read_model(file)
+    model_file = read_model(file, servos=False)
     model = compile_alone(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:

@@ -14,8 +14,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import UnknownNameError
+from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.typing import FloatArray
 
@@ -35,7 +37,6 @@ class ModelFile:
     :ivar spec: the ``mujoco.MjSpec`` with one root body and no keyframes
     :ivar tree: of the compiled model as it was in the file
     :ivar start: where scalar joints start, by name [rad or m]
-    :ivar start_control: what the keyframe says of actuators, by name
     :ivar inferred: what was inferred or left out
     """
 
@@ -43,27 +44,26 @@ class ModelFile:
     spec: Any
     tree: BodyTree
     start: dict[str, float]
-    start_control: dict[str, float]
     inferred: list[str] = field(default_factory=list)
 
 
-def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None
-               ) -> ModelFile:
+def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
+               servos: bool = True) -> ModelFile:
     """
-    Read a robot or hand.
+    Read a robot, hand or base.
 
     :param keyframes: the first of these that exists is the start, else the only one there is,
         else zero or what is nearest to it
     :param wanted: the keyframe that has to be taken
+    :param servos: give joints position servos if the file has no actuators
     :raises ModelError: if the file cannot be read, does not compile or has not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe that is wanted
     """
-    spec = load_spec(file)
+    spec, told = load_urdf(file) if is_urdf(file) else (load_spec(file), [])
     name_unnamed_elements(spec)
     model = compile_alone(spec, str(file))
-    told: list[str] = []
     key = _choose_key(model, keyframes, wanted, file)
-    start, control = _start_of(model, key)
+    start = _start_of(model, key)
     if key is not None and wanted is None:
         told.append(f"start pose: keyframe '{model.key(key).name}'")
     elif key is None:
@@ -72,8 +72,11 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         told += _place_root(spec, model, model.key_qpos[key])
     for old in list(spec.keys):
         spec.delete(old)
+    if servos and not model.nu and start:
+        told += add_servos(spec, BodyTree(model))
+        model = compile_alone(spec, str(file))
     spec, changes = single_tree(spec, model, file)
-    return ModelFile(file, spec, BodyTree(model), start, control, [*told, *changes])
+    return ModelFile(file, spec, BodyTree(model), start, [*told, *changes])
 
 
 def compile_alone(spec: Any, name: str) -> Any:
@@ -105,7 +108,7 @@ def _choose_key(model: Any, preferred: Sequence[str], wanted: str | None, file: 
     return 0 if len(names) == 1 else None
 
 
-def _start_of(model: Any, key: int | None) -> tuple[dict[str, float], dict[str, float]]:
+def _start_of(model: Any, key: int | None) -> dict[str, float]:
     qpos: FloatArray = model.qpos0 if key is None else model.key_qpos[key]
     tree, start = BodyTree(model), {}
     for joint in range(model.njnt):
@@ -115,9 +118,7 @@ def _start_of(model: Any, key: int | None) -> tuple[dict[str, float], dict[str, 
         if key is None and model.jnt_limited[joint]:
             value = _within(value, *model.jnt_range[joint])
         start[str(model.joint(joint).name)] = value
-    control = {} if key is None else {
-        str(model.actuator(i).name): float(model.key_ctrl[key, i]) for i in range(model.nu)}
-    return start, control
+    return start
 
 
 def _within(value: float, low: float, high: float) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.files.actuation import add_servos, own_each_joint
+from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.arms import find_arms, FoundArm
 from manip_sim.models.files.classification import classify_joints
 from manip_sim.models.files.description import (
@@ -19,7 +19,7 @@ from manip_sim.models.files.description import (
 from manip_sim.models.files.frames import add_body_at, find_place, free_name
 from manip_sim.models.files.hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.own_hand import OwnHand
-from manip_sim.models.files.reading import compile_alone, ModelFile, read_model
+from manip_sim.models.files.reading import ModelFile, read_model
 from manip_sim.models.files.start import start_pose
 from manip_sim.models.files.tree import BodyTree
 
@@ -68,9 +68,6 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     model_file = read_model(file, _KEYFRAMES, keyframe)
     spec, tree, told = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
-    if not tree.model.nu and tree.model.njnt:
-        told += add_servos(spec, tree)
-        tree = BodyTree(compile_alone(spec, str(file)))
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,
