@@ -109,4 +109,3 @@ def _extent(model: Any) -> tuple[float, float]:
     mujoco.mj_kinematics(model, data)
     heights = shape_heights(model, data)
     return (float(heights[:, 0].min()), float(heights[:, 1].max())) if len(heights) else (0., 0.)
-
