@@ -30,8 +30,7 @@ setup(
         *files_below('config'),
     ],
     python_requires='>=3.10',
-    install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pydantic>=2', 'pyyaml',
-                      'scipy'],
+    install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pydantic>=2', 'pyyaml', 'scipy'],
     extras_require={
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],

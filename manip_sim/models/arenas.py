@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import inspect
 from os import PathLike
 from typing import Any, ClassVar
@@ -19,6 +20,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.models.sources import check_no_parameters, find_source, names_in_folders
 from manip_sim.models.validation import finite_numbers
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
@@ -45,9 +47,10 @@ class Arena(MujocoXMLModel):
     arena_name: ClassVar[str]
     parameters: ClassVar[tuple[ArenaParameter, ...]] = ()
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
+    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        ARENAS.register(cls)
+        if registered:
+            ARENAS.register(cls)
 
     def __init__(self, fname: str | PathLike[str] | None = None) -> None:
         super().__init__(fname or asset_path('arenas', self.arena_name))
@@ -204,21 +207,32 @@ class BinsArena(Arena):
 
 
 def arena_names() -> list[str]:
-    """Return the names that :func:`create_arena` takes."""
-    return ARENAS.names()
+    """Return the names that :func:`create_arena` takes, those of the user's folders too."""
+    return sorted({*ARENAS.names(), *names_in_folders('arenas')})
 
 
-def create_arena(name: str, **parameters: Any) -> Arena:
+def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     """
-    Create an arena by its name, such as ``table``.
+    Create an arena by its name, such as ``table``, or from a file.
 
+    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param parameters: as in the arena's :attr:`Arena.parameters`, by name or by the keyword of its
         constructor
     :raises UnknownNameError: if there is no such arena or parameter, naming the nearest ones
-    :raises ModelError: if a value is not within the limits of its parameter, or the arena is one
-        of another package and cannot be imported
+    :raises ModelError: if a value is not within the limits of its parameter, a file cannot be
+        used, or the arena is one of another package and cannot be imported
     """
-    kind = ARENAS.get(name)
+    source = None if name in ARENAS.names() else find_source(name, 'arenas')
+    if source is None:
+        return ARENAS.create(str(name), arena_names(), **_arguments(str(name), parameters))
+    check_no_parameters(name, parameters)
+    from manip_sim.models.files import load_arena
+    return load_arena(source)
+
+
+def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters of an arena of the catalogue by the keywords of its constructor."""
+    kind = ARENAS.get(name, arena_names())
     argument_of = {parameter.name: parameter.argument for parameter in kind.parameters}
     keywords = {name: keyword for name, keyword in inspect.signature(kind).parameters.items()
                 if name != 'fname'}
@@ -232,14 +246,15 @@ def create_arena(name: str, **parameters: Any) -> Arena:
         if argument in arguments:
             raise ModelError(f"parameter '{given}' of the arena {name} is given twice")
         arguments[argument] = value
-    return ARENAS.create(name, **arguments)
+    return arguments
 
 
-def arena_parameters(name: str) -> tuple[ArenaParameter, ...]:
+def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
     """
-    Return the parameters of an arena.
+    Return the parameters of an arena; one from a file has none.
 
-    :raises UnknownNameError: naming the nearest ones
+    :raises UnknownNameError: if there is no such arena, naming the nearest ones
     """
-    return ARENAS.get(name).parameters
-
+    if name not in ARENAS.names() and find_source(name, 'arenas') is not None:
+        return ()
+    return ARENAS.get(str(name), arena_names()).parameters

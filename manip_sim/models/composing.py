@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from os import PathLike
 from typing import Any, Union
 
 from numpy.typing import ArrayLike
@@ -20,27 +21,29 @@ from manip_sim.models.world import World
 
 #: In place of a name: what the robot has by default, and nothing.
 DEFAULT, NONE = 'default', 'none'
-Gripper = Union[str, GripperModel, None]
+Robot = Union[str, PathLike[str], RobotModel]
+Gripper = Union[str, PathLike[str], GripperModel, None]
 Grippers = Mapping[str, Gripper]
-Base = Union[str, RobotBaseModel, None]
+Base = Union[str, PathLike[str], RobotBaseModel, None]
 
 
-def compose_robot(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEFAULT,
+def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                   base: Base = DEFAULT, *, idn: int | str = 0, prefix: str = '') -> RobotModel:
     """
     Return a robot with its base and a gripper on every arm.
 
-    :param robot: a name of the catalogue, or a robot that has neither base nor gripper yet
-    :param gripper: a name, ``default`` for the robot's own, ``none`` or None for no gripper, a
-        gripper, or one of these by arm
-    :param base: a name, ``default`` for the robot's own, ``none`` or None for the floor, or a base
+    :param robot: a name of the catalogue, a file, or a robot that has neither base nor gripper yet
+    :param gripper: a name or file, ``default`` for the robot's own, ``none`` or None for no
+        gripper, a gripper, or one of these by arm
+    :param base: a name or file, ``default`` for the robot's own, ``none`` or None for the floor,
+        or a base
     :param idn: number or word in names, as in ``robot0_joint1``; also of grippers and base that
         are given by name
     :param prefix: instead of that, the beginning of all names
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
     """
-    if isinstance(robot, str):
+    if isinstance(robot, (str, PathLike)):
         robot = create_robot(robot, idn=idn, prefix=prefix)
     elif prefix:
         robot.set_naming_prefix(prefix)
@@ -54,7 +57,8 @@ def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
     wanted = robot.default_base if base == DEFAULT else base
     if wanted is None or wanted == NONE:
         return
-    robot.add_base(create_base(wanted, idn=idn) if isinstance(wanted, str) else wanted)
+    robot.add_base(create_base(wanted, idn=idn) if isinstance(wanted, (str, PathLike))
+                   else wanted)
 
 
 def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int | str) -> None:
@@ -64,17 +68,20 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
     by_arm = gripper if isinstance(gripper, Mapping) else dict.fromkeys(robot.arms, gripper)
     for arm, wanted in by_arm.items():
         if wanted == DEFAULT:
+            if arm in robot.own_hands and arm not in robot.default_gripper:
+                continue
             wanted = robot.default_gripper.get(arm)
+        robot.take_off_hand(arm)
         if wanted is None or wanted == NONE:
             continue
-        if isinstance(wanted, str):
+        if isinstance(wanted, (str, PathLike)):
             wanted = create_gripper(wanted, idn=f'{idn}_{arm}')
         robot.add_gripper(wanted, arm)
 
 
-def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEFAULT,
-            base: Base = DEFAULT, arena: str | Arena = 'empty', *, idn: int | str = 0,
-            prefix: str = '', position: ArrayLike | None = None,
+def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
+            base: Base = DEFAULT, arena: str | PathLike[str] | Arena = 'empty', *,
+            idn: int | str = 0, prefix: str = '', position: ArrayLike | None = None,
             orientation: ArrayLike | None = None, timestep_s: float = 0.002,
             gravity_compensation: bool = True, objects: Iterable[Description] = (),
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
@@ -82,7 +89,7 @@ def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEF
     """
     Return a world with one robot; the other parameters are those of :func:`compose_robot`.
 
-    :param arena: a name of the catalogue, or an arena
+    :param arena: a name of the catalogue, a file, or an arena
     :param position: where the floor below the robot's root shall be [m], shape (3,); None: where
         the arena has its place
     :param orientation: roll, pitch, yaw of the root in the world [rad], shape (3,)
@@ -99,7 +106,7 @@ def compose(robot: str | RobotModel = 'Panda', gripper: Gripper | Grippers = DEF
         whole.set_base_ori(orientation)
     if position is not None:
         whole.set_base_xpos(position)
-    if isinstance(arena, str):
+    if isinstance(arena, (str, PathLike)):
         arena = create_arena(arena, **arena_parameters)
     elif arena_parameters:
         raise ModelError('parameters are for an arena that is given by name, '

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 import logging
 from pathlib import Path
 from typing import Any
+import warnings
 
 import mujoco
 
@@ -17,15 +18,18 @@ from manip_sim.errors import ModelError
 #: MuJoCo raises the first for what is wrong in a file; the others where memory does not suffice.
 _ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
 
-def _log(warning: str) -> None:
-    # An arena has no prefix; what this warns of is done in name_main_default.
-    if 'Attaching a spec with an empty prefix' not in warning:
-        logging.getLogger('manip_sim.mujoco').warning(warning)
+#: What MuJoCo warns of where a part has no prefix, which is wanted then.
+_EMPTY_PREFIX = 'Attaching a spec with an empty prefix'
+
+
+def _log_warning(message: str) -> None:
+    if not message.startswith(_EMPTY_PREFIX):
+        logging.getLogger('manip_sim.mujoco').warning(message)
 
 
 # Without a function of its own MuJoCo appends its warnings to a file in the working directory.
 if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(_log)
+    mujoco.set_mju_user_warning(_log_warning)
 
 
 def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
@@ -36,7 +40,9 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     :raises ModelError: with what MuJoCo says
     """
     try:
-        return spec.compile()
+        with warnings.catch_warnings():
+            warnings.filterwarnings('ignore', _EMPTY_PREFIX)
+            return spec.compile()
     except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
 
@@ -53,6 +59,19 @@ def load_spec(file: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(file))
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
+
+
+def spec_from_string(text: str, file: Path) -> Any:
+    """
+    Read a spec from the text of a file, in which all paths are absolute.
+
+    :returns: a new ``mujoco.MjSpec``
+    :raises ModelError: if MuJoCo cannot read it
+    """
+    try:
+        return mujoco.MjSpec.from_string(text)
+    except _ERRORS as error:
+        raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
 
 
 def _one_line(error: Exception) -> str:

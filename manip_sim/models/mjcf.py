@@ -46,10 +46,14 @@ class MujocoXMLModel:
         self.file = Path(fname)
         self.idn = idn
         self._given_prefix = ''
-        self._spec = load_spec(self.file)
+        self._spec = self._read()
         self._prepare_spec(self._spec)
         name_unnamed_elements(self._spec)
         self._record()
+
+    def _read(self) -> mujoco.MjSpec:
+        """Return the spec of the file; for parts that are not written for this package."""
+        return load_spec(self.file)
 
     def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
         """Complete the spec that was just loaded; for subclasses with a standard to fill in."""

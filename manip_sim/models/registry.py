@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 import importlib
 import inspect
@@ -74,10 +74,11 @@ class Registry(Generic[T]):
         return sorted(name for name, cls in self._classes.items()
                       if self._is_public(name, cls) and not self._missing_arguments(cls))
 
-    def get(self, name: str) -> type[T]:
+    def get(self, name: str, available: Iterable[str] = ()) -> type[T]:
         """
         Return the class of a name.
 
+        :param available: other names that exist, for the message
         :raises UnknownNameError: naming the nearest ones
         :raises ModelError: if it is a class that cannot be created by name, or another package
             offers it and it cannot be imported
@@ -88,15 +89,15 @@ class Registry(Generic[T]):
                 return self._load(name, offer)
         cls = self._classes.get(name)
         if cls is None or not self._is_public(name, cls):
-            raise UnknownNameError(self.kind, name, self.names())
+            raise UnknownNameError(self.kind, name, sorted({*self.names(), *available}))
         missing = self._missing_arguments(cls)
         if missing:
             raise ModelError(f"{self.kind} '{name}' cannot be created by its name: {missing}")
         return cls
 
-    def create(self, name: str, **arguments: Any) -> T:
+    def create(self, name: str, available: Iterable[str] = (), /, **arguments: Any) -> T:
         """Create an instance of the class of a name; raises what :meth:`get` does."""
-        create: Callable[..., T] = self.get(name)
+        create: Callable[..., T] = self.get(name, available)
         return create(**arguments)
 
     def attribute(self, module: str, name: str) -> type[T]:

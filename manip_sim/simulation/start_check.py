@@ -109,11 +109,12 @@ def _apart(model: Any, inner: int, outer: int, own: BoolArray) -> str:
 
 def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int], own: BoolArray
              ) -> Iterator[StartDefect]:
+    trial = copy.copy(model) if contacts else model
     for joint in joints:
         moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
         against = [contact for contact in contacts
                    if moved[model.geom_bodyid[contact.geom]].sum() == 1]
-        if not against or not _is_blocked(model, data, joint):
+        if not against or not _is_blocked(model, trial, data, joint):
             continue
         contact = min(against, key=lambda contact: float(contact.dist))
         # Named is what does not move with the joint.
@@ -124,9 +125,13 @@ def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int], own:
             f'{_geom(model, neighbour)}', _apart(model, mover, neighbour, own))
 
 
-def _is_blocked(model: Any, data: Any, joint: int) -> bool:
-    """Tell whether the full force, forwards and backwards, moves a joint hardly at all."""
-    trial = copy.copy(model)
+def _is_blocked(model: Any, trial: Any, data: Any, joint: int) -> bool:
+    """
+    Tell whether the full force, forwards and backwards, moves a joint hardly at all.
+
+    :param trial: a copy of the model to try it with
+    """
+    trial.dof_armature[:], trial.opt.disableflags = model.dof_armature, model.opt.disableflags
     scalar = np.flatnonzero(np.isin(model.jnt_type, _SCALAR)).tolist()
     together = JointCouplings(model, scalar).group(joint)
     held = np.ones(model.nv, dtype=bool)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import TYPE_CHECKING
 
 from manip_sim.models.bases.no_actuation_base import NoActuationBase
@@ -16,23 +17,31 @@ from manip_sim.models.bases.rethink_mount import RethinkMount
 from manip_sim.models.bases.robot_base_model import (
     BASES, MobileBaseModel, MountModel, RobotBaseModel)
 from manip_sim.models.registry import import_submodules
+from manip_sim.models.sources import find_source, names_in_folders
 
 import_submodules(__name__, __path__)
 
 
 def base_names() -> list[str]:
-    """Return the names that :func:`create_base` takes."""
-    return BASES.names()
+    """Return the names that :func:`create_base` takes, those of the user's folders too."""
+    return sorted({*BASES.names(), *names_in_folders('bases')})
 
 
-def create_base(name: str, idn: int | str = 0) -> RobotBaseModel:
+def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel:
     """
-    Create a base by its name: that of its class, or of an entry point.
+    Create a base by its name, that of its class or of an entry point, or from a file.
 
+    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
+    :param idn: number or word in the prefix
     :raises UnknownNameError: naming the nearest ones
-    :raises ModelError: if it is one of another package and cannot be imported
+    :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
+        imported
     """
-    return BASES.create(name, idn=idn)
+    source = None if name in BASES.names() else find_source(name, 'bases')
+    if source is None:
+        return BASES.create(str(name), base_names(), idn=idn)
+    from manip_sim.models.files import load_base
+    return load_base(source, idn)
 
 
 if not TYPE_CHECKING:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import TYPE_CHECKING
 
 from manip_sim.models.grippers.fourier_hand import FourierLeftHand, FourierRightHand
@@ -20,23 +21,31 @@ from manip_sim.models.grippers.robotiq_three_finger_gripper import (
     RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper)
 from manip_sim.models.grippers.wiping_gripper import WipingGripper
 from manip_sim.models.registry import import_submodules
+from manip_sim.models.sources import find_source, names_in_folders
 
 import_submodules(__name__, __path__)
 
 
 def gripper_names() -> list[str]:
-    """Return the names that :func:`create_gripper` takes."""
-    return GRIPPERS.names()
+    """Return the names that :func:`create_gripper` takes, those of the user's folders too."""
+    return sorted({*GRIPPERS.names(), *names_in_folders('grippers')})
 
 
-def create_gripper(name: str, idn: int | str = 0) -> GripperModel:
+def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperModel:
     """
-    Create a gripper by its name: that of its class, or of an entry point.
+    Create a gripper by its name, that of its class or of an entry point, or from a file.
 
+    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
+    :param idn: number or word in the prefix
     :raises UnknownNameError: naming the nearest ones
-    :raises ModelError: if it is one of another package and cannot be imported
+    :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
+        imported
     """
-    return GRIPPERS.create(name, idn=idn)
+    source = None if name in GRIPPERS.names() else find_source(name, 'grippers')
+    if source is None:
+        return GRIPPERS.create(str(name), gripper_names(), idn=idn)
+    from manip_sim.models.files import load_gripper
+    return load_gripper(source, idn)
 
 
 if not TYPE_CHECKING:

@@ -51,6 +51,8 @@ class GripperModel(MujocoXMLModel, ABC):
     _important_geoms: Mapping[str, list[str]] = {
         'left_finger': [], 'right_finger': [], 'left_fingerpad': [], 'right_fingerpad': []}
     _important_sensors: Mapping[str, str] = {'force_ee': 'force_ee', 'torque_ee': 'torque_ee'}
+    #: The body that is the grasp frame.
+    _eef_body = 'eef'
 
     def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -78,21 +80,7 @@ class GripperModel(MujocoXMLModel, ABC):
         if eef is None:
             raise UnknownNameError(f'body of gripper {self.file}', 'eef',
                                    [body.name for body in spec.bodies[1:]])
-        present = {site.name for site in spec.sites}
-        reach = _AXIS_SITE_OFFSET_M
-        for name, pos in (('grip_site', (0, 0, 0)), ('grip_site_cylinder', (0, 0, 0)),
-                          ('ee', (0, 0, 0)), ('ee_x', (reach, 0, 0)), ('ee_y', (0, reach, 0)),
-                          ('ee_z', (0, 0, reach))):
-            if name not in present:
-                _add_site(eef, name, pos)
-        if 'ft_frame' not in present:
-            _add_site(self._mount_body(spec), 'ft_frame', (0, 0, 0))
-        sensors = {sensor.name for sensor in spec.sensors}
-        for name, kind in (('force_ee', mujoco.mjtSensor.mjSENS_FORCE),
-                           ('torque_ee', mujoco.mjtSensor.mjSENS_TORQUE)):
-            if name not in sensors:
-                spec.add_sensor(name=name, type=kind, objname='ft_frame',
-                                objtype=mujoco.mjtObj.mjOBJ_SITE)
+        add_standard_elements(spec, self._mount_body(spec), eef)
 
     def _mount_body(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
         self._spec = spec
@@ -140,7 +128,7 @@ class GripperModel(MujocoXMLModel, ABC):
         """
         data = mujoco.MjData(self._own_model)
         mujoco.mj_kinematics(self._own_model, data)
-        return wxyz_to_xyzw(relative_quat_wxyz(_IDENTITY_WXYZ, data.body('eef').xquat))
+        return wxyz_to_xyzw(relative_quat_wxyz(_IDENTITY_WXYZ, data.body(self._eef_body).xquat))
 
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:
@@ -201,6 +189,34 @@ class GripperModel(MujocoXMLModel, ABC):
 
 GRIPPERS: Registry[GripperModel] = Registry(
     'gripper', GripperModel)  # type: ignore[type-abstract]
+
+
+def add_standard_elements(spec: mujoco.MjSpec, mount: mujoco.MjsBody, eef: mujoco.MjsBody,
+                          prefix: str = '') -> None:
+    """
+    Add the standard sites and sensors that a hand does not have.
+
+    :param spec: the ``mujoco.MjSpec`` that the hand is in
+    :param mount: its root body, which the force/torque sensor is in
+    :param eef: the body that is the grasp frame
+    :param prefix: what the names of sites and sensors begin with
+    """
+    present = {site.name for site in spec.sites}
+    reach = _AXIS_SITE_OFFSET_M
+    for name, pos in (('grip_site', (0, 0, 0)), ('grip_site_cylinder', (0, 0, 0)),
+                      ('ee', (0, 0, 0)), ('ee_x', (reach, 0, 0)), ('ee_y', (0, reach, 0)),
+                      ('ee_z', (0, 0, reach))):
+        if prefix + name not in present:
+            _add_site(eef, prefix + name, pos)
+    ft_frame = f'{prefix}ft_frame'
+    if ft_frame not in present:
+        _add_site(mount, ft_frame, (0, 0, 0))
+    sensors = {sensor.name for sensor in spec.sensors}
+    for name, kind in (('force_ee', mujoco.mjtSensor.mjSENS_FORCE),
+                       ('torque_ee', mujoco.mjtSensor.mjSENS_TORQUE)):
+        if prefix + name not in sensors:
+            spec.add_sensor(name=prefix + name, type=kind, objname=ft_frame,
+                            objtype=mujoco.mjtObj.mjOBJ_SITE)
 
 
 def _add_site(body: mujoco.MjsBody, name: str, pos: ArrayLike) -> None:

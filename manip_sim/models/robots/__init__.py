@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import TYPE_CHECKING
 
 from manip_sim.models.registry import import_submodules
@@ -19,27 +20,35 @@ from manip_sim.models.robots.panda_omron import PandaOmron
 from manip_sim.models.robots.robot_model import RobotModel, ROBOTS
 from manip_sim.models.robots.sawyer import Sawyer
 from manip_sim.models.robots.ur5e import UR5e
+from manip_sim.models.sources import find_source, names_in_folders
 
 import_submodules(__name__, __path__)
 
 
 def robot_names() -> list[str]:
-    """Return the names that :func:`create_robot` takes."""
-    return ROBOTS.names()
+    """Return the names that :func:`create_robot` takes, those of the user's folders too."""
+    return sorted({*ROBOTS.names(), *names_in_folders('robots')})
 
 
-def create_robot(name: str, idn: int | str = 0, prefix: str = '') -> RobotModel:
+def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = '') -> RobotModel:
     """
-    Create a robot by its name: that of its class, or of an entry point.
+    Create a robot by its name, that of its class or of an entry point, or from a file.
 
+    :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param idn: number or word in the prefix ``robot{idn}_``
     :param prefix: instead of that, the beginning of all names of the robot and of all that is
         mounted on it, such as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
     :raises UnknownNameError: naming the nearest ones
-    :raises ModelError: if names cannot begin with the prefix, or the robot is one of another
-        package and cannot be imported
+    :raises ModelError: if names cannot begin with the prefix, a file cannot be used, or the robot
+        is one of another package and cannot be imported
     """
-    robot = ROBOTS.create(name, idn=idn)
+    source = None if name in ROBOTS.names() else find_source(name, 'robots')
+    robot: RobotModel
+    if source is None:
+        robot = ROBOTS.create(str(name), robot_names(), idn=idn)
+    else:
+        from manip_sim.models.files import load_robot
+        robot = load_robot(source, idn)
     if prefix:
         robot.set_naming_prefix(prefix)
     return robot

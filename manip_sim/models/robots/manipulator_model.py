@@ -149,6 +149,14 @@ class ManipulatorModel(RobotModel):
             (gripper, 'gripper_' if len(self.arms) == 1 else f'gripper_{arm}_')
             for arm, gripper in self._grippers.items())]
 
+    @property
+    def own_hands(self) -> tuple[str, ...]:
+        """The arms that carry a hand which is part of the robot's own file."""
+        return ()
+
+    def take_off_hand(self, arm: str) -> None:
+        """Remove the hand of the robot's own file from an arm, if there is one."""
+
     def add_gripper(self, gripper: GripperModel, arm_name: str | None = None) -> None:
         """
         Mount a gripper.

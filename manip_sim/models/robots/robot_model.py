@@ -254,8 +254,8 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         """Sort all actuators into subsystems again; done by every ``add_*`` too."""
         self._actuators_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
-            for index, raw in enumerate(part._actuators):
-                driven = driven_joint(part._own_model, index)
+            for raw in part._actuators:
+                driven = driven_joint(part._own_model, part._own_model.actuator(raw).id)
                 name = self._subsystem(part, driven or raw)
                 self._actuators_of[name].append(part.correct_naming(raw))
 
@@ -288,8 +288,8 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         return commands
 
     def _ctrlrange(self, names: list[str]) -> FloatArray:
-        ranges = {part.correct_naming(raw): part._own_model.actuator_ctrlrange[index]
-                  for part in self._own_parts() for index, raw in enumerate(part._actuators)}
+        ranges = {part.correct_naming(raw): part._own_model.actuator(raw).ctrlrange
+                  for part in self._own_parts() for raw in part._actuators}
         return np.array([ranges[name] for name in names])
 
     # ------------------------------------------------------------------ composing

@@ -1,0 +1,379 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Load the models of Menagerie and robosuite unmodified, and print a table of what works.
+
+    MENAGERIE_ROOT=~/mujoco_menagerie python3 benchmark/foreign_models.py
+    python3 benchmark/foreign_models.py --robosuite FOLDER   # unpacked wheels, else as installed
+    python3 benchmark/foreign_models.py panda ur5            # only names with one of these words
+
+Each row is one model in a process of its own:
+
+- bare: whether MuJoCo compiles the file; bare_holds: whether it holds its start pose for 10 s
+  there, within 5 mrad or 5 mm, with the controls of the keyframe, or those that hold.
+- loads: as a robot, or as a hand on a post.
+- same: names, limits and masses of joints and bodies, and poses of all bodies and sites in random
+  configurations, are those of the original.
+- holds: the same start pose, on a floor.
+- position, velocity: all joints of a part follow a sine of at most 0.1 rad at 0.5 Hz, with a
+  residual below 15 % after the best delay up to 50 ms; hands follow a sine of actions.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import logging
+import multiprocessing
+import os
+from pathlib import Path
+import re
+import sys
+import tempfile
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ManipSimError
+from manip_sim.models import compose, load_gripper, load_robot
+from manip_sim.models.robots import ManipulatorModel
+from manip_sim.simulation.simulation import Simulation
+
+HOLD_S, HELD = 10.0, 5e-3
+AMPLITUDE, FREQUENCY_HZ, PERIOD_S = 0.1, 0.5, 0.01
+FOLLOWED, MAX_DELAY_S = 0.15, 0.05
+LIMIT_S = 600.0
+HAND = re.compile(r'(hand|gripper|2f85|dexee)')
+NO_MODEL = re.compile(r'(scene|keyframe|_actuators)')
+POST = """<mujoco model="post"><worldbody><body name="base" pos="0 0 1"><geom size="0.02"/>
+  <body name="link" pos="0 0 0.05"><joint name="turn" axis="0 0 1" armature="1" range="-3 3"
+    limited="true"/><geom size="0.02"/><body name="right_hand" pos="0 0 0.05"/></body></body>
+  </worldbody><actuator><position joint="turn" kp="5000" kv="140"/></actuator></mujoco>"""
+
+
+def find_models(robosuite: Path | None) -> Iterator[tuple[str, str, Path]]:
+    """Yield collection, ``robot`` or ``hand``, and file."""
+    root = os.environ.get('MENAGERIE_ROOT')
+    for file in sorted(Path(root).glob('*/*.xml')) if root else []:
+        if not NO_MODEL.search(file.name):
+            inside = file.stem + ('' if HAND.search(file.stem) else file.parent.name)
+            is_hand = HAND.search(inside) and 'with_hand' not in inside and 'nohand' not in inside
+            in_arm = re.search(r'(gripper_|_gripper)', file.stem) and 'umi' not in file.stem
+            yield 'menagerie', 'hand' if is_hand and not in_arm else 'robot', file
+    places = [robosuite] if robosuite else [Path(place) for place in sys.path]
+    for place in places:
+        for package in ('robosuite/models/assets', 'robosuite_models/assets'):
+            for file in sorted((place / package / 'robots').glob('*/robot.xml')):
+                yield 'robosuite', 'robot', file
+            for file in sorted((place / package / 'grippers').glob('*.xml')):
+                yield 'robosuite', 'hand', file
+
+
+def bare_holds(file: Path) -> tuple[Any, bool]:
+    """Return the model that MuJoCo makes of a file, and whether it holds its start pose."""
+    spec = mujoco.MjSpec.from_file(str(file))
+    model = spec.compile()
+    names = [model.key(i).name for i in range(model.nkey)]
+    key = next((names.index(n) for n in ('home', 'open') if n in names),
+               0 if len(names) == 1 else None)
+    if (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any() and not (
+            model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)).any():
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
+        model = spec.compile()
+    data = mujoco.MjData(model)
+    if key is None:
+        mujoco.mj_forward(model, data)
+        for actuator in range(model.nu):
+            bias, gain = model.actuator_biasprm[actuator], model.actuator_gainprm[actuator, 0]
+            if bias[1] < 0.0 < gain:
+                data.ctrl[actuator] = -(bias[0] + bias[1] * data.actuator_length[actuator]) / gain
+    else:
+        mujoco.mj_resetDataKeyframe(model, data, key)
+    scalar = np.flatnonzero(model.jnt_type >= 2)
+    addresses = model.jnt_qposadr[scalar]
+    start, worst = data.qpos[addresses].copy(), 0.0
+    for _ in range(100):
+        mujoco.mj_step(model, data, max(1, round(HOLD_S / 100 / model.opt.timestep)))
+        worst = max(worst, float(np.abs(data.qpos[addresses] - start).max(initial=0.0)))
+    return model, bool(np.isfinite(worst) and worst < HELD)
+
+
+def differences(original: Any, model: Any, prefix: str, robot_root: str) -> list[str]:
+    """Say what of a composed model is not as in the original."""
+    told = []
+    joints = [original.joint(i).name for i in range(original.njnt)
+              if original.joint(i).name and original.jnt_type[i] >= 2]
+    ours = {model.joint(i).name for i in range(model.njnt)}
+    missing = [name for name in joints if prefix + name not in ours]
+    if missing:
+        told.append(f'joints are gone: {missing[:3]}')
+    joints = [name for name in joints if name not in missing]
+    for name in joints:
+        a, b = original.joint(name), model.joint(prefix + name)
+        if a.limited[0] != b.limited[0] or not np.allclose(a.range, b.range, atol=1e-9):
+            told.append(f'limits of {name}')
+    bodies = [original.body(i).name for i in range(1, original.nbody) if original.body(i).name]
+    names = {model.body(i).name for i in range(model.nbody)}
+    bodies = [name for name in bodies if prefix + name in names]
+    told += [f'mass of {name}' for name in bodies
+             if not np.isclose(original.body(name).mass[0], model.body(prefix + name).mass[0])]
+    sites = [original.site(i).name for i in range(original.nsite) if original.site(i).name]
+    site_names = {model.site(i).name for i in range(model.nsite)}
+    sites = [name for name in sites if prefix + name in site_names]
+    random = np.random.default_rng(0)
+    first = original.body(bodies[0]).name
+    for _ in range(5):
+        a, b = mujoco.MjData(original), mujoco.MjData(model)
+        for name in joints:
+            low, high = original.joint(name).range if original.joint(name).limited[0] else (-1, 1)
+            value = random.uniform(low, high)
+            a.joint(name).qpos[0] = b.joint(prefix + name).qpos[0] = value
+        mujoco.mj_kinematics(original, a)
+        mujoco.mj_kinematics(model, b)
+        for kind, places in (('body', bodies), ('site', sites)):
+            for name in places:
+                pose = [_relative(getattr(d, kind)(p + name), d.body(p + first))
+                        for d, p in ((a, ''), (b, prefix))]
+                if not np.allclose(*pose, atol=1e-6):
+                    told.append(f'pose of {kind} {name}')
+        if told:
+            break
+    return told
+
+
+def _relative(place: Any, root: Any) -> Any:
+    turn = root.xmat.reshape(3, 3).T
+    return np.column_stack([turn @ (place.xpos - root.xpos), turn @ place.xmat.reshape(3, 3)])
+
+
+def holds(simulation: Simulation) -> tuple[bool, str]:
+    """Return whether the start pose is held, and which joint moves how far."""
+    start, worst = simulation.state().position, 0.0
+    where = ''
+    for _ in range(100):
+        simulation.advance(round(HOLD_S / 100 / simulation.timestep_s))
+        moved = np.abs(simulation.state().position - start)
+        if moved.max(initial=0.0) > worst:
+            worst = float(moved.max())
+            where = f'{simulation.joint_names[int(moved.argmax())]} moves {worst:.3g}'
+    return worst < HELD and simulation.diverged is None, simulation.diverged or where
+
+
+def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
+    """Return whether the joints of a part follow a sine, and which one is worst."""
+    simulation.reset()
+    names = [joint for joint in simulation.parts[part].driven_joints if joint]
+    index = [simulation.joint_names.index(name) for name in names]
+    start = simulation.state().position[index]
+    middle, swing = _room(simulation.model, names, start)
+    run_to(simulation, part, names, start, middle)
+    simulation.set_control_mode(part, mode)
+    goals, reached = [], []
+    for tick in range(round(2.0 / FREQUENCY_HZ / PERIOD_S)):
+        phase = 2.0 * np.pi * FREQUENCY_HZ * tick * PERIOD_S
+        if mode == 'position':
+            goal, field = middle + swing * np.sin(phase), 'position'
+        else:
+            goal, field = swing * 2.0 * np.pi * FREQUENCY_HZ * np.cos(phase), 'velocity'
+        simulation.apply(*simulation.parse.joint_command(names, **{field: goal}, part=part),
+                         period_s=PERIOD_S)
+        simulation.advance(round(PERIOD_S / simulation.timestep_s))
+        state = simulation.state()
+        goals.append(goal)
+        reached.append((state.position if mode == 'position' else state.velocity)[index])
+    residual = _residual(np.array(goals), np.array(reached), middle * (mode == 'position'))
+    simulation.set_control_mode(part, 'position')
+    worst = int(residual.argmax())
+    return bool(residual.max() < FOLLOWED), f'{names[worst]} {100 * residual[worst]:.0f} %'
+
+
+def run_to(simulation: Simulation, part: str, names: list[str], start: Any, goal: Any) -> None:
+    """Move a part slowly."""
+    for share in np.linspace(0.0, 1.0, 100):
+        simulation.apply(*simulation.parse.joint_command(
+            names, position=start + share * (goal - start), part=part), period_s=PERIOD_S)
+        simulation.advance(round(PERIOD_S / simulation.timestep_s))
+
+
+def _room(model: Any, names: list[str], start: Any) -> tuple[Any, Any]:
+    """Return a middle and an amplitude that keep joints inside their ranges."""
+    middle, swing = start.copy(), np.full(len(names), AMPLITUDE)
+    for i, name in enumerate(names):
+        joint = model.joint(name)
+        if joint.type[0] == int(mujoco.mjtJoint.mjJNT_SLIDE):
+            swing[i] = 0.02
+        if joint.limited[0]:
+            low, high = joint.range
+            swing[i] = min(swing[i], 0.2 * (high - low))
+            middle[i] = np.clip(middle[i], low + 1.2 * swing[i], high - 1.2 * swing[i])
+    return middle, swing
+
+
+def _residual(goals: Any, reached: Any, middle: Any) -> Any:
+    """Return how much of a sine is not followed, after the best delay, shape (n,)."""
+    begin, found = round(0.5 / FREQUENCY_HZ / PERIOD_S), []
+    for delay in range(round(MAX_DELAY_S / PERIOD_S) + 1):
+        error = (reached[begin:] - goals[begin - delay:len(goals) - delay])
+        found.append(np.sqrt((error**2).mean(axis=0))
+                     / np.sqrt(((goals[begin:] - middle)**2).mean(axis=0)))
+    return np.min(found, axis=0)
+
+
+def hand_follows(simulation: Simulation, part: str) -> tuple[bool, str]:
+    """Return whether the servos of a hand follow a sine of actions, and which is worst."""
+    simulation.reset()
+    controller = simulation.grippers[part]
+    actuators = controller._actuators
+    if not len(actuators.ids) or not actuators.is_servo.any():
+        return True, 'has no servos'
+    low, high = actuators.ranges.T
+    start = np.clip(2.0 * (actuators.place(simulation.data) - low) / (high - low) - 1.0, -1, 1)
+    gripper = controller.part.gripper
+    share = (start - gripper._open) / (gripper._closed - gripper._open)
+    middle = np.clip(2.0 * share - 1.0, -0.6, 0.6)
+    goals, reached = [], []
+    for tick in range(round(3.0 / FREQUENCY_HZ / PERIOD_S)):
+        ramp = min(1.0, tick * PERIOD_S)
+        begin = 2.0 * share - 1.0
+        action = begin + ramp * (middle - begin) + 0.2 * ramp * np.sin(
+            2.0 * np.pi * FREQUENCY_HZ * tick * PERIOD_S)
+        simulation.apply(simulation.parse.action(part, np.clip(action, -1, 1)), period_s=PERIOD_S)
+        simulation.advance(round(PERIOD_S / simulation.timestep_s))
+        place = 2.0 * (actuators.place(simulation.data) - low) / (high - low) - 1.0
+        goals.append(action)
+        reached.append(2.0 * (place - gripper._open) / (gripper._closed - gripper._open) - 1.0)
+    # An action is carried out at 20 Hz and evenly until the next one.
+    begin, found = round(1.0 / FREQUENCY_HZ / PERIOD_S), []
+    for delay in range(16):
+        error = (np.array(reached)[begin:] - np.array(goals)[begin - delay:len(goals) - delay])
+        found.append(np.sqrt((error**2).mean(axis=0)) / (0.2 / np.sqrt(2.0)))
+    residual = np.where(actuators.is_servo, np.min(found, axis=0), 0.0)
+    worst = int(residual.argmax())
+    return bool(residual.max() < 2.0 * FOLLOWED), (
+        f'{actuators.name(worst)} {100 * residual[worst]:.0f} %')
+
+
+def check(kind: str, file: Path) -> dict[str, Any]:
+    """Return the row of a model."""
+    row: dict[str, Any] = dict.fromkeys(
+        ('bare', 'bare_holds', 'loads', 'same', 'holds', 'position', 'velocity'))
+    row['reason'] = []
+    try:
+        original, row['bare_holds'] = bare_holds(file)
+        row['bare'] = True
+    except Exception as error:
+        row['bare'] = False
+        row['reason'].append(f'MuJoCo: {" ".join(str(error).split())[:90]}')
+        return row
+    try:
+        simulation = _simulation(kind, file)
+    except ManipSimError as error:
+        row['loads'] = False
+        row['reason'].append(str(error)[:160])
+        return row
+    row['loads'] = True
+    robot = simulation.robot
+    prefix = robot.naming_prefix if kind == 'robot' else 'gripper0_right_'
+    changed = differences(original, simulation.model, prefix, robot.root_body)
+    row['same'] = not changed
+    row['reason'] += changed[:3]
+    row['arms'] = isinstance(robot, ManipulatorModel)
+    row['floats'] = bool((simulation.model.jnt_type == 0).any())
+    row['holds'], why = holds(simulation)
+    if not row['holds']:
+        row['reason'].append(why)
+    if kind == 'hand':
+        row['position'], why = hand_follows(simulation, 'right/gripper')
+        if not row['position']:
+            row['reason'].append(why)
+        return row
+    parts = [name for name in simulation.parts if '/' not in name
+             and simulation.parts[name].atomic == (name,) and simulation.parts[name].actuators
+             and (name != 'legs' or not row['floats'])]
+    for mode in ('position', 'velocity'):
+        results = {part: follows(simulation, part, mode) for part in parts}
+        row[mode] = all(good for good, _ in results.values())
+        row['reason'] += [f'{mode}: {why}' for good, why in results.values() if not good]
+    for part in simulation.grippers:
+        good, why = hand_follows(simulation, part)
+        row['position'] = row['position'] and good
+        if not good:
+            row['reason'].append(f'{part}: {why}')
+    return row
+
+
+def _simulation(kind: str, file: Path) -> Simulation:
+    if kind == 'robot':
+        return Simulation(compose(load_robot(file)))
+    with tempfile.TemporaryDirectory() as folder:
+        post = Path(folder) / 'post.xml'
+        post.write_text(POST)
+        return Simulation(compose(load_robot(post), load_gripper(file, idn='0_right')))
+
+
+def _worker(kind: str, file: Path, out: Any) -> None:
+    logging.disable(logging.WARNING)
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        out.put(check(kind, file))
+    except Exception as error:
+        out.put({'reason': [f'{type(error).__name__}: {str(error)[:120]}'], 'bare': True})
+
+
+def in_process(kind: str, file: Path) -> dict[str, Any]:
+    """Return the row of a model from a process of its own."""
+    context = multiprocessing.get_context('spawn')
+    out = context.Queue()
+    process = context.Process(target=_worker, args=(kind, file, out))
+    process.start()
+    try:
+        return out.get(timeout=LIMIT_S)
+    except Exception:
+        return {'bare': True, 'reason': [f'ends after {LIMIT_S:g} s or by a crash']}
+    finally:
+        process.terminate()
+        process.join()
+
+
+def main() -> None:
+    """Print the table and how many of how many work."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
+    parser.add_argument('words', nargs='*', help='of the models to take; all without')
+    parser.add_argument('--robosuite', type=Path, help='where the wheels are unpacked')
+    arguments = parser.parse_args()
+    columns = ('bare', 'bare_holds', 'loads', 'same', 'holds', 'position', 'velocity')
+    print(f'| model | kind | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 3)}')
+    rows = []
+    for collection, kind, file in find_models(arguments.robosuite):
+        name = f'{collection}:{file.parent.name}/{file.stem}'
+        if arguments.words and not any(word in name for word in arguments.words):
+            continue
+        row = in_process(kind, file)
+        rows.append((collection, kind, row))
+        marks = ' | '.join({True: 'yes', False: 'no', None: '-'}[row.get(c)] for c in columns)
+        what = kind + ('' if row.get('arms', True) or kind == 'hand' else ', no arm')
+        print(f'| {name} | {what} | {marks} | {"; ".join(row["reason"])} |', flush=True)
+    summary(rows)
+
+
+def summary(rows: list[tuple[str, str, dict[str, Any]]]) -> None:
+    """Print how many models of each collection work, of those that MuJoCo compiles."""
+    for collection in ('menagerie', 'robosuite'):
+        for kind in ('robot', 'hand'):
+            own = [row for c, k, row in rows if (c, k) == (collection, kind) and row['bare']
+                   and (kind == 'hand' or row.get('arms', True))]
+            if not own:
+                continue
+            held = [r for r in own if r.get('holds') or not r.get('bare_holds')]
+            good = [r for r in held if r.get('same') and r.get('position')
+                    and r.get('velocity') is not False]
+            figures = ', '.join(f'{sum(bool(r.get(c)) for r in own)} {c}' for c in (
+                'loads', 'same', 'holds', 'position', 'velocity'))
+            print(f'\n{collection} {kind}s with arms or hands: {len(own)} compile; {figures}; '
+                  f'{len(held)} hold where the original does; {len(good)} do all of it')
+
+
+if __name__ == '__main__':
+    main()

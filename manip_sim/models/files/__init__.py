@@ -1,0 +1,73 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Robots, grippers, bases and arenas from files of other people, with what a YAML file says."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+from manip_sim.models.files.arena import FileArena
+from manip_sim.models.files.base import base_of_file, FileBase
+from manip_sim.models.files.description import (
+    ArenaDescription, BaseDescription, GripperDescription, RobotDescription)
+from manip_sim.models.files.finding import find_model
+from manip_sim.models.files.gripper import FileGripper
+from manip_sim.models.files.robot import FileManipulator, FileRobot
+from manip_sim.models.files.robot_plan import plan_robot
+
+
+def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
+    """
+    Load a robot from a file.
+
+    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
+    :param idn: number or word in names, as in ``robot0_joint1``
+    :returns: a ``ManipulatorModel`` if the robot has arms; its ``inferred`` says what the file
+        and the YAML did not say
+    :raises ModelError: if something cannot be read or does not fit together
+    :raises UnknownNameError: if the YAML file has a key or name that is not known
+    """
+    model, description, where = find_model(Path(path), RobotDescription, 'robot')
+    plan = plan_robot(model, description, where)
+    return (FileManipulator if plan.ends else FileRobot)(plan, idn)
+
+
+def load_gripper(path: str | PathLike[str], idn: int | str = 0) -> FileGripper:
+    """
+    Load a gripper or hand from a file; the parameters are those of :func:`load_robot`.
+
+    :raises ModelError: if something cannot be read or does not fit together
+    :raises UnknownNameError: if the YAML file has a key or name that is not known
+    """
+    model, description, where = find_model(Path(path), GripperDescription, 'gripper')
+    return FileGripper(model, description, where, idn)
+
+
+def load_base(path: str | PathLike[str], idn: int | str = 0) -> FileBase:
+    """
+    Load a base from a file; the parameters are those of :func:`load_robot`.
+
+    :returns: a ``MountModel``, or a ``MobileBaseModel`` if it has joints
+    :raises ModelError: if something cannot be read or does not fit together
+    :raises UnknownNameError: if the YAML file has a key or name that is not known
+    """
+    model, description, where = find_model(Path(path), BaseDescription, 'base')
+    return base_of_file(model, description, where, idn)
+
+
+def load_arena(path: str | PathLike[str]) -> FileArena:
+    """
+    Load an arena from a file; its names get no prefix.
+
+    :param path: an MJCF file, the YAML file that describes it, or their folder
+    :raises ModelError: if something cannot be read
+    :raises UnknownNameError: if the YAML file has a key that is not known
+    """
+    model, description, _ = find_model(Path(path), ArenaDescription, 'arena')
+    return FileArena(model, description)
+
+
+__all__ = ['FileArena', 'FileBase', 'FileGripper', 'FileManipulator', 'FileRobot', 'load_arena',
+           'load_base', 'load_gripper', 'load_robot']

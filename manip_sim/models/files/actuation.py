@@ -1,0 +1,169 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Make one actuator for each joint of a robot out of what other people's files have."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.files.tree import BodyTree
+
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+#: Lag of a servo that is added [s]: damping over stiffness.
+_LAG_S = 0.013
+#: Rotor inertia of a servo that is added [kg m^2 or kg]: so much per force, within limits.
+_ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
+
+
+def own_each_joint(spec: Any, tree: BodyTree, actuators: Collection[int],
+                   start: Mapping[str, float]) -> tuple[set[str], list[str]]:
+    """
+    See to it that each joint has at most one actuator, a motor or a servo.
+
+    An actuator of a fixed tendon over joints that equality constraints tie drives one of these
+    joints instead. Of several on one joint the position servo stays. What is neither motor nor
+    servo of a joint stays and holds still.
+
+    :param spec: the ``mujoco.MjSpec``, changed in place
+    :param tree: of the same, compiled
+    :param actuators: those that count, not those of hands
+    :param start: where joints start, by name [rad or m]
+    :returns: the names of actuators that hold still, and a sentence for each change
+    """
+    model, told = tree.model, []
+    still: set[str] = set()
+    owner: dict[int, int] = {}
+    for actuator in sorted(actuators, key=lambda a: not _is_position_servo(model, a)):
+        name = str(model.actuator(actuator).name)
+        joint = _driven_joint(tree, actuator)
+        if joint is None and int(model.actuator_trntype[actuator]) == _TENDON:
+            joint = _drive_leader(spec, tree, actuator)
+            if joint is not None:
+                told.append(f"actuator '{name}' drives joint '{model.joint(joint).name}' and "
+                            'those that are tied to it, not their tendon')
+        if joint is None or not _is_usable(model, actuator):
+            _hold(spec, model, actuator, start)
+            still.add(name)
+        elif joint in owner:
+            spec.delete(spec.actuator(name))
+            told.append(f"actuator '{name}' is left out: joint '{model.joint(joint).name}' has "
+                        f"'{model.actuator(owner[joint]).name}'")
+        else:
+            owner[joint] = actuator
+    if still:
+        told.append(f'holding still: actuators {", ".join(sorted(still))}, which are neither '
+                    'motors nor servos of one joint')
+    return still, told
+
+
+def _is_position_servo(model: Any, actuator: int) -> bool:
+    return bool(_is_usable(model, actuator) and model.actuator_biasprm[actuator, 1] < 0.0)
+
+
+def _is_usable(model: Any, actuator: int) -> bool:
+    biases = (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE)
+    return (int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and int(model.actuator_biastype[actuator]) in biases)
+
+
+def _driven_joint(tree: BodyTree, actuator: int) -> int | None:
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    if int(tree.model.actuator_trntype[actuator]) not in kinds:
+        return None
+    (joint,) = tree.driven(actuator)
+    return joint if tree.is_scalar(joint) else None
+
+
+def _drive_leader(spec: Any, tree: BodyTree, actuator: int) -> int | None:
+    """Let an actuator drive a joint that determines its tendon's length; return the joint."""
+    model = tree.model
+    tendon = int(model.actuator_trnid[actuator, 0])
+    first = int(model.tendon_adr[tendon])
+    wraps = range(first, first + int(model.tendon_num[tendon]))
+    if any(int(model.wrap_type[w]) != int(mujoco.mjtWrap.mjWRAP_JOINT) for w in wraps):
+        return None
+    coefficients = {int(model.wrap_objid[w]): float(model.wrap_prm[w]) for w in wraps}
+    for leader in coefficients:
+        ratios = _ratios(model, leader)
+        length = sum(coefficient * ratios[joint] for joint, coefficient in coefficients.items()
+                     if joint in ratios)
+        if set(coefficients) <= set(ratios) and length:
+            element = spec.actuator(model.actuator(actuator).name)
+            element.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            element.target = str(model.joint(leader).name)
+            element.gear[0] *= length
+            return leader
+    return None
+
+
+def _ratios(model: Any, leader: int) -> dict[int, float]:
+    """Return how fast joints move that are tied to one by constant ratios, itself included."""
+    ratios, waiting = {leader: 1.0}, [leader]
+    ties = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
+    while waiting:
+        joint = waiting.pop()
+        for tie in ties:
+            follower, other = int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])
+            constant = not model.eq_data[tie, 2:5].any() and model.eq_data[tie, 1]
+            if not constant:
+                continue
+            for one, another, ratio in ((other, follower, model.eq_data[tie, 1]),
+                                        (follower, other, 1.0 / model.eq_data[tie, 1])):
+                if one == joint and another >= 0 and another not in ratios:
+                    ratios[another] = ratios[joint] * float(ratio)
+                    waiting.append(another)
+    return ratios
+
+
+def _hold(spec: Any, model: Any, actuator: int, start: Mapping[str, float]) -> None:
+    """Let a servo that nobody commands rest where the robot starts."""
+    if int(model.actuator_biastype[actuator]) != _AFFINE:
+        return
+    data = mujoco.MjData(model)
+    for joint, position in start.items():
+        data.joint(joint).qpos[0] = position
+    mujoco.mj_forward(model, data)
+    element = spec.actuator(model.actuator(actuator).name)
+    element.biasprm[0] = -model.actuator_biasprm[actuator, 1] * data.actuator_length[actuator]
+
+
+def add_servos(spec: Any, tree: BodyTree) -> list[str]:
+    """
+    Add position servos to the joints of a model that has no actuators.
+
+    Their force limits are the joints' own. A joint that a constraint ties to another one gets
+    none.
+
+    :param spec: the ``mujoco.MjSpec``, changed in place
+    :param tree: of the same, compiled
+    :returns: what was done, in sentences
+    """
+    model = tree.model
+    followers = {int(model.eq_obj1id[i]) for i in range(model.neq)
+                 if int(model.eq_type[i]) == int(mujoco.mjtEq.mjEQ_JOINT)
+                 and int(model.eq_obj2id[i]) >= 0}
+    driven = [j for j in range(model.njnt) if tree.is_scalar(j) and j not in followers]
+    for joint in driven:
+        element = spec.joint(model.joint(joint).name)
+        force = float(np.abs(model.jnt_actfrcrange[joint]).max()) if (
+            model.jnt_actfrclimited[joint]) else 0.0
+        if not model.dof_armature[model.jnt_dofadr[joint]]:
+            element.armature = float(np.clip(force * _ARMATURE_PER_FORCE, *_ARMATURE)
+                                     if force else 0.1 * _ARMATURE[1])
+        inertia = model.dof_M0[model.jnt_dofadr[joint]] + element.armature
+        stiffness = 4.0 * inertia / _LAG_S**2
+        servo = spec.add_actuator(name=element.name, target=element.name,
+                                  trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=stiffness, kv=stiffness * _LAG_S)
+        if model.jnt_limited[joint]:
+            servo.ctrlrange, servo.ctrllimited = model.jnt_range[joint], 1
+        if force:
+            servo.forcerange, servo.forcelimited = model.jnt_actfrcrange[joint], 1
+    return [f'position servos on {len(driven)} joints, with rotor inertia where there is none, '
+            'because the file has no actuators'] if driven else []

@@ -1,0 +1,55 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A world from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manip_sim.models.arenas import Arena
+from manip_sim.models.files.description import ArenaDescription
+from manip_sim.models.loading import load_spec
+from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.typing import FloatArray
+
+
+class FileArena(Arena, registered=False):
+    """
+    A world without robots; keyframes of the file are left out.
+
+    :param file: MJCF
+    :param description: what the file does not say
+    :ivar inferred: what was left out, in sentences
+    """
+
+    def __init__(self, file: Path, description: ArenaDescription) -> None:
+        self._description = description
+        self.inferred: list[str] = []
+        MujocoXMLModel.__init__(self, file)
+        self.arena_name = file.stem  # type: ignore[misc]
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.file.stem
+
+    def _read(self) -> Any:
+        spec = load_spec(self.file)
+        keys = list(spec.keys)
+        for key in keys:
+            spec.delete(key)
+        if keys:
+            self.inferred.append(f'left out: {len(keys)} keyframes')
+        return spec
+
+    def robot_position(self, robot: RobotModel) -> FloatArray:
+        """Return where the robot stands in this arena [m], shape (3,)."""
+        declared = robot.base_xpos_offset.get(self.arena_name)
+        if declared is not None and not callable(declared):
+            return np.array(declared)
+        return np.array(self._description.robot_position)

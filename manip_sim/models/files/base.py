@@ -1,0 +1,111 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A mount or a mobile base from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
+from manip_sim.models.files.actuation import own_each_joint
+from manip_sim.models.files.description import BaseDescription
+from manip_sim.models.files.reading import (
+    compile_alone, ModelFile, read_model, shape_heights)
+from manip_sim.models.files.tree import BodyTree
+from manip_sim.typing import FloatArray
+
+#: A base whose lowest point is nearer to the origin than this stands on it [m].
+_ON_FLOOR_M = 0.02
+
+
+class FileBase(RobotBaseModel, registered=False):
+    """
+    What a robot stands on.
+
+    :ivar inferred: what was inferred or left out, in sentences
+    """
+
+    inferred: list[str]
+
+    def __init__(self, model_file: ModelFile, top: FloatArray, idn: int | str = 0) -> None:
+        self._model_file = model_file
+        self._top = top
+        self.inferred = model_file.inferred
+        super().__init__(model_file.file, idn=idn)
+
+    def _read(self) -> Any:
+        return self._model_file.spec
+
+    @property
+    def name(self) -> str:
+        """Name of the file and idn."""
+        return f'{self.file.stem}{self.idn}'
+
+    @property
+    def top_offset(self) -> FloatArray:
+        """Where the robot stands, in the frame of the base [m], shape (3,), a copy."""
+        return self._top.copy()
+
+
+class FileMount(FileBase, MountModel, registered=False):
+    """A mount without joints."""
+
+
+class FileMobileBase(FileBase, MobileBaseModel, registered=False):
+    """A base with joints."""
+
+
+def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
+                 ) -> FileBase:
+    """
+    Read a base.
+
+    :param where: the file that the description was read from, for messages
+    :raises ModelError: if the file cannot be used
+    :raises UnknownNameError: if the description has a name that the file lacks
+    """
+    model_file = read_model(file, servos=False)
+    model = compile_alone(model_file.spec, str(file))
+    tree = BodyTree(model)
+    if model.njnt == 0:
+        return FileMount(model_file, _top(model_file, model, description), idn)
+    _, told = own_each_joint(model_file.spec, tree, range(model.nu), model_file.start)
+    model_file.inferred += told
+    bodies = [tree.name(body) for body in range(1, model.nbody)]
+    support = description.support or ('support' if 'support' in bodies else None)
+    if support is None:
+        ends = tree.ends(range(model.njnt))
+        support = tree.name(ends[0]) if len(ends) == 1 else bodies[0]
+        model_file.inferred.append(f"the robot stands on body '{support}'")
+    if support not in bodies:
+        raise UnknownNameError(f"body in 'support' of {where}", support, bodies)
+    top = np.array(description.top) if description.top is not None else np.zeros(3)
+    base = FileMobileBase(model_file, top, idn)
+    base.support_body = support
+    return base
+
+
+def _top(model_file: ModelFile, model: Any, description: BaseDescription) -> FloatArray:
+    """Return where the robot stands: what is said, or the highest point of what is on a floor."""
+    if description.top is not None:
+        return np.array(description.top)
+    low, high = _extent(model)
+    root_height = float(model.body_pos[1, 2])
+    if high <= 0.0 or abs(low) > _ON_FLOOR_M or root_height < -_ON_FLOOR_M:
+        return np.zeros(3)
+    model_file.inferred.append(f'the robot stands on the highest point, {high:.3f} m')
+    return np.array([0.0, 0.0, high - root_height])
+
+
+def _extent(model: Any) -> tuple[float, float]:
+    """Return the lowest and highest point of all shapes at the start [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    heights = shape_heights(model, data)
+    return (float(heights[:, 0].min()), float(heights[:, 1].max())) if len(heights) else (0., 0.)

@@ -1,0 +1,77 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tell what belongs to arm, base, torso, head and legs by the names of other people's models."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+import re
+
+from manip_sim.models.files.tree import BodyTree, words_of
+from manip_sim.models.robots.subsystems import classify
+
+#: Words that tell the subsystem beside those of ``classify``, in the order of asking.
+_WORDS = {
+    'base': {'wheel', 'wheels', 'caster', 'castor'},
+    'head': {'neck', 'eye', 'camera', 'cam'},
+    'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
+             'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'hx', 'hy', 'kn', 'haa', 'hfe',
+             'kfe', 'ffe', 'faa', 'hr'},
+    'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
+#: Joints of a free-moving root are named for an axis: x, y, theta.
+_AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
+
+
+def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collection[int]
+                    ) -> dict[int, str]:
+    """
+    Return the subsystem of each joint that is not free.
+
+    What a word of :data:`_WORDS` calls torso is of the arm if it moves nothing but one limb, as
+    the waist of an arm on a table does.
+
+    :param declared: subsystems by name of the joint, which count first
+    :param fingers: joints of hands
+    """
+    model = tree.model
+    found: dict[int, str] = {}
+    for joint in range(model.njnt):
+        if int(model.jnt_type[joint]) == 0:
+            continue
+        name = str(model.joint(joint).name)
+        found[joint] = declared.get(name) or _by_name(name)
+    _correct_base(tree, found, declared)
+    _correct_torso(tree, found, declared, fingers)
+    return found
+
+
+def _by_name(name: str) -> str:
+    subsystem = classify(name)
+    if subsystem != 'arm':
+        return subsystem
+    words = words_of(name)
+    return next((part for part, known in _WORDS.items() if words & known), 'arm')
+
+
+def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str]) -> None:
+    """Count the joints of a root that moves along x and y and turns as base."""
+    model = tree.model
+    for root in (body for body in range(1, model.nbody) if tree.parent(body) == 0):
+        axes = [(joint, _AXIS.search(str(model.joint(joint).name)))
+                for joint in tree.joints([root]) if tree.is_scalar(joint)]
+        if len(axes) >= 2 and all(match for _, match in axes):
+            found.update({joint: 'base' for joint, _ in axes
+                          if str(model.joint(joint).name) not in declared})
+
+
+def _correct_torso(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str],
+                   fingers: Collection[int]) -> None:
+    for joint, subsystem in list(found.items()):
+        name = str(tree.model.joint(joint).name)
+        if subsystem != 'torso' or name in declared or classify(name) == 'torso':
+            continue
+        below = set(tree.joints(tree.below(int(tree.model.jnt_bodyid[joint]))))
+        limbs = {j for j in below - set(fingers) if found.get(j) in ('arm', 'head', 'legs')}
+        if len(tree.ends(limbs)) < 2:
+            found[joint] = 'arm'

@@ -1,0 +1,231 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a YAML file beside a model may say, strictly read; its names are looked up elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+import yaml
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.quoting import one_line, quoted
+
+_MAX_BYTES = 1_000_000
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Subsystem = Literal['arm', 'base', 'torso', 'head', 'legs']
+Arm = Literal['right', 'left']
+Name = Annotated[str, Field(strict=True, min_length=1)]
+
+
+def _rotation(numbers: list[float]) -> list[float]:
+    if len(numbers) == 4 and not any(numbers):
+        raise ValueError('a quaternion must not be zero')
+    return numbers
+
+
+#: Roll, pitch, yaw [rad], or a quaternion w, x, y, z.
+Rotation = Annotated[list[Number], Field(min_length=3, max_length=4), AfterValidator(_rotation)]
+
+
+class Description(BaseModel):
+    """What all files may say; :attr:`file` is set after reading."""
+
+    model_config = ConfigDict(extra='forbid')
+
+    #: Path of the model, relative to the YAML file.
+    model: Name | None = None
+
+
+class Frame(BaseModel):
+    """A place in a body or at a site."""
+
+    model_config = ConfigDict(extra='forbid')
+
+    #: Name of a body or site.
+    at: Name | None = None
+    position: Vector = [0.0, 0.0, 0.0]
+    orientation: Rotation = [0.0, 0.0, 0.0]
+
+
+class HandDescription(BaseModel):
+    """What a hand's file, or the hand in a robot's file, does not say."""
+
+    model_config = ConfigDict(extra='forbid')
+
+    #: Where it grasps.
+    grasp_point: Frame | None = None
+    #: Opening and closing control by actuator.
+    closing: dict[Name, Range] = {}
+    #: Whether an action has one number for each actuator or one for all.
+    action: Literal['each', 'together'] = 'each'
+    #: Lists of geoms by role, such as ``left_fingerpad``.
+    fingers: dict[Literal['left_finger', 'right_finger', 'left_fingerpad', 'right_fingerpad'],
+                  list[Name]] = {}
+
+    @property
+    def geoms_by_role(self) -> dict[str, list[str]]:
+        """The lists of geoms of the fingers."""
+        return {str(role): list(geoms) for role, geoms in self.fingers.items()}
+
+
+class OwnHandDescription(HandDescription):
+    """The hand in a robot's file."""
+
+    #: The body that all of it hangs on.
+    body: Name | None = None
+
+
+class GripperDescription(Description, HandDescription):
+    """A hand in a file of its own."""
+
+    #: Where its root body is in the end effector body of an arm.
+    mount: Frame | None = None
+    #: A keyframe, or positions by joint [rad or m].
+    start: Union[Name, dict[Name, Number], None] = None
+
+
+class ArmDescription(BaseModel):
+    """Where an arm ends and what is there by default."""
+
+    model_config = ConfigDict(extra='forbid')
+
+    #: The body or site that a gripper is mounted at, and a pose in it.
+    mount: Union[Name, Frame, None] = None
+    #: The file's own hand: the body that it hangs on; ``none``: there is none.
+    hand: Union[Name, OwnHandDescription, None] = None
+    gripper: Name | None = None
+    controller: Name | None = None
+
+
+class RobotDescription(Description):
+    """A robot."""
+
+    arms: dict[Arm, ArmDescription] = {}
+    #: Subsystem by joint.
+    subsystems: dict[Name, Subsystem] = {}
+    #: A keyframe, or positions by joint [rad or m].
+    start: Union[Name, dict[Name, Number], None] = None
+    base: Name | None = None
+    #: Controller settings by subsystem.
+    controllers: dict[Name, Name] = {}
+    #: Where the floor below the robot is, by arena [m].
+    placement: dict[Name, Vector] = {}
+    #: Where the robot stands on a base or the floor, seen from its root body [m].
+    foot: Vector | None = None
+    #: By joint [rad/s or m/s].
+    velocity_limits: dict[Name, Annotated[Number, Field(gt=0.0)]] = {}
+
+    def arm(self, side: str) -> ArmDescription | None:
+        """Return what is said of an arm, or None."""
+        return next((arm for name, arm in self.arms.items() if name == side), None)
+
+
+class BaseDescription(Description):
+    """What a robot stands on."""
+
+    #: Where the robot stands, seen from the root body [m].
+    top: Vector | None = None
+    #: Body of a base with joints that carries the robot.
+    support: Name | None = None
+
+
+class ArenaDescription(Description):
+    """A world without robots."""
+
+    #: Where the floor below a robot is [m].
+    robot_position: Vector = [0.0, 0.0, 0.0]
+
+
+DescriptionT = TypeVar('DescriptionT', bound=Description)
+
+
+def read_description(file: Path, kind: type[DescriptionT]) -> DescriptionT:
+    """
+    Read a YAML file.
+
+    :param kind: what it describes
+    :raises ModelError: if it cannot be read or a value is of the wrong kind
+    :raises UnknownNameError: if it has an unknown key, naming the nearest ones
+    """
+    content = _load_yaml(file)
+    try:
+        return kind.model_validate({} if content is None else content)
+    except ValidationError as error:
+        # Of a value that may be one of several kinds, what fits best got farthest.
+        deepest = max(error.errors(), key=lambda found: len(found['loc']))
+        raise _told(file, kind, deepest) from error
+
+
+def _load_yaml(file: Path) -> Any:
+    try:
+        if file.stat().st_size > _MAX_BYTES:
+            raise ModelError(f'{file} has more than {_MAX_BYTES} bytes')
+        text = file.read_text(encoding='utf-8')
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            if isinstance(event, yaml.AliasEvent):
+                raise ModelError(f'{file}, line {event.start_mark.line + 1}: a YAML file here may '
+                                 f'not have aliases, found {quoted(event.anchor)}')
+        _check_keys(file, yaml.compose(text, Loader=yaml.SafeLoader))
+        return yaml.safe_load(text)
+    except OSError as error:
+        raise ModelError(f'cannot read {file}: {error.strerror}') from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ModelError(f'{file} is not YAML that can be read: '
+                         f'{one_line(" ".join(str(error).split()), 200)}') from error
+
+
+def _check_keys(file: Path, node: Any) -> None:
+    if isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            _check_keys(file, value)
+    if not isinstance(node, yaml.MappingNode):
+        return
+    seen = set()
+    for key, value in node.value:
+        if key.value in seen:
+            raise ModelError(f'{file}, line {key.start_mark.line + 1}: the key '
+                             f'{quoted(key.value)} is there twice')
+        if isinstance(key.value, str):
+            seen.add(key.value)
+        _check_keys(file, value)
+
+
+def _told(file: Path, kind: type[BaseModel], error: Any) -> ModelError:
+    place = [str(part) for part in error['loc'] if not _is_of_union(part)]
+    if error['type'] == 'extra_forbidden':
+        where = '.'.join(place[:-1])
+        return UnknownNameError(f'key of {file}{f", {where}" if where else ""}', place[-1],
+                                _keys_at(kind, place[:-1]))
+    message = error['msg'].removeprefix('Value error, ')
+    if error['type'] in ('model_type', 'dict_type'):
+        message = 'should be a mapping of keys to values'
+    what = f"'{'.'.join(place)}' of {file}" if place else str(file)
+    return ModelError(f'{what}: {message[:1].lower()}{message[1:]}, '
+                      f'got {quoted(error["input"])}')
+
+
+def _is_of_union(part: Any) -> bool:
+    """Tell whether a part of a place is not of the file but names a member of a union."""
+    return isinstance(part, str) and ('[' in part or part in _UNION_MEMBERS)
+
+
+_UNION_MEMBERS = {'str', 'Frame', 'OwnHandDescription', 'constrained-str'}
+
+
+def _keys_at(kind: type[BaseModel], place: list[str]) -> list[str]:
+    """Return the keys that a mapping at some place of a file may have."""
+    if not place:
+        return list(kind.model_fields)
+    known: dict[str, type[BaseModel]] = {
+        'arms': ArmDescription, 'mount': Frame, 'grasp_point': Frame, 'hand': OwnHandDescription}
+    for name in reversed(place):
+        if name in known:
+            return list(known[name].model_fields)
+    return list(kind.model_fields)

@@ -1,0 +1,94 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which model and which description belong together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from manip_sim.errors import ModelError
+from manip_sim.models.files.description import (
+    Description, DescriptionT, read_description, RobotDescription)
+from manip_sim.models.sources import is_path
+
+YAML = ('.yaml', '.yml')
+MODELS = ('.xml', '.mjcf', '.urdf')
+
+
+def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, DescriptionT, str]:
+    """
+    Return the model's file, what is said of it, and what says that.
+
+    Beside a model ``panda.xml`` count ``panda.yaml`` and, in a folder of one model, the file of a
+    fixed name such as ``robot.yaml``.
+
+    :param path: a model, a YAML file, or a folder
+    :param kind: what is described
+    :param stem: the name of a YAML file that counts for its folder, such as ``robot``
+    :raises ModelError: if a file is missing, or more than one could be meant
+    """
+    path = path.expanduser()
+    if path.is_dir():
+        path = _in_folder(path, stem)
+    if not path.is_file():
+        raise ModelError(f'no such file: {path}')
+    if path.suffix.lower() in YAML:
+        description = _described(path, kind)
+        return _model_of(path, description, stem), description, str(path)
+    if path.suffix.lower() not in MODELS:
+        raise ModelError(f'{path} is neither a model ({", ".join(MODELS)}) nor a description '
+                         f'({", ".join(YAML)})')
+    for name in (path.stem, stem):
+        for suffix in YAML:
+            beside = path.with_name(name + suffix)
+            if not beside.is_file():
+                continue
+            description = _described(beside, kind)
+            if _model_of(beside, description, stem).resolve() == path.resolve():
+                return path, description, str(beside)
+    return path, kind(), str(path)
+
+
+def _described(file: Path, kind: type[DescriptionT]) -> DescriptionT:
+    """Read a description; what it names as other files is relative to it."""
+    description = read_description(file, kind)
+    if isinstance(description, RobotDescription):
+        for part in (*description.arms.values(), description):
+            key = 'base' if part is description else 'gripper'
+            named = getattr(part, key)
+            if named is not None and is_path(named):
+                setattr(part, key, str(file.parent / Path(named).expanduser()))
+    return description
+
+
+def _in_folder(folder: Path, stem: str) -> Path:
+    names = [*(stem + suffix for suffix in YAML),
+             *(name + suffix for name in (folder.name, stem) for suffix in (*YAML, *MODELS))]
+    for name in names:
+        if (folder / name).is_file():
+            return folder / name
+    models = sorted(file for file in folder.iterdir() if file.suffix.lower() in MODELS)
+    if len(models) == 1:
+        return models[0]
+    found = ', '.join(file.name for file in models[:5]) or 'no model'
+    raise ModelError(f'{folder} has neither {stem}.yaml nor {folder.name}.xml nor one model '
+                     f'alone, but {found}')
+
+
+def _model_of(file: Path, description: Description, stem: str) -> Path:
+    """Return the model that a YAML file describes."""
+    if description.model is not None:
+        model = file.parent / Path(description.model).expanduser()
+        if not model.is_file():
+            raise ModelError(f"'model' of {file}: no such file: {model}")
+        return model
+    for suffix in MODELS:
+        if file.with_suffix(suffix).is_file():
+            return file.with_suffix(suffix)
+    models = sorted(other for other in file.parent.iterdir()
+                    if other.suffix.lower() in MODELS and file.stem == stem)
+    if len(models) == 1:
+        return models[0]
+    raise ModelError(f"{file} must say which 'model' it describes: there is no "
+                     f'{file.with_suffix(".xml").name} beside it')

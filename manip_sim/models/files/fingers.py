@@ -1,0 +1,232 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find out about a hand what its file does not say: where it grasps and which way it closes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+import contextlib
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.files.hands import FoundHand
+from manip_sim.models.files.tree import BodyTree, words_of
+from manip_sim.typing import FloatArray
+
+#: Words in the names of sites between fingertips, the best first.
+_GRASP_WORDS = ('pinch', 'grasp', 'grip', 'tcp')
+#: How long a finger is given to move, with which step of the physics [s].
+_TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
+#: A motion that brings the fingers together by less than this part tells nothing.
+_TELLING = 0.02
+#: A fingertip that moves less than this part of the one that moves most stands still.
+_STILL = 0.1
+#: Time constant of the fingers while that is found out [s].
+_SLOWNESS_S = 0.01
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+
+def _apart(points: FloatArray) -> float:
+    """Return the mean distance of points from each other."""
+    if len(points) < 2:
+        return 0.0
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    return float(distances.sum() / (len(points) * (len(points) - 1)))
+
+
+def _relative(low: float, high: float) -> float:
+    return float((high - low) / max(low, high)) if max(low, high) > 0.0 else 0.0
+
+
+@contextlib.contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Keep MuJoCo from warning of a trial that fails."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def control_range(model: Any, actuator: int) -> tuple[float, float] | None:
+    """Return the range of an actuator's control, or what its joint or force leaves of it."""
+    if model.actuator_ctrllimited[actuator]:
+        low, high = model.actuator_ctrlrange[actuator]
+        return float(low), float(high)
+    gain, gear = model.actuator_gainprm[actuator, 0], model.actuator_gear[actuator, 0]
+    bias = model.actuator_biasprm[actuator]
+    scalar_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
+    joint = int(model.actuator_trnid[actuator, 0])
+    if _is_servo(model, actuator):
+        if scalar_joint and model.jnt_limited[joint]:
+            ends = -(bias[0] + bias[1] * model.jnt_range[joint] * gear) / gain
+            return float(ends.min()), float(ends.max())
+        return None
+    if model.actuator_forcelimited[actuator] and gain > 0.0:
+        low, high = model.actuator_forcerange[actuator] / gain
+        return float(low), float(high)
+    return None
+
+
+def _is_servo(model: Any, actuator: int) -> bool:
+    return bool(int(model.actuator_biastype[actuator]) == _AFFINE
+                and model.actuator_gainprm[actuator, 0] > 0.0
+                and model.actuator_biasprm[actuator, 1] < 0.0)
+
+
+class Fingers:
+    """
+    The moving parts of a hand.
+
+    :param tree: of a model that the hand is in
+    :param hand: which one
+    :param start: where joints start, by name [rad or m]
+    """
+
+    def __init__(self, tree: BodyTree, hand: FoundHand, start: Mapping[str, float]) -> None:
+        self._model = model = tree.model
+        self._tree, self._hand = tree, hand
+        self._data = mujoco.MjData(model)
+        for name, value in start.items():
+            self._data.joint(name).qpos[0] = value
+        mujoco.mj_forward(model, self._data)
+        below = tree.below(hand.body)
+        moved: set[int] = set().union(
+            *(tree.below(int(model.jnt_bodyid[joint])) for joint in hand.joints))
+        self._palm = sorted(below - moved)
+        ends = [b for b in sorted(moved) if not (tree.below(b) - {b}) & moved]
+        self._tips = [self._farthest_geom(body) for body in ends]
+
+    def _farthest_geom(self, body: int) -> tuple[int, int]:
+        """Return a body and its geom that is farthest from the hand's body, or -1."""
+        model, data = self._model, self._data
+        # The last body of a finger may be a frame without shape.
+        while not model.body_geomnum[body] and self._tree.parent(body) not in self._palm:
+            body = self._tree.parent(body)
+        first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+        if not count:
+            return body, -1
+        geoms = range(first, first + count)
+        origin = data.xpos[self._hand.body]
+        return body, max(geoms, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - origin)))
+
+    def _tip_points(self, data: Any) -> FloatArray:
+        return np.array([data.geom_xpos[geom] if geom >= 0 else data.xpos[body]
+                         for body, geom in self._tips])
+
+    def _palm_point(self, data: Any) -> FloatArray:
+        geoms = [g for g in range(self._model.ngeom) if self._model.geom_bodyid[g] in self._palm]
+        points = data.geom_xpos[geoms] if geoms else data.xpos[[self._hand.body]]
+        middle: FloatArray = np.asarray(points).mean(axis=0)
+        return middle
+
+    def grasp_site(self) -> str | None:
+        """Return the name of a site that is between the fingertips by its name, or None."""
+        below = self._tree.below(self._hand.body)
+        sites = [str(self._model.site(i).name) for i in range(self._model.nsite)
+                 if self._model.site_bodyid[i] in below]
+        for word in _GRASP_WORDS:
+            for name in sites:
+                if word in words_of(name):
+                    return name
+        return None
+
+    def grasp_point(self) -> FloatArray:
+        """
+        Return the mean of the fingertips in the frame of the hand's body [m], shape (3,).
+
+        A hand with one moving finger grasps between its tip and the palm; one with none, at its
+        body.
+        """
+        data, body = self._data, self._hand.body
+        if not self._tips:
+            return np.zeros(3)
+        points = self._tip_points(data)
+        if len(points) == 1:
+            points = np.vstack([points, self._palm_point(data)])
+        local: FloatArray = data.xmat[body].reshape(3, 3).T @ (
+            points.mean(axis=0) - data.xpos[body])
+        return local
+
+    def closing(self, actuators: Sequence[int]) -> dict[int, tuple[float, float, bool]]:
+        """
+        Return the opening and the closing control of actuators that have a range.
+
+        Each is driven to both ends of its range while the others hold: the end at which the
+        fingertips that it moves are nearer to each other, or nearer to the palm if that changes
+        more, closes; the upper one where nothing changes.
+
+        :returns: by actuator, opening and closing control, and whether the fingers told
+        """
+        found = {}
+        trial = self._trial_model() if actuators else None
+        for actuator in actuators:
+            limits = control_range(self._model, actuator)
+            if limits is None:
+                continue
+            with _without_warnings():
+                low, high = (self._tips_at(trial, actuator, control) for control in limits)
+            # Positive where the fingers are farther apart at the upper end.
+            change = self._change(low, high)
+            tells = abs(change) > _TELLING
+            found[actuator] = (*(limits[::-1] if tells and change > 0.0 else limits), tells)
+        return found
+
+    def _change(self, low: FloatArray, high: FloatArray) -> float:
+        """
+        Return how much farther apart the fingertips are at one end than at the other, as a part.
+
+        :param low: the palm and the tips, shape (1 + number of tips, 3)
+        :param high: at the other end
+        """
+        if not (self._tips and np.isfinite(low).all() and np.isfinite(high).all()):
+            return 0.0
+        moved = np.linalg.norm(high[1:] - low[1:], axis=1)
+        moves = moved > _STILL * moved.max()
+        pair = moves if moves.sum() > 1 or len(moves) != 2 else np.array([True, True])
+        changes = [_relative(_apart(low[1:][pair]), _apart(high[1:][pair])),
+                   _relative(*(np.linalg.norm(end[1:][moves] - end[0], axis=1).mean()
+                               for end in (low, high)))] if moves.any() else [0.0]
+        return max(changes, key=abs)
+
+    def _trial_model(self) -> Any:
+        model = copy.copy(self._model)
+        model.opt.timestep = _TRIAL_STEP_S
+        model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        off = mujoco.mjtDisableBit
+        model.opt.disableflags |= int(off.mjDSBL_CONTACT | off.mjDSBL_GRAVITY
+                                      | off.mjDSBL_AUTORESET)
+        # Only where the fingers come to rest counts: what makes them slow makes them stable.
+        moments = np.zeros((model.nu, model.nv))
+        data = self._data
+        mujoco.mju_sparse2dense(moments, data.actuator_moment.reshape(-1), data.moment_rownnz,
+                                data.moment_rowadr, data.moment_colind)
+        stiffness = np.zeros(model.nv)
+        for actuator in filter(lambda a: _is_servo(model, a), self._hand.actuators):
+            stiffness += -model.actuator_biasprm[actuator, 1] * moments[actuator]**2
+        model.dof_armature[:] += stiffness * _SLOWNESS_S**2
+        damping = np.asarray(model.dof_damping).reshape(model.nv, -1)
+        damping[:, 0] += 2.0 * stiffness * _SLOWNESS_S
+        model.dof_damping[:] = damping.reshape(model.dof_damping.shape)
+        return model
+
+    def _tips_at(self, model: Any, actuator: int, control: float) -> FloatArray:
+        """Return the palm and the fingertips when an actuator has moved them, shape (n, 3)."""
+        data = copy.copy(self._data)
+        for other in range(model.nu):
+            data.ctrl[other] = self._holding_control(other)
+        data.ctrl[actuator] = control
+        mujoco.mj_step(model, data, round(_TRIAL_S / _TRIAL_STEP_S))
+        return np.vstack([self._palm_point(data), *self._tip_points(data)])
+
+    def _holding_control(self, actuator: int) -> float:
+        model = self._model
+        if not _is_servo(model, actuator):
+            return 0.0
+        bias, length = model.actuator_biasprm[actuator], self._data.actuator_length[actuator]
+        return float(-(bias[0] + bias[1] * length) / model.actuator_gainprm[actuator, 0])

@@ -1,0 +1,157 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What hands from files share: a grasp frame, and actions that say how far actuators close."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.files.description import HandDescription
+from manip_sim.models.files.fingers import control_range, Fingers
+from manip_sim.models.files.frames import add_body_at, find_place, free_name
+from manip_sim.models.files.hands import FoundHand
+from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
+from manip_sim.models.quaternion import relative_quat_wxyz
+from manip_sim.typing import FloatArray
+
+
+class HandFromFile(GripperModel, registered=False):
+    """
+    A hand that a file and a description declare, not a class.
+
+    An action says how far closed each actuator shall be: -1 is open, +1 is closed.
+
+    :ivar inferred: what was inferred about it
+    """
+
+    inferred: list[str]
+    #: What the description was read from, for messages.
+    _where: str
+    _description: HandDescription
+    _start: Mapping[str, float]
+    #: Commands in [-1, 1] that open and close.
+    _open: FloatArray
+    _closed: FloatArray
+
+    def _add_grasp_frame(self, spec: Any, tree: BodyTree, hand: FoundHand, prefix: str) -> None:
+        """
+        Add a body in the middle of the fingers, with the standard sites and sensors.
+
+        :param prefix: what the names begin with
+        """
+        fingers = Fingers(tree, hand, self._start)
+        point, mount = self._description.grasp_point, tree.name(hand.body)
+        at = (point.at if point else None) or (None if point else fingers.grasp_site()) or mount
+        place = find_place(spec, at, f"'grasp_point' of {self._where}")
+        position = point.position if point else np.zeros(3)
+        orientation: ArrayLike = point.orientation if point else np.zeros(3)
+        if point is None and at == mount:
+            position, orientation = fingers.grasp_point(), _upright(tree, hand.body)
+        if point is None:
+            middle = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
+            self.inferred.append('grasp frame: ' + (middle if at == mount else f"site '{at}'"))
+        self._eef_body = free_name({body.name for body in spec.bodies}, f'{prefix}eef')
+        eef = add_body_at(spec, tree.model, place, self._eef_body, position, orientation)
+        add_standard_elements(spec, spec.body(mount), eef, prefix)
+        self._important_sites = {role: prefix + name for role, name in
+                                 GripperModel._important_sites.items()}
+        self._important_sensors = {role: prefix + name for role, name in
+                                   GripperModel._important_sensors.items()}
+
+    def _set_closing(self, fingers: Fingers, ids: list[int]) -> None:
+        """
+        Take over from the description, or find out, which way the actuators close.
+
+        :param ids: of :attr:`actuators` in the part's own model
+        """
+        declared, names = self._description.closing, self._actuators
+        for name in declared:
+            if name not in names:
+                raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
+        found = fingers.closing([i for name, i in zip(names, ids) if name not in declared])
+        ends = []
+        for name, actuator in zip(names, ids):
+            opened, closed = declared.get(name) or found.get(actuator, (-1.0, 1.0, False))[:2]
+            low, high = control_range(self._own_model, actuator) or (opened, closed)
+            if not all(low <= end <= high for end in (opened, closed)):
+                raise ModelError(f"'closing' of actuator '{name}' in {self._where} must be within "
+                                 f'its control range of {low:g} to {high:g}, got [{opened:g}, '
+                                 f'{closed:g}]')
+            span = (high - low) or 1.0
+            ends.append(2.0 * (np.array([opened, closed]) - low) / span - 1.0)
+        self._open, self._closed = np.array(ends).reshape(-1, 2).T
+        told = [f'{names[ids.index(actuator)]} from {opened:g} to {closed:g}'
+                f'{"" if tells else " (a guess)"}'
+                for actuator, (opened, closed, tells) in found.items()]
+        if told:
+            self.inferred.append(f'closing: {", ".join(told)}')
+
+    @property
+    def dof(self) -> int:
+        """One number for each actuator, or for all together."""
+        count = len(self._actuators)
+        return min(1, count) if self._description.action == 'together' else count
+
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """
+        Return the commands for actuators that are open, closed or between.
+
+        :param action: -1 open, +1 closed, shape (dof,)
+        :returns: commands in the order of :attr:`actuators`, in [-1, 1], shape (nu,), a copy
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        share = (np.clip(self._checked(action), -1.0, 1.0) + 1.0) / 2.0
+        commands: FloatArray = self._open + share * (self._closed - self._open)
+        return commands
+
+    def start_at(self, command: ArrayLike) -> None:
+        """
+        Change nothing: an action does not depend on the ones before.
+
+        :param command: commands in [-1, 1], one for each actuator
+        """
+
+    @property
+    def init_qpos(self) -> FloatArray:
+        """Where the joints start [rad or m], shape (number of joints,), a copy."""
+        # A ball joint starts at the unit quaternion.
+        return np.array([self._start.get(joint, 1.0) for joint in self._joints])
+
+
+def _upright(tree: BodyTree, body: int) -> FloatArray:
+    """Return the rotation that a root body needs to be turned as what it is mounted on."""
+    if tree.parent(body) != 0:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    return relative_quat_wxyz(tree.model.body_quat[body], (1.0, 0.0, 0.0, 0.0))
+
+
+def _rounded(position: ArrayLike) -> str:
+    return ' '.join(f'{number:.3f}' for number in np.asarray(position))
+
+
+def fill_control_ranges(spec: Any, model: Any, actuators: list[int]) -> list[str]:
+    """
+    Give actuators of a hand the control range that an action stands for, where they have none.
+
+    :param spec: the ``mujoco.MjSpec``, changed in place
+    :param model: the same, compiled
+    :returns: a sentence for each that no limit tells of
+    """
+    told = []
+    for actuator in actuators:
+        element = spec.actuator(model.actuator(actuator).name)
+        limits = control_range(model, actuator)
+        if limits is None:
+            limits = (-1.0, 1.0)
+            told.append(f"actuator '{element.name}' has no range, actions are its control")
+        element.ctrlrange, element.ctrllimited = limits, int(mujoco.mjtLimited.mjLIMITED_TRUE)
+        element.inheritrange = 0.0
+    return told

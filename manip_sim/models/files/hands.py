@@ -1,0 +1,100 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find the hands that a robot's file includes: by the names of joints and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from manip_sim.models.files.tree import BodyTree, side_of, words_of
+
+#: Words that only parts of hands have, and words that the wrist that carries a hand may have too.
+_FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
+_HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
+
+#: Groups of fingers with more than this part of the joints before them in common are one hand.
+_SHARED = 0.5
+
+
+@dataclass(frozen=True)
+class FoundHand:
+    """
+    A hand within a robot: all that hangs on a body.
+
+    :ivar body: the body; its own joints are not of the hand
+    :ivar joints: of the hand
+    :ivar actuators: that act on them
+    """
+
+    body: int
+    joints: tuple[int, ...]
+    actuators: tuple[int, ...]
+
+
+def hand_below(tree: BodyTree, body: int) -> FoundHand:
+    """Return what hangs on a body as a hand."""
+    joints = tree.joints(sorted(tree.below(body) - {body}))
+    actuators = [a for a in range(tree.model.nu)
+                 if tree.driven(a) and tree.driven(a) <= set(joints)]
+    return FoundHand(body, tuple(joints), tuple(actuators))
+
+
+def find_hands(tree: BodyTree) -> list[FoundHand]:
+    """
+    Return the hands of a robot, at most one for each side.
+
+    A hand's body is the last one that all joints have in common that are called a finger's, or a
+    gripper's if no finger is, and those that are coupled to them.
+    """
+    fingers = {j for j in range(tree.model.njnt)
+               if tree.is_scalar(j) and words_of(_name(tree, j)) & _FINGER_WORDS}
+    named = {j for j in range(tree.model.njnt)
+             if tree.is_scalar(j) and words_of(_name(tree, j)) & _HAND_WORDS}
+    for actuator in range(tree.model.nu):
+        words = words_of(str(tree.model.actuator(actuator).name))
+        if words & _FINGER_WORDS:
+            fingers |= tree.driven(actuator)
+        elif words & _HAND_WORDS:
+            named |= tree.driven(actuator)
+    by_side: dict[str | None, set[int]] = {}
+    for joints in (fingers, named):
+        sides = _by_side(tree, joints)
+        for side, of_side in sides.items():
+            # A wrist that is called a gripper's is none where there are fingers.
+            if side not in by_side:
+                by_side[side] = of_side
+    hands = []
+    for joints in by_side.values():
+        body = _common_carrier(tree, tree.coupled(joints))
+        if body:
+            hands.append(hand_below(tree, body))
+    return [hand for hand in hands if hand.joints]
+
+
+def _name(tree: BodyTree, joint: int) -> str:
+    return str(tree.model.joint(joint).name)
+
+
+def _by_side(tree: BodyTree, joints: Iterable[int]) -> dict[str | None, set[int]]:
+    found: dict[str | None, set[int]] = {}
+    for joint in joints:
+        carrier = tree.parent(int(tree.model.jnt_bodyid[joint]))
+        side = side_of(map(tree.name, tree.path(carrier)))
+        found.setdefault(side, set()).add(joint)
+    if len(found) > 1 and _is_one_hand(tree, found.values()):
+        return {None: set().union(*found.values())}
+    return found
+
+
+def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
+    """Tell whether groups of joints are the left and right fingers of one hand."""
+    carriers = [_common_carrier(tree, group) for group in groups]
+    shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
+                        for body in [tree.common(carriers), *carriers])
+    return shared > _SHARED * max(lengths)
+
+
+def _common_carrier(tree: BodyTree, joints: Iterable[int]) -> int:
+    return tree.common([tree.parent(int(tree.model.jnt_bodyid[joint])) for joint in joints])

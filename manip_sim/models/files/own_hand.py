@@ -1,0 +1,135 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The hand that a robot's file includes, as a gripper of that robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import ModelError
+from manip_sim.models.files.description import OwnHandDescription
+from manip_sim.models.files.fingers import Fingers
+from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
+from manip_sim.models.files.hands import FoundHand
+from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
+from manip_sim.typing import FloatArray
+
+if TYPE_CHECKING:
+    from manip_sim.models.robots.robot_model import RobotModel
+
+
+class OwnHand(HandFromFile, registered=False):
+    """
+    A hand within a robot: its elements are the robot's and bear its prefix.
+
+    It is there with the robot and cannot be mounted elsewhere.
+
+    :param arm: that it is on
+    :param description: what the robot's description says of it
+    :param where: the file that the description was read from, for messages
+    :param start: where the robot's joints start, by name [rad or m]
+    """
+
+    def __init__(self, arm: str, description: OwnHandDescription, where: str,
+                 start: dict[str, float]) -> None:
+        # Its file is the robot's, so there is nothing to load.
+        self.idn = arm
+        self._given_prefix = ''
+        self._description = description
+        self._where = where
+        self._start = start
+        self.inferred = []
+        self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
+
+    def add_to(self, spec: Any, tree: BodyTree, hand: FoundHand) -> None:
+        """
+        Add the grasp frame and sensors to the robot's spec.
+
+        :param tree: of the robot as it was in the file
+        :param hand: where it is in the tree
+        """
+        self.inferred += fill_control_ranges(spec, tree.model, list(hand.actuators))
+        self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_')
+        self._body = tree.name(hand.body)
+        self._joints = [str(tree.model.joint(joint).name) for joint in hand.joints
+                        if int(tree.model.jnt_type[joint]) != 0]
+        self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
+
+    def bind(self, robot: RobotModel) -> None:
+        """Take over what the robot has recorded of its compiled model."""
+        self._robot = robot
+        self.file = robot.file
+        model = self._own_model = robot._own_model
+        tree = BodyTree(model)
+        bodies = tree.below(int(model.body(self._body).id))
+        self._bodies = [tree.name(body) for body in sorted(bodies)]
+        self._sites = [site for site in robot._sites
+                       if int(model.site_bodyid[model.site(site).id]) in bodies]
+        self._sensors = list(self._important_sensors.values())
+        self._cameras = []
+        geoms = {str(model.geom(g).name) for g in range(model.ngeom)
+                 if int(model.geom_bodyid[g]) in bodies}
+        self._contact_geoms = [geom for geom in robot._contact_geoms if geom in geoms]
+        self._visual_geoms = [geom for geom in robot._visual_geoms if geom in geoms]
+        for group in self._important_geoms.values():
+            self._check_important('geom', group, sorted(geoms))
+        hand = FoundHand(int(model.body(self._body).id),
+                         tuple(int(model.joint(name).id) for name in self._joints),
+                         tuple(int(model.actuator(name).id) for name in self._actuators))
+        self._set_closing(Fingers(tree, hand, self._start), list(hand.actuators))
+        self.current_action = np.zeros(self.dof)
+
+    @property
+    def spec(self) -> Any:
+        """The robot's ``mujoco.MjSpec``."""
+        return self._robot.spec
+
+    @property
+    def name(self) -> str:
+        """Whose hand it is."""
+        return f"{self._robot.name}'s {self.idn} hand"
+
+    @property
+    def naming_prefix(self) -> str:
+        """The robot's."""
+        return self._robot.naming_prefix
+
+    def set_naming_prefix(self, prefix: str) -> None:
+        """Change nothing: the names begin as the robot's do."""
+
+    def _root(self) -> Any:
+        return self._robot.spec.body(self._body)
+
+    @property
+    def rotation_offset(self) -> FloatArray:
+        """The rotation from the hand's body to its grasp frame, x, y, z, w, shape (4,)."""
+        data = mujoco.MjData(self._own_model)
+        mujoco.mj_kinematics(self._own_model, data)
+        return wxyz_to_xyzw(relative_quat_wxyz(
+            data.body(self._body).xquat, data.body(self._eef_body).xquat))
+
+    def set_mount_pose(self, pos: ArrayLike | None = None,
+                       quat_wxyz: ArrayLike | None = None) -> None:
+        """
+        Refuse: the robot's file says where its hand is.
+
+        :raises ModelError: always
+        """
+        raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
+
+    def clone(self, idn: int | str) -> OwnHand:
+        """
+        Refuse: there is one such hand.
+
+        :raises ModelError: always
+        """
+        raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
+
+    def attach_to(self, spec: Any, frame: Any) -> None:
+        """Change nothing: the hand comes with the robot."""

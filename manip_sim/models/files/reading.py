@@ -1,0 +1,168 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read a robot, hand, base or arena from a file of other people: one tree, named, with a start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.files.actuation import add_servos
+from manip_sim.models.files.scenery import single_tree
+from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.files.urdf import is_urdf, load_urdf
+from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
+from manip_sim.typing import FloatArray
+
+_MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
+#: A joint that zero is out of reach for starts at so much of its range from the nearer end.
+_INSIDE = 0.05
+#: A keyframe that has shapes farther below the floor was made for another floor [m].
+_BELOW_FLOOR_M = 0.05
+
+
+@dataclass
+class ModelFile:
+    """
+    What a file holds.
+
+    :ivar file: where it was read from
+    :ivar spec: the ``mujoco.MjSpec`` with one root body and no keyframes
+    :ivar tree: of the compiled model as it was in the file
+    :ivar start: where scalar joints start, by name [rad or m]
+    :ivar inferred: what was inferred or left out
+    """
+
+    file: Path
+    spec: Any
+    tree: BodyTree
+    start: dict[str, float]
+    inferred: list[str] = field(default_factory=list)
+
+
+def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
+               servos: bool = True) -> ModelFile:
+    """
+    Read a robot, hand or base.
+
+    :param keyframes: the first of these that exists is the start, else the only one there is,
+        else zero or what is nearest to it
+    :param wanted: the keyframe that has to be taken
+    :param servos: give joints position servos if the file has no actuators
+    :raises ModelError: if the file cannot be read, does not compile or has not one tree of bodies
+    :raises UnknownNameError: if it lacks the keyframe that is wanted
+    """
+    spec, told = load_urdf(file) if is_urdf(file) else (load_spec(file), [])
+    name_unnamed_elements(spec)
+    model = compile_alone(spec, str(file))
+    key = _choose_key(model, keyframes, wanted, file)
+    start = _start_of(model, key)
+    if key is not None and wanted is None:
+        told.append(f"start pose: keyframe '{model.key(key).name}'")
+    elif key is None:
+        told += _zero_of(model, start)
+    if key is not None:
+        told += _place_root(spec, model, model.key_qpos[key])
+    for old in list(spec.keys):
+        spec.delete(old)
+    if servos and not model.nu and start:
+        told += add_servos(spec, BodyTree(model))
+        model = compile_alone(spec, str(file))
+    spec, changes = single_tree(spec, model, file)
+    return ModelFile(file, spec, BodyTree(model), start, [*told, *changes])
+
+
+def compile_alone(spec: Any, name: str) -> Any:
+    """
+    Compile a part that may have no mass of its own.
+
+    :returns: a new ``mujoco.MjModel``
+    :raises ModelError: with what MuJoCo says
+    """
+    compiler = spec.compiler
+    bounds = compiler.boundmass, compiler.boundinertia
+    compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA
+    try:
+        return compile_spec(spec, name)
+    finally:
+        compiler.boundmass, compiler.boundinertia = bounds
+
+
+def _choose_key(model: Any, preferred: Sequence[str], wanted: str | None, file: Path
+                ) -> int | None:
+    names = [str(model.key(i).name) for i in range(model.nkey)]
+    if wanted is not None:
+        if wanted not in names:
+            raise UnknownNameError(f'keyframe of {file}', wanted, names)
+        return names.index(wanted)
+    for name in preferred:
+        if name in names:
+            return names.index(name)
+    return 0 if len(names) == 1 else None
+
+
+def _start_of(model: Any, key: int | None) -> dict[str, float]:
+    qpos: FloatArray = model.qpos0 if key is None else model.key_qpos[key]
+    tree, start = BodyTree(model), {}
+    for joint in range(model.njnt):
+        if not tree.is_scalar(joint):
+            continue
+        value = float(qpos[model.jnt_qposadr[joint]])
+        if key is None and model.jnt_limited[joint]:
+            value = _within(value, *model.jnt_range[joint])
+        start[str(model.joint(joint).name)] = value
+    return start
+
+
+def _within(value: float, low: float, high: float) -> float:
+    if low <= value <= high:
+        return value
+    inset = _INSIDE * (high - low)
+    return float(low + inset if value < low else high - inset)
+
+
+def _zero_of(model: Any, start: dict[str, float]) -> list[str]:
+    moved = [name for name, value in start.items()
+             if value != model.qpos0[model.joint(name).qposadr[0]]]
+    if not moved:
+        return []
+    return [f'start pose: zero, but inside the range for {", ".join(moved)}']
+
+
+def _place_root(spec: Any, model: Any, qpos: FloatArray) -> list[str]:
+    """Put free bodies where a keyframe has them, but not below the floor."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    lowest = float(shape_heights(model, data)[:, 0].min(initial=0.0))
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).tolist()
+    raised = -lowest if free and lowest < -_BELOW_FLOOR_M else 0.0
+    for joint in free:
+        body = spec.body(model.body(model.jnt_bodyid[joint]).name)
+        address = int(model.jnt_qposadr[joint])
+        body.pos = qpos[address:address + 3] + np.array([0.0, 0.0, raised])
+        body.quat = qpos[address + 3:address + 7]
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    return [f'raised by {raised:.3f} m, so that it stands on the floor'] if raised else []
+
+
+def shape_heights(model: Any, data: Any) -> FloatArray:
+    """
+    Return the lowest and highest point of the box around each shape but planes [m].
+
+    :param data: after ``mj_kinematics``
+    :returns: shape (n, 2)
+    """
+    upward = data.geom_xmat.reshape(-1, 9)[:, 6:9]
+    middle = data.geom_xpos[:, 2] + (upward * model.geom_aabb[:, :3]).sum(axis=1)
+    half = (np.abs(upward) * model.geom_aabb[:, 3:]).sum(axis=1)
+    has_size = model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
+    heights: FloatArray = np.stack([middle - half, middle + half], axis=1)[has_size]
+    return heights

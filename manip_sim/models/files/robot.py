@@ -1,0 +1,161 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A robot that a file and a description declare, with arms or without."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from manip_sim.models.files.own_hand import OwnHand
+from manip_sim.models.files.robot_plan import RobotPlan
+from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.models.robots.manipulator_model import ManipulatorModel
+from manip_sim.models.robots.robot_model import Placement, RobotModel
+from manip_sim.typing import FloatArray
+
+
+class FileRobot(RobotModel, registered=False):
+    """
+    A robot from a file.
+
+    :param plan: what the file and its description come to
+    :ivar inferred: what was inferred or left out, in sentences
+    """
+
+    def __init__(self, plan: RobotPlan, idn: int | str = 0) -> None:
+        self._plan = plan
+        self._own_hands: dict[str, OwnHand] = dict(plan.hands)
+        self._subsystem_of_joint = plan.subsystems
+        if plan.description.foot is not None:
+            x, y, z = plan.description.foot
+            self._foot_offset = (x, y, z)
+        super().__init__(plan.file, idn=idn)
+        self.inferred = [*plan.inferred, *(
+            f'{arm} hand: {sentence}' for arm, hand in plan.hands.items()
+            for sentence in hand.inferred)]
+
+    def _read(self) -> Any:
+        return self._plan.spec
+
+    def _record(self) -> None:
+        super()._record()
+        hands = self._own_hands.values()
+        not_ours = {name for hand in hands for name in [*hand._joints, *hand._actuators]}
+        self._joints = [name for name in self._joints if name not in not_ours]
+        self._actuators = [name for name in self._actuators
+                           if name not in not_ours | self._plan.still]
+        for hand in hands:
+            hand.bind(self)
+
+    @property
+    def name(self) -> str:
+        """Name of the file and idn, such as ``iiwa140``."""
+        return f'{self.file.stem}{self.idn}'
+
+    @property
+    def default_base(self) -> str | None:
+        """What the description says, else the floor."""
+        return self._plan.description.base
+
+    @property
+    def default_controller_config(self) -> dict[str, str]:
+        """What the description says."""
+        arms = self._plan.description.arms.items()
+        return {**self._plan.description.controllers,
+                **{side: arm.controller for side, arm in arms if arm.controller is not None}}
+
+    @property
+    def init_qpos(self) -> FloatArray:
+        """Where the joints start [rad or m], shape (dof,), a copy."""
+        # A ball joint starts at the unit quaternion.
+        return np.array([self._plan.start.get(joint, 1.0) for joint in self._joints])
+
+    @property
+    def base_xpos_offset(self) -> dict[str, Placement]:
+        """Where to place the robot by arena [m]: what the description says, else in front."""
+        declared = {arena: (float(x), float(y), float(z))
+                    for arena, (x, y, z) in self._plan.description.placement.items()}
+        return {'bins': (-0.5, -0.1, 0.0),
+                'table': lambda table_length: (-0.16 - table_length / 2.0, 0.0, 0.0), **declared}
+
+
+class FileManipulator(FileRobot, ManipulatorModel, registered=False):
+    """
+    A robot with arms from a file.
+
+    A hand that the file includes is there from the start, in :attr:`grippers`; another gripper
+    takes its place.
+    """
+
+    def __init__(self, plan: RobotPlan, idn: int | str = 0) -> None:
+        super().__init__(plan, idn=idn)
+        self._grippers.update(self._own_hands)
+
+    @property
+    def arm_type(self) -> str:
+        """One arm or two."""
+        return 'single' if len(self._plan.ends) == 1 else 'bimanual'
+
+    @property
+    def _eef_name(self) -> dict[str, str]:
+        return self._plan.ends
+
+    @property
+    def default_gripper(self) -> dict[str, str]:
+        """What the description says, by arm."""
+        return {side: arm.gripper for side, arm in self._plan.description.arms.items()
+                if arm.gripper is not None}
+
+    @property
+    def own_hands(self) -> tuple[str, ...]:
+        """The arms that carry a hand of the robot's own file."""
+        return tuple(self._own_hands)
+
+    def add_gripper(self, gripper: GripperModel, arm_name: str | None = None) -> None:
+        """
+        Mount a gripper, in place of a hand of the robot's own file.
+
+        :param gripper: the gripper; where it goes on several arms, each gets an own copy
+        :param arm_name: an arm or its end effector body; None mounts on every arm
+        :raises TypeError: if it is not a gripper
+        :raises UnknownNameError: if there is no such arm
+        :raises ModelError: if the arm has a gripper already, or the gripper is mounted already
+        """
+        if isinstance(gripper, GripperModel):
+            for arm in self.arms if arm_name is None else (self._arm(arm_name),):
+                self.take_off_hand(arm)
+        super().add_gripper(gripper, arm_name)
+
+    def take_off_hand(self, arm: str) -> None:
+        """Remove the hand of the robot's own file from an arm, if there is one."""
+        hand = self._own_hands.pop(arm, None)
+        if hand is None:
+            return
+        del self._grippers[arm]
+        spec, body = self._spec, self._spec.body(hand._body)
+        joints, moves = set(hand._joints), len(body.joints) > 0
+        for child in list(body.bodies):
+            carries = joints.intersection(joint.name for joint in child.find_all('joint'))
+            if carries or child.name == hand._eef_body or not moves:
+                spec.delete(child)
+        own = {*hand._important_sites.values(), f'{arm}_hand_ft_frame'}
+        _delete(spec, [site for site in body.sites if site.name in own or not moves])
+        if not moves:
+            _delete(spec, [*body.geoms, *body.cameras, *body.lights])
+            body.explicitinertial = False
+            body.mass, body.inertia, body.fullinertia = 0.0, [0.0] * 3, [np.nan] + [0.0] * 5
+        self._record()
+        self.update_joints()
+        self.update_actuators()
+
+
+def _delete(spec: Any, elements: list[Any]) -> None:
+    """Delete elements of a body and the sensors that look at them."""
+    names = {element.name for element in elements}
+    for sensor in [s for s in spec.sensors if s.objname in names or s.refname in names]:
+        spec.delete(sensor)
+    for element in elements:
+        spec.delete(element)

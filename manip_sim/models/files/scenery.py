@@ -1,0 +1,107 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Make one tree of bodies of a file that also has a floor, lights, objects or several roots."""
+
+from __future__ import annotations
+
+from typing import Any
+import warnings
+
+import mujoco
+
+from manip_sim.errors import ModelError
+from manip_sim.models.files.tree import BodyTree
+from manip_sim.quoting import quoted_names
+
+_GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def single_tree(spec: Any, model: Any, file: object) -> tuple[Any, list[str]]:
+    """
+    Leave out what is no part of a robot or hand, and hang what remains on one root body.
+
+    Left out are lights, cameras and grounds of the world body, its other shapes if a free root
+    cannot take them along, mocap bodies, empty bodies, and free bodies without actuators beside
+    others.
+
+    :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
+    :param model: the same, compiled
+    :param file: what it was read from, for messages
+    :returns: the spec or, with a new root, another one, and a sentence for each change
+    :raises ModelError: if nothing remains, or several roots of which one is free
+    """
+    told = _leave_out(spec, BodyTree(model))
+    world = spec.worldbody
+    roots = list(world.bodies)
+    if not roots:
+        raise ModelError(f'{file} must have a body, found none')
+    loose = [*world.geoms, *world.sites]
+    free = [body for body in roots if _is_free(body)]
+    if len(roots) == 1 and (free or not loose):
+        for element in loose:
+            spec.delete(element)
+        if loose:
+            told.append(f'left out: {len(loose)} shapes and sites of the world body')
+        return spec, told
+    if free:
+        raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, one of '
+                         f'which is free: {quoted_names([body.name for body in roots])}')
+    name = _free_name(spec, 'root')
+    held = f' and {len(loose)} shapes and sites of the world body' if loose else ''
+    told.append(f"new root body '{name}' that holds "
+                f'{quoted_names([body.name for body in roots])}{held}')
+    return _wrapped(spec, name), told
+
+
+def _leave_out(spec: Any, tree: BodyTree) -> list[str]:
+    world, told = spec.worldbody, []
+    grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
+    for what, elements in (('lights', list(world.lights)), ('cameras', list(world.cameras)),
+                           ('grounds', grounds), ('bodies', _objects(spec, tree))):
+        names = [element.name for element in elements if element.name]
+        if elements:
+            told.append(f'left out: {len(elements)} {what} of the world body'
+                        + (f' ({quoted_names(names)})' if names else ''))
+        for element in elements:
+            spec.delete(element)
+    return told
+
+
+def _objects(spec: Any, tree: BodyTree) -> list[Any]:
+    """Return the root bodies that are no part of what is driven."""
+    model = tree.model
+    driven = set().union(*(tree.driven(actuator) for actuator in range(model.nu)))
+    objects, roots = [], list(spec.worldbody.bodies)
+    for body in roots:
+        below = sorted(tree.below(model.body(body.name).id))
+        joints = tree.joints(below)
+        empty = not joints and not model.body_geomnum[below].any()
+        is_object = _is_free(body) and not driven.intersection(joints)
+        if body.mocap or empty or (is_object and (driven or len(roots) > 1)):
+            objects.append(body)
+    return objects if len(objects) < len(roots) else []
+
+
+def _is_free(body: Any) -> bool:
+    return any(int(joint.type) == _FREE for joint in body.joints)
+
+
+def _free_name(spec: Any, wanted: str) -> str:
+    taken = {body.name for body in spec.bodies}
+    name, number = wanted, 1
+    while name in taken:
+        name, number = f'{wanted}{number}', number + 1
+    return name
+
+
+def _wrapped(spec: Any, name: str) -> Any:
+    whole = mujoco.MjSpec()
+    whole.modelname = spec.modelname
+    whole.option = spec.option
+    with warnings.catch_warnings():
+        # MuJoCo 3.3 warns of the empty prefix; what is composed gets one later.
+        warnings.simplefilter('ignore')
+        whole.attach(spec, prefix='', frame=whole.worldbody.add_body(name=name).add_frame())
+    return whole

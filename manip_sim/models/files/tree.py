@@ -1,0 +1,134 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Questions about the tree of bodies of a compiled model: what is below what, what drives what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+import re
+from typing import Any
+
+import mujoco
+import numpy as np
+
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
+_SIDES = {'left': 'left', 'l': 'left', 'lh': 'left', 'right': 'right', 'r': 'right', 'rh': 'right'}
+SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+def words_of(name: str) -> set[str]:
+    """Return the words of a name in lower case: ``left_hand2`` has ``left`` and ``hand``."""
+    return {word.lower() for word in _WORD.findall(name)}
+
+
+def side_of(names: Iterable[str]) -> str | None:
+    """Return ``left`` or ``right`` from the first name that has such a word, and no other."""
+    for name in names:
+        sides = {_SIDES[word] for word in words_of(name) if word in _SIDES}
+        if len(sides) == 1:
+            return sides.pop()
+    return None
+
+
+class BodyTree:
+    """
+    The tree of bodies of a model, by ids; body 0 is the world.
+
+    :param model: a ``mujoco.MjModel``
+    """
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+        self._parents = model.body_parentid.tolist()
+        self._joints_of: dict[int, list[int]] = {}
+        for joint, body in enumerate(model.jnt_bodyid.tolist()):
+            self._joints_of.setdefault(body, []).append(joint)
+
+    def name(self, body: int) -> str:
+        """Return the name of a body."""
+        return str(self.model.body(body).name)
+
+    def parent(self, body: int) -> int:
+        """Return what a body hangs on."""
+        return int(self._parents[body])
+
+    def path(self, body: int) -> list[int]:
+        """Return the bodies from the root to a body, both of them too."""
+        path = []
+        while body:
+            path.append(body)
+            body = self.parent(body)
+        return path[::-1]
+
+    def below(self, body: int) -> set[int]:
+        """Return a body and all that hang on it."""
+        found = {body}
+        for other in range(body + 1, self.model.nbody):
+            if self.parent(other) in found:
+                found.add(other)
+        return found
+
+    def joints(self, bodies: Iterable[int]) -> list[int]:
+        """Return the joints of some bodies, in the order of the bodies."""
+        return [joint for body in bodies for joint in self._joints_of.get(body, [])]
+
+    def ends(self, joints: Iterable[int]) -> list[int]:
+        """Return the bodies that some joints move and below which none of them moves another."""
+        moved = {int(self.model.jnt_bodyid[joint]) for joint in joints}
+        return sorted(body for body in moved if not (self.below(body) - {body}) & moved)
+
+    def common(self, bodies: Iterable[int]) -> int:
+        """Return the last body that all paths have in common."""
+        paths = [self.path(body) for body in bodies]
+        last = 0
+        for level in zip(*paths):
+            if len(set(level)) > 1:
+                break
+            last = level[0]
+        return last
+
+    def driven(self, actuator: int) -> set[int]:
+        """Return the joints that an actuator acts on by itself or by a tendon."""
+        kind = int(self.model.actuator_trntype[actuator])
+        target = int(self.model.actuator_trnid[actuator, 0])
+        if kind in _JOINT:
+            return {target}
+        if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+            return self._joints_of_tendon(target)
+        if kind == int(mujoco.mjtTrn.mjTRN_SITE):
+            return set(self.joints(self.path(int(self.model.site_bodyid[target]))))
+        return set()
+
+    def _joints_of_tendon(self, tendon: int) -> set[int]:
+        model = self.model
+        first = int(model.tendon_adr[tendon])
+        wraps = range(first, first + int(model.tendon_num[tendon]))
+        kinds = [int(model.wrap_type[wrap]) for wrap in wraps]
+        ids = [int(model.wrap_objid[wrap]) for wrap in wraps]
+        joints = {i for k, i in zip(kinds, ids) if k == int(mujoco.mjtWrap.mjWRAP_JOINT)}
+        sites = [i for k, i in zip(kinds, ids) if k == int(mujoco.mjtWrap.mjWRAP_SITE)]
+        bodies = [int(model.site_bodyid[site]) for site in sites]
+        # What moves one of the sites but not all of them changes the length.
+        shared = set(self.path(self.common(bodies))) if bodies else set()
+        return joints.union(*(self.joints(set(self.path(body)) - shared) for body in bodies))
+
+    def coupled(self, joints: Iterable[int]) -> set[int]:
+        """Return joints and those that equality constraints tie to them."""
+        found = set(joints)
+        pairs = self._tied_pairs()
+        while True:
+            more = {other for pair in pairs if pair & found for other in pair} - found
+            if not more:
+                return found
+            found |= more
+
+    def _tied_pairs(self) -> list[set[int]]:
+        model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
+        tied = np.flatnonzero((model.eq_type == joint) & (model.eq_obj2id >= 0))
+        return [{int(model.eq_obj1id[i]), int(model.eq_obj2id[i])} for i in tied]
+
+    def is_scalar(self, joint: int) -> bool:
+        """Tell whether a joint is a hinge or a slide."""
+        return int(self.model.jnt_type[joint]) in SCALAR

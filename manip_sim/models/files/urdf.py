@@ -1,0 +1,190 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read URDF by MuJoCo's own reader, with what that leaves to others: meshes, limits, mimics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+
+from manip_sim.errors import ModelError
+from manip_sim.models.loading import spec_from_string
+from manip_sim.quoting import one_line, quoted
+
+_MESHES = ('.stl', '.obj', '.msh')
+_PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
+#: A moving link that says nothing of its mass and has no shape [kg, kg m^2].
+_LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
+_HEAD = 4096
+
+
+def is_urdf(file: Path) -> bool:
+    """Tell whether a file is URDF: by its ending, or because its first element is ``robot``."""
+    if file.suffix.lower() == '.urdf':
+        return True
+    try:
+        with open(file, encoding='utf-8', errors='replace') as stream:
+            first = re.search(r'<([A-Za-z_]\w*)', stream.read(_HEAD))
+    except OSError:
+        return False
+    return first is not None and first.group(1) == 'robot'
+
+
+def load_urdf(file: Path) -> tuple[Any, list[str]]:
+    """
+    Read a spec from a URDF file.
+
+    All links stay bodies, also those on fixed joints. The velocity limit becomes the first number
+    of a joint's ``user``, the effort limit its actuator force range; zero is no limit. A mimic
+    joint is tied by a constraint.
+
+    :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or made up
+    :raises ModelError: if it cannot be read, or a mesh is not found
+    """
+    robot = _parse(file)
+    told = _find_meshes(robot, file)
+    compiler = _compiler(robot)
+    for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
+                             ('strippath', 'false'), ('balanceinertia', 'true')):
+        compiler.set(attribute, value)
+    compiler.attrib.pop('meshdir', None)
+    spec = spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
+    for joint in robot.iter('joint'):
+        _complete_joint(spec, joint)
+    told += _give_mass(spec, robot)
+    return spec, told
+
+
+def _parse(file: Path) -> ElementTree.Element:
+    try:
+        text = file.read_text(encoding='utf-8')
+        if '<!ENTITY' in text:
+            raise ModelError(f'{file} declares entities, which a URDF may not')
+        robot = ElementTree.fromstring(text)
+    except OSError as error:
+        raise ModelError(f'cannot read {file}: {error.strerror}') from error
+    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        raise ModelError(f'{file} is not XML that can be read: '
+                         f'{one_line(str(error))}') from error
+    if robot.tag != 'robot':
+        raise ModelError(f"{file} is not URDF: its root is {quoted(robot.tag)}, not 'robot'")
+    return robot
+
+
+def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
+    """Return the settings for MuJoCo, which a URDF may have."""
+    extension = robot.find('mujoco')
+    if extension is None:
+        extension = ElementTree.SubElement(robot, 'mujoco')
+    compiler = extension.find('compiler')
+    return ElementTree.SubElement(extension, 'compiler') if compiler is None else compiler
+
+
+def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
+    """Make the paths of meshes absolute; leave shapes out that MuJoCo cannot read."""
+    extension = robot.find('mujoco/compiler')
+    folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
+    unread = []
+    for link in robot.iter('link'):
+        for shape in [*link.findall('visual'), *link.findall('collision')]:
+            mesh = shape.find('geometry/mesh')
+            if mesh is None:
+                continue
+            found = _readable(_resolve(mesh.get('filename', ''), folder, file, link))
+            if found is None:
+                unread.append(str(mesh.get('filename')))
+                link.remove(shape)
+            else:
+                mesh.set('filename', str(found))
+    if not unread:
+        return []
+    return [f'left out: {len(unread)} shapes of files that are not {", ".join(_MESHES)}, such as '
+            f'{quoted(unread[0])}']
+
+
+def _readable(mesh: Path) -> Path | None:
+    """Return a mesh, or one of that name in a format that MuJoCo reads, or None."""
+    if mesh.suffix.lower() in _MESHES:
+        return mesh
+    return next((other for suffix in _MESHES
+                 if (other := mesh.with_suffix(suffix)).is_file()), None)
+
+
+def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> Path:
+    """
+    Return the path of a mesh.
+
+    :raises ModelError: if its package or it itself is not there
+    """
+    where = f'mesh {quoted(name)} of link {quoted(link.get("name"))} in {file}'
+    match = _PACKAGE.fullmatch(name)
+    if match is None:
+        path = folder / name.removeprefix('file://')
+        candidates = [path]
+    else:
+        package, rest = match.groups()
+        roots = list(_package_folders(package, file))
+        if not roots:
+            raise ModelError(f'{where}: package {quoted(package)} is neither in AMENT_PREFIX_PATH '
+                             f'or ROS_PACKAGE_PATH nor a folder above the file')
+        candidates = [root / rest for root in roots]
+    for candidate in candidates:
+        if candidate.is_file() or _readable(candidate) not in (None, candidate):
+            return candidate.resolve()
+    raise ModelError(f'{where}: no such file: {candidates[0]}')
+
+
+def _package_folders(package: str, file: Path) -> Iterator[Path]:
+    found = [Path(prefix) / 'share' / package for prefix in
+             os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
+    for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep):
+        found += [Path(entry), Path(entry) / package] if entry else []
+    for folder in file.resolve().parents:
+        found += [folder, folder / package]
+    return (folder for folder in found if folder.name == package and folder.is_dir())
+
+
+def _complete_joint(spec: Any, joint: ElementTree.Element) -> None:
+    name = joint.get('name', '')
+    element = spec.joint(name)
+    if element is None:
+        return
+    limit, mimic = joint.find('limit'), joint.find('mimic')
+    velocity = float(limit.get('velocity', 0.0)) if limit is not None else 0.0
+    if velocity > 0.0:
+        element.userdata = [velocity]
+    if mimic is not None and spec.joint(mimic.get('joint', '')) is not None:
+        tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name,
+                                name2=mimic.get('joint'), objtype=mujoco.mjtObj.mjOBJ_JOINT)
+        tie.data[:5] = [float(mimic.get('offset', 0.0)), float(mimic.get('multiplier', 1.0)),
+                        0.0, 0.0, 0.0]
+
+
+def _give_mass(spec: Any, robot: ElementTree.Element) -> list[str]:
+    """Give a little mass to links that move and have neither inertia nor shape."""
+    without = {str(link.get('name')) for link in robot.iter('link')
+               if link.find('inertial') is None}
+    light = []
+    for body in spec.bodies[1:]:
+        for geom in body.geoms:
+            if not (geom.contype or geom.conaffinity):
+                geom.mass = 0.0
+        carried = [body, *body.find_all('body')]
+        if (body.name in without and len(body.joints)
+                and not any(_has_mass(other, without) for other in carried)):
+            body.mass, body.inertia = _LIGHT_KG, [_LIGHT_INERTIA] * 3
+            body.explicitinertial = True
+            light.append(body.name)
+    return [f'1 g for links without inertia and shape: {", ".join(light)}'] if light else []
+
+
+def _has_mass(body: Any, without_inertia: set[str]) -> bool:
+    return body.name not in without_inertia or any(
+        geom.contype or geom.conaffinity for geom in body.geoms)

@@ -1,0 +1,153 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of hands from files: where they grasp, which way they close, what YAML says of them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from files_rig import HAND, write
+
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models import load_gripper
+from manip_sim.models.robots import Panda
+
+
+def described(tmp_path, yaml, hand=HAND):
+    """Return a hand with a YAML file beside it."""
+    file = write(tmp_path / 'hand.xml', hand)
+    write(tmp_path / 'hand.yaml', yaml)
+    return load_gripper(file)
+
+
+def site_positions(model, names):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return [data.site(name).xpos.copy() for name in names]
+
+
+def test_a_hand_gets_a_grasp_frame_between_its_fingertips(tmp_path):
+    hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
+    model = hand.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    pads = [data.geom(f'gripper0_{side}_pad').xpos for side in ('left', 'right')]
+    np.testing.assert_allclose(data.site('gripper0_grip_site').xpos, np.mean(pads, axis=0),
+                               atol=1e-9)
+    # It is turned as the mount is, not as the root body of the file.
+    np.testing.assert_allclose(hand.rotation_offset, [0.0, 0.0, 0.0, 1.0], atol=1e-9)
+    assert hand.name == 'hand0'
+    assert hand.important_sensors == {'force_ee': 'gripper0_force_ee',
+                                      'torque_ee': 'gripper0_torque_ee'}
+
+
+def test_closing_is_where_the_fingertips_meet(tmp_path):
+    hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
+    assert hand.dof == 1
+    np.testing.assert_allclose(hand.format_action([1.0]), [-1.0])
+    np.testing.assert_allclose(hand.format_action([0.0]), [0.0])
+    assert 'closing: pull from 255 to 0' in hand.inferred
+
+
+@pytest.mark.parametrize('wrong', [[1.0, 0.0], [np.nan]])
+def test_an_action_that_does_not_fit_is_refused(tmp_path, wrong):
+    hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
+    with pytest.raises(CommandError, match='takes'):
+        hand.format_action(wrong)
+
+
+def test_a_finger_that_bends_closes_towards_the_palm(tmp_path):
+    fingers = ''.join(f"""<body name="f{i}" pos="0 {0.03 * i} 0.05">
+      <joint name="bend{i}" axis="0 {sign} 0" range="{low} {high}" armature="0.01" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.06" size="0.008" mass="0.02"/></body>"""
+                      for i, (sign, low, high) in enumerate([(1, -0.1, 1.5), (-1, -1.5, 0.1),
+                                                             (1, -0.1, 1.5)]))
+    hand = load_gripper(write(tmp_path / 'hand.xml', f"""
+<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="palm">
+  <geom type="box" size="0.02 0.05 0.04" mass="0.3"/>{fingers}</body></worldbody><actuator>
+  {''.join(f'<position joint="bend{i}" kp="5" inheritrange="1"/>' for i in range(3))}
+</actuator></mujoco>"""))
+    np.testing.assert_allclose(hand.format_action([1.0, 1.0, 1.0]), [1.0, -1.0, 1.0])
+    np.testing.assert_allclose(hand.format_action([-1.0, 0.0, 0.5]), [-1.0, 0.0, 0.5])
+
+
+def test_a_keyframe_is_the_start_of_a_hand(tmp_path):
+    text = HAND.replace('</mujoco>', '<keyframe><key name="open" qpos="0.03 0.03" ctrl="255"/>'
+                                     '<key name="x" qpos="0 0" ctrl="0"/></keyframe></mujoco>')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    np.testing.assert_allclose(hand.init_qpos, [0.03, 0.03])
+
+
+def test_yaml_says_the_mount_the_grasp_point_the_closing_and_the_start(tmp_path):
+    hand = described(tmp_path, """
+mount: {position: [0, 0, 0.1], orientation: [0, 0, 1.5707963267948966]}
+grasp_point: {at: palm, position: [0, 0, 0.2]}
+closing: {pull: [200, 10]}
+start: {left_finger: 0.02, right_finger: 0.02}
+fingers: {left_fingerpad: [left_pad], right_fingerpad: [right_pad]}
+""")
+    np.testing.assert_allclose(hand.format_action([1.0]), [2 * 10 / 255 - 1])
+    np.testing.assert_allclose(hand.format_action([-1.0]), [2 * 200 / 255 - 1])
+    np.testing.assert_allclose(hand.init_qpos, [0.02, 0.02])
+    assert hand.important_geoms['left_fingerpad'] == ['gripper0_left_pad']
+    model = hand.compile()
+    np.testing.assert_allclose(model.body('gripper0_palm').pos, [0.0, 0.0, 0.1])
+    np.testing.assert_allclose(model.body('gripper0_palm').quat,
+                               [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], atol=1e-9)
+    (grip,) = site_positions(model, [hand.important_sites['grip_site']])
+    np.testing.assert_allclose(grip, [0.0, 0.0, 0.3], atol=1e-9)
+
+
+def test_one_number_may_close_all_actuators_together(tmp_path):
+    two = HAND.replace('</actuator>', '<position name="also" joint="left_finger" kp="1" '
+                                      'ctrlrange="0 0.03"/></actuator>')
+    hand = described(tmp_path, 'action: together\nclosing: {pull: [255, 0], also: [0.03, 0]}', two)
+    assert hand.dof == 1
+    np.testing.assert_allclose(hand.format_action([1.0]), [-1.0, -1.0])
+    assert 'closing' not in ' '.join(hand.inferred)
+
+
+def test_a_grasp_point_of_the_yaml_replaces_the_one_of_the_file(tmp_path):
+    text = HAND.replace('<body name="left_tip"',
+                        '<body name="eef"><site name="grip_site"/></body><body name="left_tip"')
+    assert load_gripper(write(tmp_path / 'hand.xml', text)).important_sites['grip_site'] == (
+        'gripper0_grip_site')
+    hand = described(tmp_path, 'grasp_point: {at: palm, position: [0.1, 0, 0]}', text)
+    palm = hand.compile().body('gripper0_palm')
+    (grip,) = site_positions(hand.compile(), [hand.important_sites['grip_site']])
+    rotated = np.empty(3)
+    mujoco.mju_rotVecQuat(rotated, np.array([0.1, 0.0, 0.0]), palm.quat)
+    np.testing.assert_allclose(grip, palm.pos + rotated, atol=1e-9)
+
+
+@pytest.mark.parametrize(('yaml', 'message'), [
+    ('closing: {pul: [0, 1]}', "unknown actuator in 'closing' of .*hand.yaml 'pul': did you mean "
+                               "'pull'"),
+    ('grasp_point: {at: plam}', "unknown body or site in 'grasp_point' of .*hand.yaml 'plam': did "
+                                "you mean 'palm'"),
+    ('start: {left_fingr: 0}', "unknown joint in 'start' of .*hand.yaml 'left_fingr': did you mean"
+                               " 'left_finger'"),
+    ('start: hom', "unknown keyframe of .*hand.xml 'hom'"),
+    ('fingers: {left_finger: [pad]}', "unknown geom of hand0 in .*hand.xml 'pad'")])
+def test_an_unknown_name_in_the_yaml_is_told_with_file_key_and_nearest(tmp_path, yaml, message):
+    with pytest.raises(UnknownNameError, match=message):
+        described(tmp_path, yaml)
+
+
+@pytest.mark.parametrize(('yaml', 'message'), [
+    ('closing: {pull: [0, 300]}', "'closing' of actuator 'pull' in .*hand.yaml must be within its "
+                                  r'control range of 0 to 255, got \[0, 300\]'),
+    ('start: {left_finger: 0.5}', "'start' of joint 'left_finger' in .*hand.yaml must be within 0 "
+                                  'to 0.03, got 0.5')])
+def test_a_value_outside_a_range_is_told(tmp_path, yaml, message):
+    with pytest.raises(ModelError, match=message):
+        described(tmp_path, yaml)
+
+
+def test_a_hand_of_a_file_is_mounted_like_ours(tmp_path):
+    robot = Panda()
+    robot.add_gripper(load_gripper(write(tmp_path / 'hand.xml', HAND)))
+    model = robot.compile()
+    assert model.body('gripper0_palm').parentid[0] == model.body('robot0_right_hand').id
+    assert model.nu == 8

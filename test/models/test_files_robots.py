@@ -1,0 +1,187 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of robots from MJCF files that nobody wrote for this package: what is inferred of them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from files_rig import ARM, ARM_WITH_HAND, TWO_ARMS, write
+
+from manip_sim.errors import ModelError
+from manip_sim.models import compose, compose_robot, load_robot
+from manip_sim.models.grippers import PandaGripper
+from manip_sim.models.robots import ManipulatorModel, RobotModel
+
+
+def test_an_arm_has_the_joints_actuators_and_start_of_its_file(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.xml', ARM))
+    assert isinstance(robot, ManipulatorModel)
+    assert robot.name == 'arm0'
+    assert robot.arm_joints == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    np.testing.assert_allclose(robot.init_qpos, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(robot.format_action('arm', [-1.0, 1.0, 0.0]), [-1.5, 1.5, 0.5])
+    assert any("keyframe 'home'" in sentence for sentence in robot.inferred)
+
+
+def test_a_gripper_hangs_where_the_attachment_site_is(tmp_path):
+    file = write(tmp_path / 'arm.xml', ARM)
+    original = mujoco.MjModel.from_xml_path(str(file))
+    expected = mujoco.MjData(original)
+    mujoco.mj_resetDataKeyframe(original, expected, 0)
+    mujoco.mj_forward(original, expected)
+    world = compose(file, 'PandaGripper')
+    model = world.compile()
+    data = mujoco.MjData(model)
+    for joint, position in world.init_qpos().items():
+        data.joint(joint).qpos[0] = position
+    mujoco.mj_forward(model, data)
+    hand = data.body('robot0_right_hand')
+    site = expected.site('attachment_site')
+    np.testing.assert_allclose(hand.xpos, site.xpos, atol=1e-9)
+    np.testing.assert_allclose(hand.xmat, site.xmat, atol=1e-9)
+
+
+def test_what_is_no_robot_is_left_out_and_said(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.xml', ARM))
+    said = ' '.join(robot.inferred)
+    model = robot.compile()
+    assert (model.nlight, model.ncam) == (0, 0)
+    assert 'floor' not in [model.geom(i).name for i in range(model.ngeom)]
+    for what in ("1 lights of the world body ('top')", "1 cameras of the world body ('wide')",
+                 "1 grounds of the world body ('floor')"):
+        assert f'left out: {what}' in said
+
+
+@pytest.mark.parametrize(('name', 'subsystem'), [
+    ('fl_hx', 'legs'), ('left_hip_pitch_joint', 'legs'), ('FR_calf_joint', 'legs'),
+    ('LF_HAA', 'legs'), ('neck_yaw', 'head'), ('wheel_left_joint', 'base'),
+    ('joint_torso', 'torso'), ('shoulder_pan', 'arm')])
+def test_names_of_other_models_tell_the_subsystem(tmp_path, name, subsystem):
+    robot = load_robot(write(tmp_path / 'arm.xml', ARM.replace('"turn"', f'"{name}"')))
+    assert robot.joints_of(subsystem)[0] == f'robot0_{name}'
+
+
+def test_a_waist_is_of_the_arm_where_it_moves_nothing_else(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.xml', ARM.replace('"turn"', '"waist"')))
+    assert robot.arm_joints[0] == 'robot0_waist'
+
+
+def test_zero_outside_a_range_starts_inside_of_it(tmp_path):
+    text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
+    robot = load_robot(write(tmp_path / 'arm.xml', text.replace('range="0 1"', 'range="1 2"')))
+    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, 1.05])
+    assert 'start pose: zero, but inside the range for bend' in robot.inferred
+
+
+def test_an_own_hand_is_the_gripper_of_its_arm(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.xml', ARM_WITH_HAND))
+    hand = robot.grippers['right']
+    assert robot.arm_joints == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    assert hand.joints == ['robot0_left_finger', 'robot0_right_finger']
+    assert hand.actuators == ['robot0_pull']
+    assert robot.eef_name == {'right': 'robot0_palm'}
+    np.testing.assert_allclose(hand.init_qpos, [0.01, 0.01])
+    # A greater control lengthens the tendon, which opens.
+    np.testing.assert_allclose(hand.format_action([1.0]), [-1.0])
+    np.testing.assert_allclose(hand.format_action([-1.0]), [1.0])
+    assert robot.compile().site(hand.important_sites['grip_site']).pos.shape == (3,)
+
+
+def test_the_grasp_frame_of_an_own_hand_is_between_its_fingertips(tmp_path):
+    world = compose(write(tmp_path / 'arm.xml', ARM_WITH_HAND))
+    model = world.compile()
+    data = mujoco.MjData(model)
+    for joint, position in world.init_qpos().items():
+        data.joint(joint).qpos[0] = position
+    mujoco.mj_forward(model, data)
+    tips = [data.geom(f'robot0_{side}_pad').xpos for side in ('left', 'right')]
+    grip = world.robots[0].grippers['right'].important_sites['grip_site']
+    np.testing.assert_allclose(data.site(grip).xpos, np.mean(tips, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize('gripper', ['none', 'PandaGripper'])
+def test_an_own_hand_goes_when_another_gripper_or_none_is_wanted(tmp_path, gripper):
+    file = write(tmp_path / 'arm.xml', ARM_WITH_HAND)
+    robot = compose_robot(file, gripper)
+    model = robot.compile()
+    names = [model.joint(i).name for i in range(model.njnt)]
+    assert not any('robot0' in name and 'finger' in name for name in names)
+    assert model.body('robot0_palm').mass[0] == 0.0
+    assert [type(g) for g in robot.grippers.values()] == [PandaGripper] * (gripper != 'none')
+    expected = mujoco.MjModel.from_xml_path(str(file))
+    # Nothing else of the arm is gone.
+    np.testing.assert_allclose(model.body('robot0_link3').mass, expected.body('link3').mass)
+
+
+def test_two_arms_with_roots_of_their_own_are_one_robot(tmp_path):
+    robot = load_robot(write(tmp_path / 'pair.xml', TWO_ARMS))
+    assert robot.arm_type == 'bimanual'
+    assert robot.eef_name == {'right': 'robot0_right/palm', 'left': 'robot0_left/palm'}
+    assert robot.root_body == 'robot0_root'
+    assert any("new root body 'root'" in sentence for sentence in robot.inferred)
+    robot.set_base_xpos([1.0, 0.0, 0.0])
+    model = robot.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.body('robot0_left/base').xpos, [1.0, 0.4, 0.0])
+
+
+def test_several_arms_without_sides_are_an_error_that_says_what_to_write(tmp_path):
+    text = TWO_ARMS.replace('left/', 'one/').replace('right/', 'two/')
+    with pytest.raises(ModelError, match="2 chains of joints could be arms.*tell 'arms'"):
+        load_robot(write(tmp_path / 'pair.xml', text))
+
+
+def test_legs_alone_are_a_robot_without_arms(tmp_path):
+    robot = load_robot(write(tmp_path / 'dog.xml', """
+<mujoco><worldbody><body name="trunk" pos="0 0 0.5"><freejoint/><geom size="0.1"/>
+  <body name="leg"><joint name="fl_hx"/><geom size="0.05"/></body></body></worldbody>
+  <actuator><motor joint="fl_hx"/></actuator>
+  <keyframe><key name="home" qpos="0 0 0.4 1 0 0 0 0.1"/></keyframe></mujoco>"""))
+    assert isinstance(robot, RobotModel) and not isinstance(robot, ManipulatorModel)
+    assert robot.legs_joints == ['robot0_fl_hx']
+    np.testing.assert_allclose(robot.compile().qpos0[:3], [0.0, 0.0, 0.4])
+
+
+def test_an_object_beside_the_robot_is_left_out(tmp_path):
+    text = ARM.replace('<worldbody>', '<worldbody><body name="cube" pos="1 0 0.1"><freejoint/>'
+                                      '<geom size="0.02"/></body>')
+    text = text.replace('qpos="', 'qpos="0 0 0 1 0 0 0 ')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert 'robot0_cube' not in robot.bodies
+    np.testing.assert_allclose(robot.init_qpos, [0.1, 0.2, 0.3])
+
+
+def test_of_two_actuators_on_a_joint_the_servo_stays(tmp_path):
+    text = ARM.replace('<actuator>', '<actuator><motor name="extra" joint="turn"/>')
+    text = text.replace(' ctrl="', ' ctrl="0 ')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    assert any("actuator 'extra' is left out" in sentence for sentence in robot.inferred)
+
+
+def test_a_tendon_over_tied_joints_is_driven_by_one_of_them(tmp_path):
+    text = ARM.replace('<actuator>', """<equality><joint joint1="bend" joint2="lift"/></equality>
+  <tendon><fixed name="both"><joint joint="lift" coef="0.5"/><joint joint="bend" coef="1"/></fixed>
+  </tendon><actuator>""")
+    text = text.replace('name="bend" joint="bend" kp', 'name="bend" tendon="both" kp')
+    text = text.replace('<position name="lift" joint="lift" kp="900" kv="60" '
+                        'ctrlrange="-1.5 1.5"/>', '').replace(' ctrl="0.1 0.2 0.3"', '')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.arm_actuators == ['robot0_turn', 'robot0_bend']
+    model = robot.compile()
+    actuator = model.actuator('robot0_bend')
+    assert model.joint(actuator.trnid[0]).name == 'robot0_lift'
+    assert actuator.gear[0] == pytest.approx(1.5)
+
+
+def test_joints_without_actuators_get_servos(tmp_path):
+    text = ARM[:ARM.index('<actuator>')] + '</mujoco>'
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    model = robot.compile()
+    np.testing.assert_allclose(model.actuator_ctrlrange, model.jnt_range)
+    assert (model.actuator_biasprm[:, 1] < 0.0).all()

@@ -1,0 +1,193 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests of robots from URDF: servos from its limits, links without inertia, mimics, meshes."""
+
+import struct
+
+import mujoco
+import numpy as np
+import pytest
+
+from files_rig import write
+
+from manip_sim.errors import ModelError
+from manip_sim.models import compose, load_gripper, load_robot
+
+INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+SOLID = f'<inertial><origin xyz="0 0 0.1"/><mass value="1"/>{INERTIA}</inertial>'
+
+
+def joint(name, parent, child, kind='revolute', more='', z=0.2):
+    return (f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="0 0 {z}"/><axis xyz="0 1 0"/>{more}</joint>')
+
+
+URDF = f"""<?xml version="1.0"?>
+<robot name="arm">
+  <link name="base_link">{SOLID}</link>
+  <link name="upper">{SOLID}<collision><geometry><box size="0.02 0.02 0.1"/></geometry></collision>
+  </link>
+  <link name="lower">{SOLID}</link>
+  <link name="tool0"/>
+  {joint('shoulder', 'base_link', 'upper', more='<limit lower="-1" upper="2" effort="40" '
+         'velocity="1.5"/><dynamics damping="0.3" friction="0.1"/>')}
+  {joint('elbow', 'upper', 'lower', 'continuous', '<limit effort="0" velocity="0"/>')}
+  {joint('flange', 'lower', 'tool0', 'fixed')}
+</robot>
+"""
+
+
+def test_a_urdf_gets_servos_from_its_limits(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.urdf', URDF))
+    assert robot.arm_joints == robot.arm_actuators == ['robot0_shoulder', 'robot0_elbow']
+    model = robot.compile()
+    shoulder, elbow = model.actuator('robot0_shoulder'), model.actuator('robot0_elbow')
+    np.testing.assert_allclose(shoulder.ctrlrange, [-1.0, 2.0])
+    np.testing.assert_allclose(shoulder.forcerange, [-40.0, 40.0])
+    # Zero is no limit.
+    assert not elbow.forcelimited[0] and not elbow.ctrllimited[0]
+    assert not model.joint('robot0_elbow').limited[0]
+    np.testing.assert_allclose(model.jnt_user[:, 0], [1.5, 0.0])
+    assert model.joint('robot0_shoulder').damping[0] == pytest.approx(0.3)
+    assert any('position servos on 2 joints' in sentence for sentence in robot.inferred)
+
+
+def test_links_on_fixed_joints_stay_and_tool0_is_the_end(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.urdf', URDF))
+    assert robot.eef_name == {'right': 'robot0_tool0'}
+    data = mujoco.MjData(robot.compile())
+    mujoco.mj_forward(data.model, data)
+    np.testing.assert_allclose(data.body('robot0_tool0').xpos, [0.0, 0.0, 0.6], atol=1e-9)
+
+
+def test_a_root_link_that_is_the_world_may_be_there(tmp_path):
+    text = URDF.replace('<link name="base_link">',
+                        '<link name="world"/>' + joint('stand', 'world', 'base_link', 'fixed')
+                        + '<link name="base_link">')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert robot.root_body == 'robot0_base_link'
+    np.testing.assert_allclose(robot.compile().body('robot0_base_link').pos, [0.0, 0.0, 0.2])
+
+
+def test_the_servos_of_a_urdf_follow_a_sine(tmp_path):
+    from manip_sim.simulation.simulation import Simulation
+    simulation = Simulation(compose(write(tmp_path / 'arm.urdf', URDF)))
+    names = list(simulation.robot.arm_joints)
+    errors = []
+    for tick in range(300):
+        goal = 0.3 * np.sin(2.0 * np.pi * 0.5 * tick * 0.01)
+        simulation.apply(*simulation.parse.joint_command(names, position=[goal, goal]),
+                         period_s=0.01)
+        simulation.advance(5)
+        if tick > 50:
+            errors.append(simulation.state().position[:2] - goal)
+    assert np.abs(errors).max() < 0.02
+
+
+def test_a_link_that_moves_without_inertia_and_shape_gets_a_little(tmp_path):
+    text = URDF.replace('<link name="tool0"/>', '<link name="tool0"/><link name="spinner"/>')
+    text = text.replace('</robot>', joint('spin', 'lower', 'spinner', 'continuous') + '</robot>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert robot.compile().body('robot0_spinner').mass[0] == pytest.approx(1e-3)
+    assert '1 g for links without inertia and shape: spinner' in robot.inferred
+
+
+def test_a_link_with_a_shape_and_no_inertia_weighs_what_the_shape_does_in_water(tmp_path):
+    text = URDF.replace(f'<link name="upper">{SOLID}', '<link name="upper"><visual><geometry>'
+                        '<box size="1 1 1"/></geometry></visual>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert robot.compile().body('robot0_upper').mass[0] == pytest.approx(0.04)
+
+
+def test_an_inertia_that_no_body_can_have_is_balanced(tmp_path):
+    text = URDF.replace('ixx="0.01"', 'ixx="0.5"', 1)
+    inertia = load_robot(write(tmp_path / 'arm.urdf', text)).compile().body(
+        'robot0_base_link').inertia
+    assert 2.0 * inertia.max() <= inertia.sum() + 1e-9
+
+
+def test_a_mimic_joint_is_tied_and_gets_no_servo(tmp_path):
+    fingers = ''.join(
+        f'<link name="{name}">{SOLID}</link>' + joint(
+            f'{name}_joint', 'palm', name, 'prismatic',
+            f'<limit lower="-0.1" upper="0.1" effort="10" velocity="0.2"/>{more}')
+        for name, more in (('left_finger', ''),
+                           ('right_finger', '<mimic joint="left_finger_joint" multiplier="-1" '
+                                            'offset="0.01"/>')))
+    hand = load_gripper(write(tmp_path / 'hand.urdf', f"""<robot name="hand">
+<link name="palm">{SOLID}</link>{fingers}</robot>"""))
+    assert hand.actuators == ['gripper0_left_finger_joint']
+    model = hand.compile()
+    np.testing.assert_allclose(model.eq_data[0, :5], [0.01, -1.0, 0.0, 0.0, 0.0])
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 0.05
+    mujoco.mj_step(model, data, 1000)
+    np.testing.assert_allclose(data.joint('gripper0_right_finger_joint').qpos, [-0.04], atol=2e-3)
+
+
+def mesh_file(file):
+    """Write a tetrahedron of 0.1 m as STL."""
+    corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)]
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(b'\0' * 80 + struct.pack('<I', 4) + b''.join(
+        struct.pack('<12fH', 0, 0, 0, *corners[a], *corners[b], *corners[c], 0)
+        for a, b, c in faces))
+
+
+def with_mesh(name):
+    return URDF.replace('<box size="0.02 0.02 0.1"/>', f'<mesh filename="{name}"/>')
+
+
+@pytest.mark.parametrize('name', ['meshes/link.stl', 'package://acme/urdf/meshes/link.stl'])
+def test_meshes_are_found_beside_the_file_and_in_its_package(tmp_path, name):
+    mesh_file(tmp_path / 'acme' / 'urdf' / 'meshes' / 'link.stl')
+    robot = load_robot(write(tmp_path / 'acme' / 'urdf' / 'arm.urdf', with_mesh(name)))
+    assert robot.compile().nmesh == 1
+
+
+@pytest.mark.parametrize(('variable', 'place'), [
+    ('AMENT_PREFIX_PATH', 'share/acme'), ('ROS_PACKAGE_PATH', 'acme')])
+def test_meshes_are_found_in_other_packages(tmp_path, monkeypatch, variable, place):
+    mesh_file(tmp_path / 'prefix' / place / 'link.stl')
+    monkeypatch.setenv(variable, str(tmp_path / 'prefix'))
+    file = write(tmp_path / 'elsewhere' / 'arm.urdf', with_mesh('package://acme/link.stl'))
+    assert load_robot(file).compile().nmesh == 1
+
+
+@pytest.mark.parametrize(('name', 'message'), [
+    ('package://acme/link.stl', "mesh 'package://acme/link.stl' of link 'upper' in .*arm.urdf: "
+                                "package 'acme' is neither in AMENT_PREFIX_PATH or "),
+    ('gone.stl', "mesh 'gone.stl' of link 'upper' in .*arm.urdf: no such file: .*gone.stl")])
+def test_a_mesh_that_is_missing_is_told_with_its_link(tmp_path, monkeypatch, name, message):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    monkeypatch.delenv('ROS_PACKAGE_PATH', raising=False)
+    with pytest.raises(ModelError, match=message):
+        load_robot(write(tmp_path / 'arm.urdf', with_mesh(name)))
+
+
+def test_a_mesh_that_mujoco_cannot_read_is_replaced_or_left_out(tmp_path):
+    write(tmp_path / 'link.dae', 'x')
+    robot = load_robot(write(tmp_path / 'arm.urdf', with_mesh('link.dae')))
+    assert robot.compile().nmesh == 0
+    assert any('left out: 1 shapes' in sentence and "'link.dae'" in sentence
+               for sentence in robot.inferred)
+    mesh_file(tmp_path / 'link.stl')
+    assert load_robot(tmp_path / 'arm.urdf').compile().nmesh == 1
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    (URDF[:300], 'arm.urdf is not XML that can be read'),
+    ('<mujoco/>', "arm.urdf is not URDF: its root is 'mujoco', not 'robot'"),
+    ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', 'arm.urdf declares entities'),
+    (URDF.replace('<child link="upper"/>', '<child link="uper"/>'),
+     'arm.urdf cannot be read by MuJoCo')])
+def test_a_urdf_that_cannot_be_read_is_told_in_one_line(tmp_path, text, message):
+    with pytest.raises(ModelError, match=message) as raised:
+        load_robot(write(tmp_path / 'arm.urdf', text))
+    assert '\n' not in str(raised.value)
+
+
+def test_a_urdf_may_be_called_xml(tmp_path):
+    assert load_robot(write(tmp_path / 'arm.xml', URDF)).eef_name == {'right': 'robot0_tool0'}
