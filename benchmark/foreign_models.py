@@ -150,11 +150,11 @@ def _relative(place: Any, root: Any) -> Any:
 
 def holds(simulation: Simulation) -> tuple[bool, str]:
     """Return whether the start pose is held, and which joint moves how far."""
-    start, worst = simulation.state().position, 0.0
+    start, worst = simulation.robot.state().position, 0.0
     where = ''
     for _ in range(100):
         simulation.advance(round(HOLD_S / 100 / simulation.timestep_s))
-        moved = np.abs(simulation.state().position - start)
+        moved = np.abs(simulation.robot.state().position - start)
         if moved.max(initial=0.0) > worst:
             worst = float(moved.max())
             where = f'{simulation.joint_names[int(moved.argmax())]} moves {worst:.3g}'
@@ -164,12 +164,12 @@ def holds(simulation: Simulation) -> tuple[bool, str]:
 def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
     """Return whether the joints of a part follow a sine, and which one is worst."""
     simulation.reset()
-    names = [joint for joint in simulation.parts[part].driven_joints if joint]
+    names = [joint for joint in simulation.robot.parts[part].driven_joints if joint]
     index = [simulation.joint_names.index(name) for name in names]
-    start = simulation.state().position[index]
+    start = simulation.robot.state().position[index]
     middle, swing = _room(simulation.model, names, start)
     run_to(simulation, part, names, start, middle)
-    simulation.set_control_mode(part, mode)
+    simulation.robot.set_control_mode(part, mode)
     goals, reached = [], []
     for tick in range(round(2.0 / FREQUENCY_HZ / PERIOD_S)):
         phase = 2.0 * np.pi * FREQUENCY_HZ * tick * PERIOD_S
@@ -177,14 +177,14 @@ def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
             goal, field = middle + swing * np.sin(phase), 'position'
         else:
             goal, field = swing * 2.0 * np.pi * FREQUENCY_HZ * np.cos(phase), 'velocity'
-        simulation.apply(*simulation.parse.joint_command(names, **{field: goal}, part=part),
+        simulation.robot.apply(*simulation.robot.parse.joint_command(names, **{field: goal}, part=part),
                          period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
-        state = simulation.state()
+        state = simulation.robot.state()
         goals.append(goal)
         reached.append((state.position if mode == 'position' else state.velocity)[index])
     residual = _residual(np.array(goals), np.array(reached), middle * (mode == 'position'))
-    simulation.set_control_mode(part, 'position')
+    simulation.robot.set_control_mode(part, 'position')
     worst = int(residual.argmax())
     return bool(residual.max() < FOLLOWED), f'{names[worst]} {100 * residual[worst]:.0f} %'
 
@@ -192,7 +192,7 @@ def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
 def run_to(simulation: Simulation, part: str, names: list[str], start: Any, goal: Any) -> None:
     """Move a part slowly."""
     for share in np.linspace(0.0, 1.0, 100):
-        simulation.apply(*simulation.parse.joint_command(
+        simulation.robot.apply(*simulation.robot.parse.joint_command(
             names, position=start + share * (goal - start), part=part), period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
 
@@ -224,7 +224,7 @@ def _residual(goals: Any, reached: Any, middle: Any) -> Any:
 def hand_follows(simulation: Simulation, part: str) -> tuple[bool, str]:
     """Return whether the servos of a hand follow a sine of actions, and which is worst."""
     simulation.reset()
-    controller = simulation.grippers[part]
+    controller = simulation.robot.grippers[part]
     actuators = controller._actuators
     if not len(actuators.ids) or not actuators.is_servo.any():
         return True, 'has no servos'
@@ -239,7 +239,7 @@ def hand_follows(simulation: Simulation, part: str) -> tuple[bool, str]:
         begin = 2.0 * share - 1.0
         action = begin + ramp * (middle - begin) + 0.2 * ramp * np.sin(
             2.0 * np.pi * FREQUENCY_HZ * tick * PERIOD_S)
-        simulation.apply(simulation.parse.action(part, np.clip(action, -1, 1)), period_s=PERIOD_S)
+        simulation.robot.apply(simulation.robot.parse.action(part, np.clip(action, -1, 1)), period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
         place = 2.0 * (actuators.place(simulation.data) - low) / (high - low) - 1.0
         goals.append(action)
@@ -289,14 +289,14 @@ def check(kind: str, file: Path) -> dict[str, Any]:
         if not row['position']:
             row['reason'].append(why)
         return row
-    parts = [name for name in simulation.parts if '/' not in name
-             and simulation.parts[name].atomic == (name,) and simulation.parts[name].actuators
+    parts = [name for name in simulation.robot.parts if '/' not in name
+             and simulation.robot.parts[name].atomic == (name,) and simulation.robot.parts[name].actuators
              and (name != 'legs' or not row['floats'])]
     for mode in ('position', 'velocity'):
         results = {part: follows(simulation, part, mode) for part in parts}
         row[mode] = all(good for good, _ in results.values())
         row['reason'] += [f'{mode}: {why}' for good, why in results.values() if not good]
-    for part in simulation.grippers:
+    for part in simulation.robot.grippers:
         good, why = hand_follows(simulation, part)
         row['position'] = row['position'] and good
         if not good:

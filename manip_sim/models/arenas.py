@@ -222,7 +222,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     :raises ModelError: if a value is not within the limits of its parameter, a file cannot be
         used, or the arena is one of another package and cannot be imported
     """
-    source = None if name in ARENAS.names() else find_source(name, 'arenas')
+    source = None if ARENAS.knows(name) else find_source(name, 'arenas')
     if source is None:
         return ARENAS.create(str(name), arena_names(), **_arguments(str(name), parameters))
     check_no_parameters(name, parameters)
@@ -255,6 +255,6 @@ def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
 
     :raises UnknownNameError: if there is no such arena, naming the nearest ones
     """
-    if name not in ARENAS.names() and find_source(name, 'arenas') is not None:
+    if not ARENAS.knows(name) and find_source(name, 'arenas') is not None:
         return ()
     return ARENAS.get(str(name), arena_names()).parameters

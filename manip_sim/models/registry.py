@@ -74,6 +74,10 @@ class Registry(Generic[T]):
         return sorted(name for name, cls in self._classes.items()
                       if self._is_public(name, cls) and not self._missing_arguments(cls))
 
+    def knows(self, name: object) -> bool:
+        """Tell whether there is a class or an entry point of a name; nothing is imported."""
+        return name in self._classes or name in offers(self._group)
+
     def get(self, name: str, available: Iterable[str] = ()) -> type[T]:
         """
         Return the class of a name.

@@ -53,7 +53,7 @@ def test_closing_is_where_the_fingertips_meet(tmp_path):
 @pytest.mark.parametrize('wrong', [[1.0, 0.0], [np.nan]])
 def test_an_action_that_does_not_fit_is_refused(tmp_path, wrong):
     hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
-    with pytest.raises(CommandError, match='takes'):
+    with pytest.raises(CommandError, match='an action of FileGripper must'):
         hand.format_action(wrong)
 
 

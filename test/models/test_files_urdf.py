@@ -73,15 +73,15 @@ def test_a_root_link_that_is_the_world_may_be_there(tmp_path):
 def test_the_servos_of_a_urdf_follow_a_sine(tmp_path):
     from manip_sim.simulation.simulation import Simulation
     simulation = Simulation(compose(write(tmp_path / 'arm.urdf', URDF)))
-    names = list(simulation.robot.arm_joints)
+    names = list(simulation.robot.robot_model.arm_joints)
     errors = []
     for tick in range(300):
         goal = 0.3 * np.sin(2.0 * np.pi * 0.5 * tick * 0.01)
-        simulation.apply(*simulation.parse.joint_command(names, position=[goal, goal]),
+        simulation.robot.apply(*simulation.robot.parse.joint_command(names, position=[goal, goal]),
                          period_s=0.01)
         simulation.advance(5)
         if tick > 50:
-            errors.append(simulation.state().position[:2] - goal)
+            errors.append(simulation.robot.state().position[:2] - goal)
     assert np.abs(errors).max() < 0.02
 
 

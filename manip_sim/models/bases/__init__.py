@@ -37,7 +37,7 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
     :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
         imported
     """
-    source = None if name in BASES.names() else find_source(name, 'bases')
+    source = None if BASES.knows(name) else find_source(name, 'bases')
     if source is None:
         return BASES.create(str(name), base_names(), idn=idn)
     from manip_sim.models.files import load_base

@@ -13,7 +13,6 @@ import numpy as np
 from manip_sim.models.arenas import Arena
 from manip_sim.models.files.description import ArenaDescription
 from manip_sim.models.loading import load_spec
-from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.typing import FloatArray
 
@@ -30,7 +29,7 @@ class FileArena(Arena, registered=False):
     def __init__(self, file: Path, description: ArenaDescription) -> None:
         self._description = description
         self.inferred: list[str] = []
-        MujocoXMLModel.__init__(self, file)
+        super().__init__(file)
         self.arena_name = file.stem  # type: ignore[misc]
 
     @property

@@ -85,6 +85,10 @@ class OwnHand(HandFromFile, registered=False):
         self._set_closing(Fingers(tree, hand, self._start), list(hand.actuators))
         self.current_action = np.zeros(self.dof)
 
+    def refresh(self) -> None:
+        """Record again what the lists and figures tell, after edits of the robot's spec."""
+        self.bind(self._robot)
+
     @property
     def spec(self) -> Any:
         """The robot's ``mujoco.MjSpec``."""

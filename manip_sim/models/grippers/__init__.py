@@ -41,7 +41,7 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
     :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
         imported
     """
-    source = None if name in GRIPPERS.names() else find_source(name, 'grippers')
+    source = None if GRIPPERS.knows(name) else find_source(name, 'grippers')
     if source is None:
         return GRIPPERS.create(str(name), gripper_names(), idn=idn)
     from manip_sim.models.files import load_gripper

@@ -42,7 +42,7 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
     :raises ModelError: if names cannot begin with the prefix, a file cannot be used, or the robot
         is one of another package and cannot be imported
     """
-    source = None if name in ROBOTS.names() else find_source(name, 'robots')
+    source = None if ROBOTS.knows(name) else find_source(name, 'robots')
     robot: RobotModel
     if source is None:
         robot = ROBOTS.create(str(name), robot_names(), idn=idn)
