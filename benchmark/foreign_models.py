@@ -177,8 +177,9 @@ def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
             goal, field = middle + swing * np.sin(phase), 'position'
         else:
             goal, field = swing * 2.0 * np.pi * FREQUENCY_HZ * np.cos(phase), 'velocity'
-        simulation.robot.apply(*simulation.robot.parse.joint_command(names, **{field: goal}, part=part),
-                         period_s=PERIOD_S)
+        robot = simulation.robot
+        robot.apply(*robot.parse.joint_command(names, **{field: goal}, part=part),
+                    period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
         state = simulation.robot.state()
         goals.append(goal)
@@ -239,7 +240,8 @@ def hand_follows(simulation: Simulation, part: str) -> tuple[bool, str]:
         begin = 2.0 * share - 1.0
         action = begin + ramp * (middle - begin) + 0.2 * ramp * np.sin(
             2.0 * np.pi * FREQUENCY_HZ * tick * PERIOD_S)
-        simulation.robot.apply(simulation.robot.parse.action(part, np.clip(action, -1, 1)), period_s=PERIOD_S)
+        robot = simulation.robot
+        robot.apply(robot.parse.action(part, np.clip(action, -1, 1)), period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
         place = 2.0 * (actuators.place(simulation.data) - low) / (high - low) - 1.0
         goals.append(action)
@@ -289,8 +291,8 @@ def check(kind: str, file: Path) -> dict[str, Any]:
         if not row['position']:
             row['reason'].append(why)
         return row
-    parts = [name for name in simulation.robot.parts if '/' not in name
-             and simulation.robot.parts[name].atomic == (name,) and simulation.robot.parts[name].actuators
+    parts = [name for name, part in simulation.robot.parts.items() if '/' not in name
+             and part.atomic == (name,) and part.actuators
              and (name != 'legs' or not row['floats'])]
     for mode in ('position', 'velocity'):
         results = {part: follows(simulation, part, mode) for part in parts}

@@ -12,11 +12,22 @@ from typing import Any
 import warnings
 
 import mujoco
+import numpy as np
 
 from manip_sim.errors import ModelError
+from manip_sim.models.asset_files import resolve_files
+from manip_sim.models.xml_check import check_xml
+from manip_sim.quoting import one_line, quoted
 
 #: MuJoCo raises the first for what is wrong in a file; the others where memory does not suffice.
 _ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
+#: What MuJoCo takes from a file even if it is nan or inf, by the beginning of the field's name.
+_NUMBERS = {
+    'body': ('mass', 'inertia', 'pos', 'quat', 'ipos'), 'geom': ('size', 'pos', 'friction'),
+    'jnt': ('pos', 'axis', 'range', 'stiffness'), 'dof': ('damping', 'armature', 'frictionloss'),
+    'actuator': ('gear', 'gainprm', 'biasprm', 'ctrlrange', 'forcerange')}
+_MAY_BE_INFINITE = ('range', 'ctrlrange', 'forcerange')
+
 
 #: What MuJoCo warns of where a part has no prefix, which is wanted then.
 _EMPTY_PREFIX = 'Attaching a spec with an empty prefix'
@@ -42,23 +53,39 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings('ignore', _EMPTY_PREFIX)
-            return spec.compile()
+            model = spec.compile()
     except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
+    _refuse_not_finite(model, name)
+    return model
+
+
+def _refuse_not_finite(model: mujoco.MjModel, name: str) -> None:
+    for kind, what in ((kind, what) for kind, fields in _NUMBERS.items() for what in fields):
+        values = getattr(model, f'{kind}_{what}')
+        bad = np.isnan(values) if what in _MAY_BE_INFINITE else ~np.isfinite(values)
+        if bad.any():
+            index = int(np.argwhere(bad)[0][0])
+            if kind == 'dof':
+                index = int(model.dof_jntid[index])
+            kind = {'jnt': 'joint', 'dof': 'joint'}.get(kind, kind)
+            raise ModelError(f'{name} does not compile: {what} of {kind} '
+                             f'{quoted(getattr(model, kind)(index).name)} must be finite')
 
 
 def load_spec(file: Path) -> mujoco.MjSpec:
     """
-    Read a spec from an MJCF file.
+    Read a spec from an MJCF or URDF file; it names its asset files by absolute paths.
 
-    :raises ModelError: if the file is missing or is not MJCF
+    :raises ModelError: if a file is missing, is not MJCF or URDF, or would take the process down
     """
-    if not file.is_file():
-        raise ModelError(f'no such MJCF file: {file}')
+    facts = check_xml(file)
     try:
-        return mujoco.MjSpec.from_file(str(file))
+        spec = mujoco.MjSpec.from_file(str(file))
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
+    resolve_files(spec, file, facts)
+    return spec
 
 
 def spec_from_string(text: str, file: Path) -> Any:
@@ -76,7 +103,7 @@ def spec_from_string(text: str, file: Path) -> Any:
 
 def _one_line(error: Exception) -> str:
     text = ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
-    return text or type(error).__name__
+    return one_line(text) or type(error).__name__
 
 
 def name_unnamed_elements(spec: mujoco.MjSpec) -> None:

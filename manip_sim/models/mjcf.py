@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.naming import check_names_are_free, check_prefix
 from manip_sim.models.spec_edits import name_main_default, yield_globals
@@ -293,6 +294,7 @@ class MujocoXMLModel:
         check_names_are_free(spec, own, self.naming_prefix, self.name)
         for key in list(own.keys):
             own.delete(key)
+        resolve_files(own, self.file)
         yield_globals(own, spec)
         spec.attach(own, prefix=self.naming_prefix, frame=frame)
 

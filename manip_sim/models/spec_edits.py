@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 _SIZES = ('memory', 'nuserdata')
+_OLD_SIZES = ('nkey', 'njmax', 'nconmax', 'nstack')
 _USER_COUNTS = tuple(f'nuser_{kind}' for kind in (
     'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor'))
 _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 'signature'))
@@ -70,10 +71,12 @@ def yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
     :param own: the spec that will be attached
     :param spec: the spec to attach to
     """
-    own.option, own.visual = spec.option, spec.visual
+    own.option, own.visual, own.stat = spec.option, spec.visual, spec.stat
     for size in _SIZES:
         setattr(spec, size, max(getattr(own, size), getattr(spec, size), key=_signed))
         setattr(own, size, getattr(spec, size))
+    for count in _OLD_SIZES:
+        setattr(own, count, getattr(spec, count))
     for count in _USER_COUNTS:
         setattr(own, count, -1)
 

@@ -43,7 +43,7 @@ def test_missing_file_is_named(tmp_path):
 
 def test_file_that_is_not_mjcf_is_named_on_one_line(tmp_path):
     path = tmp_path / 'broken.xml'
-    path.write_text('<mujoco><worldbody>')
+    path.write_text('<mujoco><worldbudy/></mujoco>')
     with pytest.raises(ModelError, match=r'broken\.xml is not MJCF that MuJoCo can read: .+'
                        ) as error:
         MujocoXMLModel(path)

@@ -16,6 +16,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import spec_from_string
+from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 
 _MESHES = ('.stl', '.obj', '.msh')
@@ -29,6 +30,8 @@ def is_urdf(file: Path) -> bool:
     """Tell whether a file is URDF: by its ending, or because its first element is ``robot``."""
     if file.suffix.lower() == '.urdf':
         return True
+    if not file.is_file():  # It may be something that never ends.
+        return False
     try:
         with open(file, encoding='utf-8', errors='replace') as stream:
             first = re.search(r'<([A-Za-z_]\w*)', stream.read(_HEAD))
@@ -48,6 +51,7 @@ def load_urdf(file: Path) -> tuple[Any, list[str]]:
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or made up
     :raises ModelError: if it cannot be read, or a mesh is not found
     """
+    check_xml(file)
     robot = _parse(file)
     told = _find_meshes(robot, file)
     compiler = _compiler(robot)

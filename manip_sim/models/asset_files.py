@@ -1,0 +1,158 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The files that a spec refers to: meshes, textures, height fields and skins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+import os
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import mujoco
+
+from manip_sim.errors import ModelError
+from manip_sim.models.regular_files import check_file
+from manip_sim.models.xml_check import AssetFolders, XmlFacts
+from manip_sim.quoting import one_line
+
+#: Largest file; a mesh of this size takes MuJoCo half a minute and 1.5 GB.
+_MAX_BYTES = 50_000_000
+#: Largest image, which takes 16 bytes for each pixel of a height field, 6 of a texture.
+_MAX_PIXELS = {'texture': 120_000_000, 'height field': 16_000_000}
+_PNG_SIGNATURE = b'\x89PNG\r\n\x1a\n'
+
+
+@dataclass
+class Reference:
+    """
+    A file that an element of a spec names.
+
+    :ivar kind: ``mesh``, ``texture``, ``height field`` or ``skin``
+    """
+
+    kind: str
+    _element: Any
+    #: Of a texture of six images, which one it is.
+    _side: int | None = None
+
+    @property
+    def file(self) -> str:
+        """What the element names."""
+        if self._side is None:
+            return str(self._element.file)
+        return str(self._element.cubefiles[self._side])
+
+    def set_file(self, file: str) -> None:
+        """Let the element name another file; it keeps its name, which MuJoCo takes from there."""
+        if self._side is not None:
+            self._element.cubefiles[self._side] = file
+            return
+        if not self._element.name:
+            self._element.name = PurePosixPath(self.file).stem
+        self._element.file = file
+
+    @property
+    def element_name(self) -> str:
+        """Name of the element, which may be empty."""
+        return str(self._element.name)
+
+
+def references(spec: mujoco.MjSpec) -> Iterator[Reference]:
+    """Return all files that the elements of a spec name, in its order."""
+    for kind, elements in (('mesh', spec.meshes), ('height field', spec.hfields),
+                           ('texture', spec.textures), ('skin', spec.skins)):
+        for element in elements:
+            sides = range(len(element.cubefiles)) if kind == 'texture' else ()
+            for reference in (Reference(kind, element),
+                              *(Reference(kind, element, side) for side in sides)):
+                if reference.file:
+                    yield reference
+
+
+def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None) -> None:
+    """
+    Let a spec name its files by absolute paths, so that it can be composed and written anywhere.
+
+    Files that :attr:`spec.assets` holds stay as they are.
+
+    :param file: from which the spec was loaded
+    :param facts: what its XML tells; None: the spec has been resolved before
+    :raises ModelError: if a file is missing, not regular, too large or must not be read
+    """
+    folders = [AssetFolders(file.parent, spec.meshdir, spec.texturedir)]
+    if facts is not None:
+        folders += facts.folders[1:]
+    base_name_too = bool(spec.strippath) or (facts is not None and facts.is_urdf)
+    for reference in references(spec):
+        if os.path.isabs(reference.file) and facts is None:
+            continue
+        if _is_held(spec, reference):
+            continue
+        path = _find(reference, folders, facts, base_name_too)
+        check_file(path, f'{reference.kind} file', _MAX_BYTES)
+        _check_image(path, reference.kind)
+        reference.set_file(path.as_posix())
+    spec.strippath = False
+
+
+def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:
+    held = spec.assets or {}
+    folder = spec.texturedir if reference.kind == 'texture' else spec.meshdir
+    return reference.file in held or str(PurePosixPath(folder, reference.file)) in held
+
+
+def _find(reference: Reference, folders: list[AssetFolders], facts: XmlFacts | None,
+          base_name_too: bool) -> Path:
+    """Return the first place where the file is; where it is in none, the first that there is."""
+    name = reference.file
+    if facts is not None and facts.is_urdf:
+        # Some versions of MuJoCo keep the last part only.
+        name = facts.mesh_files.get(name.rpartition('/')[2], name)
+    names = [name, PurePosixPath(name).name] if base_name_too else [name]
+    places = [place for folder in _own_first(reference, folders) for each in names
+              for place in _places(reference.kind, each, folder)]
+    return next((place for place in places if place.exists()), places[0])
+
+
+def _own_first(reference: Reference, folders: list[AssetFolders]) -> list[AssetFolders]:
+    fitting = [f for f in folders if reference.element_name.startswith(f.prefix)]
+    return sorted(fitting, key=lambda folder: -len(folder.prefix))
+
+
+def _places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
+    root = Path(os.path.abspath(folder.folder))
+    scheme, separator, rest = name.partition('://')
+    if separator and scheme == 'file':
+        yield Path(rest)
+    elif separator:
+        yield from _places_of_package(root, rest)
+        name = rest
+    directory = folder.texturedir if kind == 'texture' else folder.meshdir
+    yield Path(os.path.normpath(root / directory / name))
+
+
+def _places_of_package(root: Path, name: str) -> Iterator[Path]:
+    """Return where a file of a ROS package may be: in the folder of that name above the model."""
+    package, _, rest = name.partition('/')
+    for parent in (root, *root.parents):
+        if parent.name == package:
+            yield parent / rest
+        if (parent / package).is_dir():
+            yield parent / package / rest
+
+
+def _check_image(path: Path, kind: str) -> None:
+    most = _MAX_PIXELS.get(kind)
+    if most is None:
+        return
+    with path.open('rb') as stream:
+        header = stream.read(24)
+    if not header.startswith(_PNG_SIGNATURE) or len(header) < 24:
+        return
+    width, height = int.from_bytes(header[16:20], 'big'), int.from_bytes(header[20:24], 'big')
+    if width * height > most:
+        raise ModelError(f'{kind} file {one_line(str(path))} has {width} times {height} pixels, '
+                         f'and at most {most} are loaded')

@@ -1,0 +1,246 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Look at a model's XML files before MuJoCo does, which cannot be interrupted.
+
+A model that is loaded into itself, or a line that makes a billion geoms, would take the process
+or all of the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+import math
+import os
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+from manip_sim.errors import ModelError
+from manip_sim.models.regular_files import read_file
+from manip_sim.quoting import one_line, quoted
+
+#: Of all XML files of a model together [bytes].
+_MAX_BYTES = 50_000_000
+#: From how many files a model is loaded; one that is used twice counts twice.
+_MAX_FILES = 1000
+#: How many bodies, geoms and so on are made by elements that make several.
+_MAX_MADE = 20_000
+_MAX_USER = 1000
+#: By element and attributes, how large the product of their numbers may be.
+_MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
+    ('hfield', ('nrow', 'ncol')): 4000**2,
+    ('numeric', ('size',)): 1e6,
+    ('size', ('nkey',)): 1e4,
+    ('size', ('nuserdata',)): 1e7,
+    **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
+        'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
+#: More than these take many seconds and gigabytes.
+_MAX_PIXELS = 120_000_000
+_MAX_MESH_PARAMETER = 500
+#: How deep files may include each other.
+_MAX_DEPTH = 50
+
+
+@dataclass
+class AssetFolders:
+    """
+    Where the asset files of a model are, relative ones at least.
+
+    :ivar folder: of the model's file
+    :ivar meshdir: and ``texturedir``: of its compiler settings
+    :ivar prefix: of the elements that an ``attach`` element brings, else empty
+    """
+
+    folder: Path
+    meshdir: str = ''
+    texturedir: str = ''
+    prefix: str = ''
+
+
+@dataclass
+class XmlFacts:
+    """
+    What the XML files of a model tell.
+
+    :ivar is_urdf: it is no MJCF
+    :ivar folders: of the model, then of the models that are attached to it
+    :ivar mesh_files: how a URDF names the files of meshes, by the last part of the name
+    """
+
+    is_urdf: bool = False
+    folders: list[AssetFolders] = field(default_factory=list)
+    mesh_files: dict[str, str] = field(default_factory=dict)
+
+
+def check_xml(file: Path) -> XmlFacts:
+    """
+    Read all XML files of a model, and refuse what could take the process down.
+
+    :param file: MJCF or URDF
+    :raises ModelError: naming file and line
+    """
+    model = _Model(file, _Budget(), ())
+    return XmlFacts(model.root == 'robot', model.folders, model.mesh_files)
+
+
+@dataclass
+class _Budget:
+    """What all files of a model may take together."""
+
+    bytes: int = _MAX_BYTES
+    files: int = _MAX_FILES
+    made: int = _MAX_MADE
+
+
+class _Model:
+    """One model: its file and all that it includes; models that it attaches have their own."""
+
+    def __init__(self, file: Path, budget: _Budget, loaded_by: tuple[Path, ...]) -> None:
+        self.root = self.name = ''
+        self.elements = 0
+        self.mesh_files: dict[str, str] = {}
+        self.folders = [AssetFolders(file.parent)]
+        self._file = file
+        self._budget = budget
+        #: What led here: files of models that are loaded, the outermost first, then the file that
+        #: is read and those that include it.
+        self._chain = list(loaded_by)
+        self._parsers: list[expat.XMLParserType] = []
+        #: How many times each open element is made.
+        self._times = [1]
+        self._models: dict[str, _Model] = {}
+        self._attached: list[tuple[str, str, int]] = []
+        self._read(file, 'model file' if loaded_by else 'MJCF file')
+        for attached in self._attached:
+            self._count_attached(*attached)
+
+    def _read(self, file: Path, kind: str) -> None:
+        data = read_file(file, kind, _MAX_BYTES)
+        real = Path(os.path.realpath(file))
+        if real in self._chain:
+            loop = [*self._chain[self._chain.index(real):], real]
+            raise ModelError(f'{one_line(str(self._file))} is loaded into itself: '
+                             + one_line(' > '.join(path.name for path in loop)))
+        self._budget.bytes -= len(data)
+        self._budget.files -= 1
+        if min(self._budget.bytes, self._budget.files, _MAX_DEPTH - len(self._chain)) < 0:
+            raise ModelError(f'{one_line(str(self._file))} is loaded from more than {_MAX_FILES} '
+                             f'files, {_MAX_BYTES / 1e6:.0f} MB of XML, or files that are loaded '
+                             f'by others {_MAX_DEPTH} deep')
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.EntityDeclHandler = self._refuse_entities
+        self._chain.append(real)
+        self._parsers.append(parser)
+        try:
+            parser.Parse(data, True)
+        except (expat.ExpatError, LookupError) as error:
+            raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}') from error
+        self._parsers.pop()
+        self._chain.pop()
+
+    @property
+    def _place(self) -> str:
+        line = self._parsers[-1].CurrentLineNumber
+        return f'{one_line(str(self._chain[-1]))}, line {line}'
+
+    def _refuse_entities(self, name: str, *_: object) -> NoReturn:
+        raise ModelError(f'{self._place}: the entity {quoted(name)} is declared; models must not '
+                         'declare any')
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        if not self.root:
+            self._begin(tag, attributes)
+        times = self._times[-1]
+        self.elements += times
+        if times > 1:
+            self._make(times)
+        if tag == 'replicate':
+            times *= _product(attributes, 'count')
+        elif tag in ('composite', 'flexcomp'):
+            self._make(times * _product(attributes, 'count'))
+        self._times.append(times)
+        self._check_numbers(tag, attributes)
+        self._follow(tag, attributes)
+
+    def _end(self, tag: str) -> None:
+        self._times.pop()
+
+    def _begin(self, tag: str, attributes: dict[str, str]) -> None:
+        if tag not in ('mujoco', 'robot'):
+            raise ModelError(f'{one_line(str(self._file))} is no model: it begins with '
+                             f'<{tag[:60]}>, MJCF with <mujoco>, and URDF with <robot>')
+        self.root = tag
+        self.name = attributes.get('model', '')
+
+    def _check_numbers(self, tag: str, attributes: dict[str, str]) -> None:
+        for (element, names), most in _MAX_PRODUCT.items():
+            if element == tag and _product(attributes, *names) > most:
+                self._refuse_number(f'{" times ".join(names)} of {tag}', most)
+        if tag == 'mesh' and max(_numbers(attributes, 'params'), default=0) > _MAX_MESH_PARAMETER:
+            self._refuse_number('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)
+        if tag == 'texture':
+            width, height = (_product(attributes, name) for name in ('width', 'height'))
+            if width * (height if attributes.get('type') == '2d' else 6 * width) > _MAX_PIXELS:
+                self._refuse_number('the number of pixels of a texture', _MAX_PIXELS)
+
+    def _refuse_number(self, what: str, most: float) -> NoReturn:
+        raise ModelError(f'{self._place}: {what} is more than {most:g}')
+
+    def _follow(self, tag: str, attributes: dict[str, str]) -> None:
+        file = attributes.get('file', '')
+        if tag == 'include' and file:
+            self._include(file)
+        elif tag == 'model' and file:
+            model = _Model(self._file.parent / file, self._budget, tuple(self._chain))
+            self._models[attributes.get('name', model.name)] = model
+        elif tag == 'attach':
+            self._attached.append((attributes.get('model', ''), attributes.get('prefix', ''),
+                                   self._times[-1]))
+        elif tag == 'compiler':
+            own = self.folders[0]
+            directory = attributes.get('assetdir')
+            own.meshdir = attributes.get('meshdir', directory or own.meshdir)
+            own.texturedir = attributes.get('texturedir', directory or own.texturedir)
+        elif tag == 'mesh' and 'filename' in attributes:
+            name = attributes['filename']
+            self.mesh_files[name.rpartition('/')[2]] = name
+
+    def _include(self, name: str) -> None:
+        places = [self._file.parent / name, self._chain[-1].parent / name]
+        self._read(next((place for place in places if os.path.exists(place)), places[0]),
+                   'included file')
+
+    def _count_attached(self, name: str, prefix: str, times: int) -> None:
+        model = self._models.get(name)
+        if model is None:
+            return  # MuJoCo says so.
+        self.elements += times * model.elements
+        self._make((times - 1) * model.elements)
+        self.folders += [AssetFolders(f.folder, f.meshdir, f.texturedir, prefix + f.prefix)
+                         for f in model.folders]
+
+    def _make(self, count: int) -> None:
+        self._budget.made -= count
+        if self._budget.made < 0:
+            where = self._place if self._parsers else one_line(str(self._file))
+            raise ModelError(f'{where}: elements that make several, such as replicate, would make '
+                             f'more than {_MAX_MADE}')
+
+
+def _numbers(attributes: dict[str, str], name: str) -> list[float]:
+    try:
+        return [float(word) for word in attributes.get(name, '').split()]
+    except ValueError:
+        return []  # MuJoCo says so.
+
+
+def _product(attributes: dict[str, str], *names: str) -> int:
+    """Return the product of the numbers in attributes, at least 1; one that is missing is 1."""
+    product = math.prod(number if number > 1.0 else 1.0 for name in names
+                        for number in _numbers(attributes, name))
+    return int(min(product, 1e15))
