@@ -38,10 +38,13 @@ def package(tmp_path_factory):
 
 
 def run(package, *arguments):
-    """Run Python in the copy and return the finished process."""
+    """Run Python in the copy, scripts with its own models; return the finished process."""
+    path = os.pathsep.join([str(package), os.environ.get('PYTHONPATH', '')])
+    models = str(package / 'my_models') if arguments[0] == '-c' else ''
     return subprocess.run(
         [sys.executable, *map(str, arguments)], cwd=package, text=True, capture_output=True,
-        env={**os.environ, 'PYTHONPATH': str(package)}, timeout=100, check=False)
+        env={**os.environ, 'MANIP_SIM_PATH': models, 'PYTHONPATH': path}, timeout=100,
+        check=False)
 
 
 def test_the_document_gives_a_model_a_readme_and_a_class_for_each_part():
@@ -49,7 +52,9 @@ def test_the_document_gives_a_model_a_readme_and_a_class_for_each_part():
     assert files == [
         'assets/grippers/tiny_gripper/README.md', 'assets/grippers/tiny_gripper/tiny_gripper.xml',
         'assets/robots/tiny_arm/README.md', 'assets/robots/tiny_arm/tiny_arm.xml',
-        'manip_sim/models/grippers/tiny_gripper.py', 'manip_sim/models/robots/tiny_arm.py']
+        'manip_sim/models/grippers/tiny_gripper.py', 'manip_sim/models/robots/tiny_arm.py',
+        'my_models/grippers/small_hand.xml', 'my_models/grippers/small_hand.yaml',
+        'my_models/robots/small_arm/robot.yaml', 'my_models/robots/small_arm/small_arm.xml']
 
 
 def test_the_new_parts_are_found_and_mounted(package):
@@ -88,6 +93,25 @@ def test_the_catalogue_tests_take_the_new_parts_and_pass(package):
     # Poses, contacts, masses, stability, every base, actions, grasps: nothing is left out.
     passed = int(re.search(r'(\d+) passed', done.stdout).group(1))
     assert passed >= 20, done.stdout
+
+
+def test_what_the_yaml_files_say_is_so(package):
+    done = run(package, '-c', """if True:
+        from manip_sim.models import compose
+        from manip_sim.models.grippers import gripper_names
+        from manip_sim.models.robots import robot_names
+        assert 'small_arm' in robot_names() and 'small_hand' in gripper_names()
+        robot = compose('small_arm', arena='table').robots[0]
+        assert robot.eef_name == {'right': 'robot0_right_hand'}
+        assert robot.init_qpos.tolist() == [0.0, 0.3, 1.8]
+        assert type(robot.base).__name__ == 'RethinkMount'
+        hand = robot.grippers['right']
+        assert hand.format_action([1.0]).tolist() == [-1.0]
+        assert not [s for s in hand.inferred if s.startswith(('closing', 'grasp'))]
+        model = robot.compile()
+        assert model.jnt_user[:3, 0].tolist() == [2.0, 2.0, 3.0]
+        """)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_package_itself_knows_nothing_of_the_example():

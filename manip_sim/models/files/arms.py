@@ -72,14 +72,19 @@ def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
 
 
 def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[str, int]:
-    """Return the end of the longest chain by side; of a single one as right."""
+    """Return the end of the longest chain by side, named as an end if two are; one is right."""
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
     found: dict[str | None, list[int]] = {}
-    for tip in sorted(tips, key=lambda tip: -_length(tree, tip, joints)):
+
+    def rank(tip: int) -> tuple[int, bool]:
+        return _length(tree, tip, joints), any(
+            words_of(tree.name(body)) & _END_WORDS for body in tree.below(tip))
+
+    for tip in sorted(tips, key=rank, reverse=True):
         found.setdefault(side_of(map(tree.name, tree.path(tip))), []).append(tip)
-    ambiguous = any(len(of_side) > 1 and _length(tree, of_side[0], joints)
-                    == _length(tree, of_side[1], joints) for of_side in found.values())
+    ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
+                    for of_side in found.values())
     if set(found) != {'right', 'left'} or ambiguous:
         names = quoted_names([tree.name(tip) for tip in tips])
         raise ModelError(f'{len(tips)} chains of joints could be arms, they end at {names}: tell '

@@ -75,6 +75,8 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     if servos and not model.nu and start:
         told += add_servos(spec, BodyTree(model))
         model = compile_alone(spec, str(file))
+    # Sizes of the file's own model; composing warns where they differ from those of others.
+    spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     return ModelFile(file, spec, BodyTree(model), start, [*told, *changes])
 
