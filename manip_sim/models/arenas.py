@@ -224,7 +224,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     """
     source = None if ARENAS.knows(name) else find_source(name, 'arenas')
     if source is None:
-        return ARENAS.create(str(name), arena_names(), **_arguments(str(name), parameters))
+        return ARENAS.create(str(name), arena_names, **_arguments(str(name), parameters))
     check_no_parameters(name, parameters)
     from manip_sim.models.files import load_arena
     return load_arena(source)
@@ -232,7 +232,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters of an arena of the catalogue by the keywords of its constructor."""
-    kind = ARENAS.get(name, arena_names())
+    kind = ARENAS.get(name, arena_names)
     argument_of = {parameter.name: parameter.argument for parameter in kind.parameters}
     keywords = {name: keyword for name, keyword in inspect.signature(kind).parameters.items()
                 if name != 'fname'}
@@ -257,4 +257,4 @@ def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
     """
     if not ARENAS.knows(name) and find_source(name, 'arenas') is not None:
         return ()
-    return ARENAS.get(str(name), arena_names()).parameters
+    return ARENAS.get(str(name), arena_names).parameters

@@ -78,11 +78,11 @@ class Registry(Generic[T]):
         """Tell whether there is a class or an entry point of a name; nothing is imported."""
         return name in self._classes or name in offers(self._group)
 
-    def get(self, name: str, available: Iterable[str] = ()) -> type[T]:
+    def get(self, name: str, available: Callable[[], Iterable[str]] | None = None) -> type[T]:
         """
         Return the class of a name.
 
-        :param available: other names that exist, for the message
+        :param available: tells all names that exist, for the message; by default those of classes
         :raises UnknownNameError: naming the nearest ones
         :raises ModelError: if it is a class that cannot be created by name, or another package
             offers it and it cannot be imported
@@ -93,13 +93,14 @@ class Registry(Generic[T]):
                 return self._load(name, offer)
         cls = self._classes.get(name)
         if cls is None or not self._is_public(name, cls):
-            raise UnknownNameError(self.kind, name, sorted({*self.names(), *available}))
+            raise UnknownNameError(self.kind, name, (available or self.names)())
         missing = self._missing_arguments(cls)
         if missing:
             raise ModelError(f"{self.kind} '{name}' cannot be created by its name: {missing}")
         return cls
 
-    def create(self, name: str, available: Iterable[str] = (), /, **arguments: Any) -> T:
+    def create(self, name: str, available: Callable[[], Iterable[str]] | None = None, /,
+               **arguments: Any) -> T:
         """Create an instance of the class of a name; raises what :meth:`get` does."""
         create: Callable[..., T] = self.get(name, available)
         return create(**arguments)

@@ -156,14 +156,6 @@ def test_a_file_that_vanished_is_told(with_files, monkeypatch):
         write_archive(world, io.BytesIO())
 
 
-def test_a_file_in_an_unknown_folder_is_told(with_files, monkeypatch):
-    world, _ = with_files
-    xml = world.to_xml().replace('name="robot0_part"', 'name="stranger"')
-    monkeypatch.setattr(world, 'to_xml', lambda: xml)
-    with pytest.raises(ModelError, match="mesh 'stranger' refers to 'part.obj', and it is not"):
-        world_xml(world)
-
-
 def test_a_file_with_an_absolute_path_needs_no_folder(mjcf, arm_class, tmp_path):
     mesh = tmp_path / 'part.obj'
     mesh.write_text(tetrahedron(1.0))

@@ -178,9 +178,9 @@ def test_a_mesh_that_mujoco_cannot_read_is_replaced_or_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    (URDF[:300], 'arm.urdf is not XML that can be read'),
+    (URDF[:300], 'arm.urdf is not well-formed XML'),
     ('<mujoco/>', "arm.urdf is not URDF: its root is 'mujoco', not 'robot'"),
-    ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', 'arm.urdf declares entities'),
+    ('<!DOCTYPE robot [<!ENTITY a "b">]><robot/>', "arm.urdf, line 1: the entity 'a' is declared"),
     (URDF.replace('<child link="upper"/>', '<child link="uper"/>'),
      'arm.urdf cannot be read by MuJoCo')])
 def test_a_urdf_that_cannot_be_read_is_told_in_one_line(tmp_path, text, message):

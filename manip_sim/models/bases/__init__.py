@@ -39,7 +39,7 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
     """
     source = None if BASES.knows(name) else find_source(name, 'bases')
     if source is None:
-        return BASES.create(str(name), base_names(), idn=idn)
+        return BASES.create(str(name), base_names, idn=idn)
     from manip_sim.models.files import load_base
     return load_base(source, idn)
 

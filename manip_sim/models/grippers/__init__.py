@@ -43,7 +43,7 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
     """
     source = None if GRIPPERS.knows(name) else find_source(name, 'grippers')
     if source is None:
-        return GRIPPERS.create(str(name), gripper_names(), idn=idn)
+        return GRIPPERS.create(str(name), gripper_names, idn=idn)
     from manip_sim.models.files import load_gripper
     return load_gripper(source, idn)
 

@@ -45,7 +45,7 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
     source = None if ROBOTS.knows(name) else find_source(name, 'robots')
     robot: RobotModel
     if source is None:
-        robot = ROBOTS.create(str(name), robot_names(), idn=idn)
+        robot = ROBOTS.create(str(name), robot_names, idn=idn)
     else:
         from manip_sim.models.files import load_robot
         robot = load_robot(source, idn)
