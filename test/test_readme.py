@@ -9,7 +9,8 @@ import subprocess
 import sys
 
 from manip_sim.interface.parameters import (
-    arena_specs, composition_parameters, node_parameters, place_parameters, robot_parameters)
+    arena_specs, composition_parameters, MODEL_PATH, node_parameters, place_parameters,
+    robot_parameters)
 from manip_sim.interface.scope import Scope
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,7 +52,7 @@ def test_every_part_of_the_catalogue_is_listed():
 def test_every_parameter_is_listed_with_type_default_and_unit():
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
-    specs = [*node_parameters(), *arena_specs('table'), *composition_parameters(scope),
+    specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *composition_parameters(scope),
              *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base'])]
     rows = {row[0].strip('`'): row for row in table_rows('Parameters')}
     expected = set()

@@ -19,11 +19,11 @@ from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
+from manip_sim.models.sources import find_source, is_path
 from manip_sim.quoting import quoted
 from manip_sim.simulation.commands import MODES
 
 STEPPING = ('realtime', 'free', 'lockstep')
-
 
 @dataclass(frozen=True)
 class ParameterSpec:
@@ -35,6 +35,8 @@ class ParameterSpec:
     :ivar minimum: and ``maximum``: inclusive limits of a number
     :ivar choices: the values that a string may have
     :ivar length: of an array of finite numbers, where it is fixed
+    :ivar kind: of the models that it may name, such as ``robots``: also files, and what
+        ``manip_sim.models.sources`` knows
     """
 
     name: str
@@ -46,6 +48,7 @@ class ParameterSpec:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     length: int | None = None
+    kind: str = ''
 
     def within(self, scope: Scope) -> ParameterSpec:
         """Return the same parameter for one of several robots."""
@@ -53,6 +56,8 @@ class ParameterSpec:
 
     def problem_with(self, value: Any) -> str | None:
         """Return what is wrong with a value that has the right type, or None."""
+        if self.kind and (is_path(value) or find_source(value, self.kind) is not None):
+            return None
         if self.choices:
             for item in value if isinstance(value, (list, tuple)) else [value]:
                 if item not in self.choices:
@@ -69,14 +74,20 @@ class ParameterSpec:
         return None
 
 
+#: Is to be used before the names of models are known.
+MODEL_PATH = ParameterSpec(
+    'model_path', [''], 'Folders that join the catalogue: in one, robots/NAME.yaml, .xml or .urdf '
+    'is the robot NAME, likewise grippers, bases and arenas.')
+
+
 def node_parameters() -> list[ParameterSpec]:
-    """Return the parameters of every node, before its robots are known."""
+    """Return the parameters of every node but :data:`MODEL_PATH`, before robots are known."""
     return [
         ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
                       'right: each has its topics in a namespace and its parameters, such as '
                       'left.robot, below its name. Empty: one robot.'),
         ParameterSpec('arena', 'empty', 'What is around the robot.',
-                      choices=tuple(arena_names())),
+                      choices=tuple(arena_names()), kind='arenas'),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
                       'the table.'),
         ParameterSpec('objects', [''], 'Free bodies: YAML files that list objects, MJCF files, or '
@@ -124,14 +135,14 @@ def _arena_spec(parameter: ArenaParameter) -> ParameterSpec:
 def composition_parameters(scope: Scope) -> list[ParameterSpec]:
     """Return the parameters that say which robot there is."""
     specs = [
-        ParameterSpec('robot', 'Panda', 'Robot of the catalogue.',
-                      choices=tuple(robot_names())),
+        ParameterSpec('robot', 'Panda', 'Robot of the catalogue, or a file: MJCF, URDF or YAML.',
+                      choices=tuple(robot_names()), kind='robots'),
         ParameterSpec('gripper', 'default',
                       "Gripper on every arm; 'default' is the robot's own, 'none' leaves it off.",
-                      choices=('default', 'none', *gripper_names())),
+                      choices=('default', 'none', *gripper_names()), kind='grippers'),
         ParameterSpec('base', 'default',
                       "What the robot stands on; 'default' is the robot's own, 'none' is the "
-                      'floor.', choices=('default', 'none', *base_names())),
+                      'floor.', choices=('default', 'none', *base_names()), kind='bases'),
         ParameterSpec('prefix', f'{scope.name}_' if scope.name else '',
                       'Beginning of all names of the robot, its base and its '
                       'grippers: joints, frames, the model. Empty: names as in robot0_joint1.'),
@@ -207,5 +218,5 @@ def parameters_of(parts: Mapping[str, PartLike], arena: str = 'empty',
     """
     scope = Scope()
     driven = [name for name, part in parts.items() if part.gripper is None and part.actuators]
-    return [*node_parameters(), *arena_specs(arena), *composition_parameters(scope),
+    return [MODEL_PATH, *node_parameters(), *arena_specs(arena), *composition_parameters(scope),
             *place_parameters(scope, position), *robot_parameters(scope, driven)]

@@ -94,6 +94,8 @@ TOPICS = (
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
     Topic('~/mjcf', 'std_msgs/String', PUBLISHED, 'the composed model, latched'),
+    Topic('~/mjcf_archive', 'std_msgs/UInt8MultiArray', PUBLISHED,
+          'zip archive of the composed model and its files, latched'),
     Topic('<part>/command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
           'a number in [-1, 1] for each actuator', 'actuators'),
     Topic('<arm>/gripper/command', 'std_msgs/Float64MultiArray', SUBSCRIBED,

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from array import array
+from io import BytesIO
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
@@ -16,12 +18,14 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 
 from manip_sim.ros import messages
 from manip_sim.ros.controller_state import controller_state, MESSAGE_TYPE
 from manip_sim.ros.log import RejectionLog
 from manip_sim.interface.scope import Scope
+from manip_sim.models import World
+from manip_sim.models.archive import world_xml, write_archive
 from manip_sim.simulation import Simulation, SimulatedRobot
 
 
@@ -170,9 +174,16 @@ class StatePublishers:
                 twist.publish(messages.twist_stamped(stamp, end_effector.twist))
 
 
-def publish_mjcf(node: Node, xml: str) -> Publisher:
-    """Publish the composed model once, for everyone who comes later too."""
-    publisher = node.create_publisher(String, '~/mjcf', QoSProfile(
-        depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
-    publisher.publish(String(data=xml))
-    return publisher
+def publish_model(node: Node, world: World) -> None:
+    """
+    Publish the composed model once, for everyone who comes later too.
+
+    ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
+    meshes, that it refers to.
+    """
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_publisher(String, '~/mjcf', latched).publish(String(data=world_xml(world)))
+    archive = BytesIO()
+    write_archive(world, archive)
+    node.create_publisher(UInt8MultiArray, '~/mjcf_archive', latched).publish(
+        UInt8MultiArray(data=array('B', archive.getvalue())))

@@ -16,8 +16,9 @@ from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.parameters import (
-    node_parameters, robot_parameters, steps_per_period)
+    MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
+from manip_sim.models import set_model_path, World
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
@@ -25,7 +26,7 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
-from manip_sim.ros.publishers import ClockPublisher, publish_mjcf, StatePublishers
+from manip_sim.ros.publishers import ClockPublisher, publish_model, StatePublishers
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -59,8 +60,10 @@ class SimNode(Node):
     def _build(self) -> None:
         check_qos_values(self)
         self._declared = Parameters(self)
-        self._declared.declare(node_parameters())
         value = self._declared.value
+        self._declared.declare([MODEL_PATH])
+        set_model_path(folder for folder in value(MODEL_PATH.name) if folder)
+        self._declared.declare(node_parameters())
         steps = steps_per_period(value('publish_rate'), value('timestep'))
         self._scopes, world = compose_world(self._declared)
         self.simulation = Simulation(world)
@@ -90,14 +93,21 @@ class SimNode(Node):
         SimulationServices(self, self.simulation, self.thread)
         offer_simulation_interfaces(self, self.simulation, self.thread, self.objects.follow)
         Diagnostics(self, self.simulation, self.thread, self.commands)
-        publish_mjcf(self, world.to_xml())
+        publish_model(self, world)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._introduce(served)
+        for model in self._models(world):
+            if getattr(model, 'inferred', None):
+                self.get_logger().info(f'{model.name}: inferred: {"; ".join(model.inferred)}')
         for defect in self.simulation.start_defects:
             self.get_logger().warning(f'start: {defect}')
         if self.get_parameter('use_sim_time').value:
             self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
+
+    @staticmethod
+    def _models(world: World) -> list[Any]:
+        return [world.arena, *world.robots, *(m for robot in world.robots for m in robot.models)]
 
     def _declare_parts(self, scope: Scope, robot: SimulatedRobot) -> None:
         self._declared.declare(robot_parameters(scope, [

@@ -137,14 +137,14 @@ class SimulationInterfaces:
         if target not in (SimulationState.STATE_STOPPED, SimulationState.STATE_PLAYING,
                           SimulationState.STATE_PAUSED):
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
-                           f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
+                          f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
                            'PAUSED (2); SIGTERM ends the simulator')
         if target == self._state():
             raise Refusal(SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
-                           'the simulation is in this state already')
+                          'the simulation is in this state already')
         if target == SimulationState.STATE_PLAYING and self._simulation.diverged is not None:
             raise Refusal(SetSimulationState.Response.STATE_TRANSITION_ERROR,
-                           f'{self._simulation.diverged}; reset it first')
+                          f'{self._simulation.diverged}; reset it first')
         self._thread.pause(target != SimulationState.STATE_PLAYING)
         if target == SimulationState.STATE_STOPPED:
             self._thread.reset(restart_time=True)
@@ -155,7 +155,7 @@ class SimulationInterfaces:
             raise Refusal(Result.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
         if self._state() == SimulationState.STATE_STOPPED:
             raise Refusal(Result.RESULT_OPERATION_FAILED,
-                           'the simulation is stopped: pause it first')
+                          'the simulation is stopped: pause it first')
         for done in range(request.steps):
             try:
                 self._thread.step()
@@ -171,7 +171,7 @@ class SimulationInterfaces:
         known = ResetSimulation.Request.SCOPE_TIME | ResetSimulation.Request.SCOPE_STATE
         if not everything and (scope & ~known or not scope & ResetSimulation.Request.SCOPE_STATE):
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
-                           f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
+                          f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
                            'STATE with TIME (3)')
         self._thread.reset(
             restart_time=everything or bool(scope & ResetSimulation.Request.SCOPE_TIME))
@@ -210,17 +210,17 @@ class SimulationInterfaces:
         name = request.entity
         if not self._simulation.entities.is_free(name):
             raise Refusal(Result.RESULT_OPERATION_FAILED,
-                           f"'{request.entity}' cannot be moved, only free bodies can")
+                          f"'{request.entity}' cannot be moved, only free bodies can")
         if request.state.header.frame_id not in ('', WORLD):
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
-                           f"frame_id '{request.state.header.frame_id}' is not supported: leave "
+                          f"frame_id '{request.state.header.frame_id}' is not supported: leave "
                            f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
         def place() -> None:
             if self._simulation.diverged is not None:
                 raise Refusal(Result.RESULT_INCORRECT_STATE,
-                               f'{self._simulation.diverged}; reset it first')
+                              f'{self._simulation.diverged}; reset it first')
             self._simulation.entities.place(self._simulation.data, name, pose, twist)
         self._thread.call(place)
 
@@ -242,7 +242,7 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
     pose = twist = None
     if not (set_pose or set_twist):
         raise Refusal(Result.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
-                       'are false, and an acceleration cannot be set')
+                      'are false, and an acceleration cannot be set')
     if set_pose:
         try:
             pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
@@ -261,5 +261,5 @@ def _matching(pattern: str, names: list[str]) -> list[str]:
         expression = PosixExpression(pattern)
     except ValueError as error:
         raise Refusal(Result.RESULT_OPERATION_FAILED,
-                       f'filter {quoted(pattern)}: {error}') from error
+                      f'filter {quoted(pattern)}: {error}') from error
     return [name for name in names if expression.found_in(name)]

@@ -64,7 +64,7 @@ class SpawningServices:
     def _spawn(self, request: Any, response: Any) -> None:
         if request.entity_namespace.strip('/'):
             raise Refusal(SpawnEntity.Response.NAMESPACE_INVALID,
-                           'an object is published below objects/, it has no namespace of its own')
+                          'an object is published below objects/, it has no namespace of its own')
         item = _created(request)
         item.name = self._free_name(request.name or item.name, request.allow_renaming)
         _place(item, request.initial_pose)
@@ -84,7 +84,7 @@ class SpawningServices:
             wanted = free
         elif wanted in taken:
             raise Refusal(SpawnEntity.Response.NAME_NOT_UNIQUE,
-                           f'there is an entity {quoted(wanted)} already')
+                          f'there is an entity {quoted(wanted)} already')
         try:
             check_object_name(wanted, 'name')
         except ModelError as error:
@@ -95,14 +95,14 @@ class SpawningServices:
         name, plan = request.entity, self._simulation.plan
         if name in self._simulation.entities.names and name not in plan.object_names:
             raise Refusal(Result.RESULT_OPERATION_FAILED,
-                           f"'{name}' belongs to a robot or the arena and cannot be deleted")
+                          f"'{name}' belongs to a robot or the arena and cannot be deleted")
         self._take_over(plan_without(plan, name))
 
     def _take_over(self, plan: Plan) -> None:
         def change() -> None:
             if self._simulation.diverged is not None:
                 raise Refusal(Result.RESULT_INCORRECT_STATE,
-                               f'{self._simulation.diverged}; reset it first')
+                              f'{self._simulation.diverged}; reset it first')
             self._simulation.change_objects(plan)
         self._thread.call(change)
         self._changed(self._simulation)
@@ -127,7 +127,7 @@ def _created(request: Any) -> ObjectModel:
         text = request.resource_string.strip()
         if not text:
             raise Refusal(SpawnEntity.Response.NO_RESOURCE,
-                           'give a file (uri) or a text (resource_string)')
+                          'give a file (uri) or a text (resource_string)')
         if not text.startswith('<'):
             return create_object({'name': _UNNAMED, **parse_yaml(text, 'resource_string')})
         with tempfile.TemporaryDirectory(prefix='manip_sim_') as folder:
@@ -151,17 +151,17 @@ def _path(uri: str) -> str:
     parts = urlsplit(uri)
     if parts.scheme not in ('', 'file'):
         raise Refusal(SpawnEntity.Response.UNSUPPORTED_FORMAT,
-                       f'uri {quoted(uri)}: only paths and file:// can be read')
+                      f'uri {quoted(uri)}: only paths and file:// can be read')
     if Path(parts.path).suffix not in ('.xml', '.mjcf', '.yaml', '.yml'):
         raise Refusal(SpawnEntity.Response.UNSUPPORTED_FORMAT,
-                       f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
+                      f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
     return unquote(parts.path)
 
 
 def _place(item: ObjectModel, pose: Any) -> None:
     if pose.header.frame_id not in ('', WORLD):
         raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
-                       f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it empty "
+                      f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it empty "
                        f"or write '{WORLD}'")
     position, turn = pose.pose.position, pose.pose.orientation
     try:

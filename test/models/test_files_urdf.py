@@ -77,8 +77,8 @@ def test_the_servos_of_a_urdf_follow_a_sine(tmp_path):
     errors = []
     for tick in range(300):
         goal = 0.3 * np.sin(2.0 * np.pi * 0.5 * tick * 0.01)
-        simulation.robot.apply(*simulation.robot.parse.joint_command(names, position=[goal, goal]),
-                         period_s=0.01)
+        robot = simulation.robot
+        robot.apply(*robot.parse.joint_command(names, position=[goal, goal]), period_s=0.01)
         simulation.advance(5)
         if tick > 50:
             errors.append(simulation.robot.state().position[:2] - goal)

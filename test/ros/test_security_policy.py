@@ -3,6 +3,7 @@
 
 """The policy for SROS2 allows what the node has, and nothing else."""
 
+import re
 from xml.etree import ElementTree
 
 from harness import Served
@@ -17,7 +18,8 @@ ROBOTS = ('PandaOmron', 'GR1')
 #: With or without the package in this environment.
 STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
     'get_simulator_features', 'get_simulation_state', 'set_simulation_state', 'step_simulation',
-    'reset_simulation', 'get_entities', 'get_entity_state', 'set_entity_state')}
+    'reset_simulation', 'get_entities', 'get_entity_state', 'set_entity_state',
+    'spawn_entity', 'delete_entity')}
 
 
 def granted(enclave, kind, permission):
@@ -37,14 +39,15 @@ def graph():
     """Return what the node publishes, subscribes to and serves, over several robots."""
     names = {'publish': set(), 'subscribe': set(), 'reply': set()}
     for robot in ROBOTS:
-        served = Served({'robot': robot})
+        served = Served({'robot': robot, 'arena': 'table'})
         try:
             node: Node = served.node
             for permission, entities in (
                     ('publish', node.get_publisher_names_and_types_by_node),
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
-                names[permission] |= {name for name, _ in entities('manip_sim', '/')}
+                names[permission] |= {re.sub('^/objects/.*', '/objects/*', name)
+                                      for name, _ in entities('manip_sim', '/')}
         finally:
             served.close()
     return names
