@@ -19,7 +19,8 @@ from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 from manip_sim.errors import ManipSimError
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-ARM = """<mujoco><compiler angle="radian"/><asset><mesh file="link.stl"/></asset><worldbody><body name="base">
+ARM = """<mujoco><compiler angle="radian"/><asset><mesh file="link.stl"/></asset>
+<worldbody><body name="base">
   <geom size="0.05" mass="1"/>
   <body name="link" pos="0 0 0.5"><joint name="swing" axis="0 1 0" range="-2 2" damping="1"/>
     <geom type="mesh" mesh="link"/><body name="flange" pos="0.3 0 0"><geom size="0.01"/></body>
