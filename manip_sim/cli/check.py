@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ import numpy as np
 from manip_sim.cli.composition import compose_from
 from manip_sim.errors import ModelError
 from manip_sim.models import World
-from manip_sim.models.archive import file_references
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.start_check import find_start_defects
@@ -63,9 +62,6 @@ def _defects_of(world: World) -> list[StartDefect]:
 
 def _defects_of_file(file: Path) -> list[StartDefect]:
     spec = load_spec(file)
-    missing = list(_missing_files(spec))
-    if missing:
-        return missing
     model = compile_spec(spec, str(file))
     data = mujoco.MjData(model)
     if model.nkey:
@@ -76,15 +72,6 @@ def _defects_of_file(file: Path) -> list[StartDefect]:
     if not roots:
         raise ModelError(f'{file} has no body with joints, so no robot to check')
     return find_start_defects(model, data, roots)
-
-
-def _missing_files(spec: Any) -> Iterator[StartDefect]:
-    for reference in file_references(spec):
-        if not reference.path.is_file():
-            folder = 'texturedir' if reference.kind == 'texture' else 'meshdir'
-            yield StartDefect(
-                'file', f"{reference.kind} '{reference.name}' misses its file {reference.path}",
-                f'put the file there, or write its folder into {folder} of <compiler>')
 
 
 def _robots(model: Any) -> list[str]:

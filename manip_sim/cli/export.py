@@ -11,7 +11,6 @@ from pathlib import Path
 from manip_sim.cli.composition import compose_from
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
-from manip_sim.models.archive import world_xml, write_archive
 
 _ARCHIVES = ('.mjz', '.zip')
 
@@ -27,10 +26,10 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     check_folder(file)
     world = compose_from(options)
     if ending == '.xml':
-        xml = world_xml(world)
+        xml = world.to_xml()
         write_whole(file, lambda path: path.write_text(xml, encoding='utf-8'))
     else:
-        write_whole(file, lambda path: write_archive(world, path))
+        write_whole(file, lambda path: path.write_bytes(world.to_archive()))
     return f'{file} ({_size(file)})', 0
 
 

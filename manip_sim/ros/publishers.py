@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from array import array
-from io import BytesIO
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
@@ -25,7 +24,6 @@ from manip_sim.ros.controller_state import controller_state, MESSAGE_TYPE
 from manip_sim.ros.log import RejectionLog
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
-from manip_sim.models.archive import world_xml, write_archive
 from manip_sim.simulation import Simulation, SimulatedRobot
 
 
@@ -182,8 +180,6 @@ def publish_model(node: Node, world: World) -> None:
     meshes, that it refers to.
     """
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    node.create_publisher(String, '~/mjcf', latched).publish(String(data=world_xml(world)))
-    archive = BytesIO()
-    write_archive(world, archive)
+    node.create_publisher(String, '~/mjcf', latched).publish(String(data=world.to_xml()))
     node.create_publisher(UInt8MultiArray, '~/mjcf_archive', latched).publish(
-        UInt8MultiArray(data=array('B', archive.getvalue())))
+        UInt8MultiArray(data=array('B', world.to_archive())))
