@@ -57,7 +57,7 @@ def _defects_of(world: World) -> list[StartDefect]:
         return [StartDefect('control', f'this cannot be simulated: {error}',
                             'change the model as the message says'),
                 *find_start_defects(model, data, roots)]
-    return find_start_defects(simulation.model, simulation.data, roots, world.init_qpos())
+    return find_start_defects(simulation.model, simulation.data, roots)
 
 
 def _defects_of_file(file: Path) -> list[StartDefect]:

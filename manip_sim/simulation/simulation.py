@@ -57,8 +57,7 @@ class Simulation:
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.step_count = 0
         self.diverged: str | None = None
-        declared = world.init_qpos()
-        self._start = dict(declared)
+        self._start = world.init_qpos()
         self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
         self._interval_steps = max(1, round(_INTERVAL_S / self.timestep_s))
         self._to_start()
@@ -69,7 +68,7 @@ class Simulation:
         self._settle_linkages()
         self.reset()
         self.start_defects = check_start(
-            self.model, self.data, [robot.root_body for robot in world.robots], declared)
+            self.model, self.data, [robot.root_body for robot in world.robots])
 
     def _look_at_model(self) -> None:
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 import copy
 from typing import Any
 
@@ -33,26 +33,23 @@ _TRIAL_ACCELERATION = 100.0
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
-def check_start(model: Any, data: Any, roots: Iterable[str],
-                declared: Mapping[str, float] | None = None) -> list[str]:
+def check_start(model: Any, data: Any, roots: Iterable[str]) -> list[str]:
     """
     Say what is wrong with the start of robots, in a sentence for each defect.
 
     The parameters are those of :func:`find_start_defects`.
     """
-    return [defect.text for defect in find_start_defects(model, data, roots, declared)]
+    return [defect.text for defect in find_start_defects(model, data, roots)]
 
 
-def find_start_defects(model: Any, data: Any, roots: Iterable[str],
-                       declared: Mapping[str, float] | None = None) -> list[StartDefect]:
+def find_start_defects(model: Any, data: Any, roots: Iterable[str]
+                       ) -> list[StartDefect]:
     """
     Find what of robots starts inside something, blocked, outside its range or without effort.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
     :param roots: the root bodies of the robots
-    :param declared: where joints were declared to start, by name [rad or m]; coupled joints do not
-        start there where that does not fit their coupling
     :returns: overlaps first, those of the greatest depth before others; empty if there is nothing
     """
     own = _bodies_below(model, [model.body(root).id for root in roots])
@@ -60,7 +57,7 @@ def find_start_defects(model: Any, data: Any, roots: Iterable[str],
                 and own[model.geom_bodyid[contact.geom]].any()]
     joints = [joint for joint in _actuated_joints(model) if own[model.jnt_bodyid[joint]]]
     return [*_overlaps(model, contacts, own), *_blocked(model, data, contacts, joints, own),
-            *_out_of_range(model, data, own, declared or {}),
+            *_out_of_range(model, data, own),
             *find_drive_defects(model, data, own)]
 
 
@@ -164,15 +161,14 @@ def _full_force(model: Any, joint: int) -> float:
     return max(forces, default=float(_TRIAL_ACCELERATION * inertia))
 
 
-def _out_of_range(model: Any, data: Any, own: BoolArray, declared: Mapping[str, float]
-                  ) -> Iterator[StartDefect]:
+def _out_of_range(model: Any, data: Any, own: BoolArray) -> Iterator[StartDefect]:
     for joint in range(model.njnt):
         if (not own[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
                 or not model.jnt_limited[joint]):
             continue
         low, high = model.jnt_range[joint]
         name = model.joint(joint).name
-        position = declared.get(name, float(data.qpos[model.jnt_qposadr[joint]]))
+        position = float(data.qpos[model.jnt_qposadr[joint]])
         beyond = max(low - position, position - high)
         if beyond > _AT_END * (high - low):
             hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)

@@ -69,21 +69,6 @@ def test_defects_of_a_file_name_what_to_write(here, mjcf):
     assert 'In the files' not in text
 
 
-def test_all_files_that_a_model_misses_are_told(here, mjcf, tmp_path):
-    (tmp_path / 'there.stl').write_bytes(b'')
-    assets = """<asset><mesh name="m" file="lost.stl"/><mesh file="there.stl"/>
-        <texture name="t" type="2d" file="wood.png"/></asset>"""
-    file = mjcf('<geom type="mesh" mesh="m"/>', assets)
-    code, text, _ = here('check', file)
-    assert code == 1
-    assert text.splitlines() == [
-        f'{file}: 2 defects',
-        f"- mesh 'm' misses its file {tmp_path}/lost.stl",
-        '  mend: put the file there, or write its folder into meshdir of <compiler>',
-        f"- texture 't' misses its file {tmp_path}/wood.png",
-        '  mend: put the file there, or write its folder into texturedir of <compiler>']
-
-
 def test_objects_and_furniture_of_a_file_are_no_robots(here, mjcf):
     balls = ''.join(f'<body pos="{x} 3 1"><freejoint/><geom size="0.1"/></body>' for x in (0, 0.1))
     assert here('check', mjcf(balls + LINK.format(''), SERVO))[0] == 0
@@ -114,7 +99,7 @@ def test_what_cannot_be_controlled_is_a_defect_beside_the_others(
 
 
 @pytest.mark.parametrize(('content', 'what'), [
-    (None, 'no such MJCF file'), ('<mujoco><worldbody>', 'is not MJCF that MuJoCo can read'),
+    (None, 'no such MJCF file'), ('<mujoco><worldbody>', 'is not well-formed XML'),
     ('<mujoco><worldbody><geom size="-1"/></worldbody></mujoco>', 'does not compile'),
     ('<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
      'has no body with joints, so no robot to check')])

@@ -71,7 +71,7 @@ def test_every_robot_is_described_in_numbers_that_json_has(robot, described):
     assert [joint['name'] for joint in found['joints']] == list(simulation.robot.joint_names)
     assert [part['name'] for part in found['parts']] == list(simulation.robot.parts)
     starts = [joint['start'] for joint in found['joints']]
-    assert starts == pytest.approx(simulation.state().position)
+    assert starts == pytest.approx(simulation.robot.state().position)
     assert len(found['actuators']) == simulation.model.nu
     assert found['start_defects'] == []
     for joint in found['joints']:

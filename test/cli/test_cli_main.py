@@ -80,9 +80,9 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, r
      "unknown parameter of arena 'table' 'cub': did you mean 'cube'"),
     (('check', '--arena', 'table', '--arena-param', 'cube=maybe'),
      "table: cube must be true or false, got 'maybe'"),
-    (('check', '--arena', 'table', '--arena-param', 'table_height_m=high'),
-     "table: table_height_m must be a number, got 'high'"),
-    (('check', '--arena', 'table', '--arena-param', 'table_height_m=-1'), 'must be 0.1 to 2 m'),
+    (('check', '--arena', 'table', '--arena-param', 'table_height=high'),
+     "table: table_height must be a number, got 'high'"),
+    (('check', '--arena', 'table', '--arena-param', 'table_height=-1'), 'must be 0.1 to 2 m'),
     (('check', '--prefix', 'left/'), "prefix 'left/'"),
     (('check', '--timestep', '0'), 'a timestep must be positive')])
 def test_what_cannot_be_composed_is_one_line_and_exit_code_1(arguments, what, refused):
@@ -99,7 +99,7 @@ def test_a_process_ends_with_the_exit_code_and_one_line(command):
 def test_composition_options_reach_the_world(here):
     code, text, _ = here('describe', '--json', '--robot', 'UR5e', '--gripper', 'none', '--base',
                          'none', '--arena', 'table', '--arena-param', 'cube=true', '--arena-param',
-                         'table_height_m=1.25', '--idn', '3', '--position', '1', '-2', '0.5',
+                         'table_height=1.25', '--idn', '3', '--position', '1', '-2', '0.5',
                          '--orientation', '0', '0', '1.5707963', '--timestep', '0.001',
                          '--no-gravity-compensation')
     found = json.loads(text)
