@@ -14,12 +14,12 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.regular_files import check_file
+from manip_sim.models.regular_files import check_file, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlFacts
 from manip_sim.quoting import one_line
 
 #: Largest file; a mesh of this size takes MuJoCo half a minute and 1.5 GB.
-_MAX_BYTES = 50_000_000
+MAX_ASSET_BYTES = 50_000_000
 #: Largest image, which takes 16 bytes for each pixel of a height field, 6 of a texture.
 _MAX_PIXELS = {'texture': 120_000_000, 'height field': 16_000_000}
 _PNG_SIGNATURE = b'\x89PNG\r\n\x1a\n'
@@ -92,10 +92,22 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
         if _is_held(spec, reference):
             continue
         path = _find(reference, folders, facts, base_name_too)
-        check_file(path, f'{reference.kind} file', _MAX_BYTES)
+        check_file(path, f'{reference.kind} file', MAX_ASSET_BYTES)
         _check_image(path, reference.kind)
         reference.set_file(path.as_posix())
     spec.strippath = False
+    if facts is None and spec.assets:
+        _hold_all(spec)
+
+
+def _hold_all(spec: mujoco.MjSpec) -> None:
+    # When a spec that holds files is attached, MuJoCo renames the others too, and loses them.
+    held = dict(spec.assets)
+    for reference in references(spec):
+        if not _is_held(spec, reference):
+            kind = f'{reference.kind} file'
+            held[reference.file] = read_file(Path(reference.file), kind, MAX_ASSET_BYTES)
+    spec.assets = held
 
 
 def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:

@@ -17,7 +17,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.naming import check_names_are_free, check_prefix
-from manip_sim.models.spec_edits import name_main_default, yield_globals
+from manip_sim.models.spec_edits import attach, name_main_default
 from manip_sim.typing import FloatArray
 
 _MIN_MASS_KG = 1e-6
@@ -291,8 +291,7 @@ class MujocoXMLModel:
         for key in list(own.keys):
             own.delete(key)
         resolve_files(own, self.file)
-        yield_globals(own, spec)
-        spec.attach(own, prefix=self.naming_prefix, frame=frame)
+        attach(spec, own, self.naming_prefix, frame)
 
     def compose(self) -> mujoco.MjSpec:
         """Return a new spec of this part and all that is mounted on it."""

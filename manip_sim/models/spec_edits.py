@@ -61,15 +61,27 @@ def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return new
 
 
-def yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame) -> None:
     """
-    Let a spec have the global settings of another that it will be attached to.
+    Attach a spec to another without a warning; its global settings are left behind.
+
+    :param spec: the spec to attach to
+    :param own: the spec to be attached, which is of no use afterwards
+    :param prefix: what its names will begin with
+    :param frame: the frame to hang it on
+    """
+    _yield_globals(own, spec)
+    if not prefix and spec.assets and not own.assets:
+        own.assets = dict(spec.assets)  # MuJoCo warns if only one of them holds files.
+    spec.attach(own, prefix=prefix, frame=frame)
+
+
+def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+    """
+    Let a spec have the global settings of the one that it will be attached to.
 
     MuJoCo would keep those of the other too, but warn of each that differs. Memory becomes the
     larger one; how many ``user`` numbers elements have is counted when they are compiled.
-
-    :param own: the spec that will be attached
-    :param spec: the spec to attach to
     """
     own.option, own.visual, own.stat = spec.option, spec.visual, spec.stat
     for size in _SIZES:

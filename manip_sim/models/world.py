@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
+from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -110,11 +111,37 @@ class World:
         return compile_spec(self.compose(visual), self.name)
 
     def to_xml(self) -> str:
-        """Return the MJCF of the world."""
-        spec = self.compose()
-        compile_spec(spec, 'world')
-        xml: str = spec.to_xml()
+        """
+        Return the MJCF of the world; the root of the first robot is its first body.
+
+        Where there are mesh or texture files, it names them by absolute paths: it loads on this
+        machine only, and :meth:`to_archive` on any.
+
+        :raises ModelError: with what MuJoCo says
+        """
+        xml: str = self._compose_to_write().to_xml()
         return xml
+
+    def to_archive(self) -> bytes:
+        """
+        Return the world with its mesh and texture files, as a zip that loads on any machine::
+
+            model = mujoco.MjSpec.from_zip(io.BytesIO(world.to_archive())).compile()
+
+        The zip has ``model.xml`` and the folder ``assets``: unpacked, the XML loads by
+        ``mujoco.MjModel.from_xml_path``; as a file ``world.mjz``, by ``mujoco.MjSpec.from_file``
+        of newer versions of MuJoCo.
+
+        :raises ModelError: with what MuJoCo says, or if a file cannot be read
+        """
+        return pack(self._compose_to_write())
+
+    def _compose_to_write(self) -> mujoco.MjSpec:
+        spec = self.compose()
+        # Each part may have its own rules for masses that no file gives; the XML has one.
+        spec.compiler.saveinertial = True
+        compile_spec(spec, self.name)
+        return spec
 
     def init_qpos(self) -> dict[str, float]:
         """Return where each scalar joint of robots, bases and grippers starts [rad or m]."""
