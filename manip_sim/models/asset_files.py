@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.regular_files import check_file
+from manip_sim.models.regular_files import check_file, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlFacts
 from manip_sim.quoting import one_line
 
@@ -96,6 +96,18 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
         _check_image(path, reference.kind)
         reference.set_file(path.as_posix())
     spec.strippath = False
+    if facts is None and spec.assets:
+        _hold_all(spec)
+
+
+def _hold_all(spec: mujoco.MjSpec) -> None:
+    # When a spec that holds files is attached, MuJoCo renames the others too, and loses them.
+    held = dict(spec.assets)
+    for reference in references(spec):
+        if not _is_held(spec, reference):
+            kind = f'{reference.kind} file'
+            held[reference.file] = read_file(Path(reference.file), kind, MAX_ASSET_BYTES)
+    spec.assets = held
 
 
 def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:

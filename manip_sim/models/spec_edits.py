@@ -71,11 +71,9 @@ def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.M
     :param frame: the frame to hang it on
     """
     _yield_globals(own, spec)
-    # MuJoCo warns of files held in memory by only one of the two.
-    held = dict(spec.assets or {})
-    spec.assets = {}
+    if not prefix and spec.assets and not own.assets:
+        own.assets = dict(spec.assets)  # MuJoCo warns if only one of them holds files.
     spec.attach(own, prefix=prefix, frame=frame)
-    spec.assets = {**held, **(spec.assets or {})}
 
 
 def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:

@@ -204,4 +204,5 @@ class ManipulatorModel(RobotModel):
         """
         super().attach_to(spec, frame, floor_xpos)
         for arm, gripper in self._grippers.items():
-            gripper.attach_to(spec, spec.body(self.eef_name[arm]).add_frame())
+            frame = spec.body(self.eef_name[arm]).add_frame()
+            gripper._attach_copy(spec, frame, gripper.spec.copy())

@@ -319,8 +319,8 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
 
     def _attach_base(self, spec: mujoco.MjSpec, root: mujoco.MjsBody,
                      base: RobotBaseModel) -> None:
-        base.attach_to(spec, root.add_frame(
-            pos=self.foot_offset - base.top_offset - base.base_offset))
+        frame = root.add_frame(pos=self.foot_offset - base.top_offset - base.base_offset)
+        base._attach_copy(spec, frame, base.spec.copy())
 
     def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                                base: MobileBaseModel, own: mujoco.MjSpec) -> None:
