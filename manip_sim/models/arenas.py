@@ -17,7 +17,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arena_parameters import ArenaParameter, check_arguments
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.objects import create_object, ObjectModel
+from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.sources import check_no_parameters, find_source, names_in_folders
@@ -169,10 +169,11 @@ class TableArena(Arena):
 
 
 def _cube(table_height_m: float) -> ObjectModel:
-    return create_object({
-        'name': 'cube', 'shape': 'box', 'size': [CUBE_EDGE_M] * 3, 'mass': CUBE_MASS_KG,
-        'position': [0.0, 0.0, table_height_m + CUBE_EDGE_M / 2.0],
-        'rgba': [0.8, 0.2, 0.15, 1.0], 'friction': [1.0, 0.005, 0.0001]})
+    spec, half = mujoco.MjSpec(), CUBE_EDGE_M / 2.0
+    body = spec.worldbody.add_body(name='body', pos=[0.0, 0.0, table_height_m + half])
+    body.add_geom(name=SHAPE_GEOM, type=mujoco.mjtGeom.mjGEOM_BOX, size=[half] * 3,
+                  mass=CUBE_MASS_KG, rgba=[0.8, 0.2, 0.15, 1.0], friction=[1.0, 0.005, 0.0001])
+    return ObjectModel('cube', spec)
 
 
 class BinsArena(Arena):

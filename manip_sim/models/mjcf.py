@@ -285,6 +285,9 @@ class MujocoXMLModel:
         :raises ModelError: if the spec has one of the names already
         """
         self.refresh()
+        self._attach_recorded(spec, frame)
+
+    def _attach_recorded(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:
         self._attach_copy(spec, frame, self._spec.copy())
 
     def _attach_copy(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,

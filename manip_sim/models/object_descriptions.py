@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
-
 from manip_sim.errors import describe_choices
 from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG
-from manip_sim.models.strict_yaml import Number
+from manip_sim.models.strict_descriptions import (
+    BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number)
 from manip_sim.quoting import shown
 
 #: What is farther from the origin is lost [m].

@@ -8,22 +8,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, Union
+from typing import Any, TYPE_CHECKING, Union
 
 import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import load_spec
-from manip_sim.models.object_descriptions import (
-    FileDescription, kind_of, PlacedDescription, ShapeDescription)
 from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
-from manip_sim.models.strict_yaml import checked, read_yaml
+from manip_sim.models.strict_yaml import read_yaml
 from manip_sim.quoting import one_line, quoted, shown
 
 __all__ = ['check_object_names', 'create_object', 'create_objects', 'load_objects',
            'object_from_xml', 'ObjectModel']
+
+if TYPE_CHECKING:
+    from manip_sim.models.object_descriptions import (
+        FileDescription, PlacedDescription, ShapeDescription)
 
 _YAML = ('.yaml', '.yml')
 ObjectFile = Union[str, PathLike[str]]
@@ -44,7 +46,7 @@ def create_object(description: Description) -> ObjectModel:
         return _from_values(description, '', Path())
     path = Path(description)
     if path.suffix not in _YAML:
-        return _from_file(FileDescription(file=str(path)), Path())
+        return _read(path)
     found = load_objects(path)
     if len(found) != 1:
         raise ModelError(f'{path} must list one object here, it lists {len(found)}')
@@ -127,6 +129,9 @@ def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
                  unnamed: str = 'object without a name') -> ObjectModel:
     name = values.get('name')
     where = begin + (unnamed if name is None else f'object {quoted(name)}')
+    # Imported late, because not all machines have what it needs.
+    from manip_sim.models.object_descriptions import kind_of, ShapeDescription
+    from manip_sim.models.strict_descriptions import checked
     try:
         kind = kind_of(values)
     except ValueError as error:
@@ -135,7 +140,6 @@ def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
     try:
         if isinstance(description, ShapeDescription):
             return _from_shape(description, where)
-        assert isinstance(description, FileDescription)
         return _from_file(description, folder)
     except ModelError as error:
         raise error if str(error).startswith(where) else ModelError(f'{where}: {error}') from error
@@ -155,13 +159,15 @@ def _from_shape(description: ShapeDescription, where: str) -> ObjectModel:
 
 
 def _from_file(description: FileDescription, folder: Path) -> ObjectModel:
-    file = folder / description.file
-    spec = load_spec(file)
-    roots = spec.worldbody.bodies
-    name = description.name or (roots[0].name if roots else '') or spec.modelname
-    found = ObjectModel(name, spec, str(file))
+    found = _read(folder / description.file, description.name)
     _place(found, description)
     return found
+
+
+def _read(file: Path, name: str | None = None) -> ObjectModel:
+    spec = load_spec(file)
+    roots = spec.worldbody.bodies
+    return ObjectModel(name or (roots[0].name if roots else '') or spec.modelname, spec, str(file))
 
 
 def _place(found: ObjectModel, description: PlacedDescription) -> None:

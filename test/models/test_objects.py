@@ -189,7 +189,7 @@ def test_a_file_that_is_no_object_is_refused(mug_file, parts, message):
 def test_a_missing_mesh_is_told(mug_file):
     path = mug_file()
     (path.parent / 'meshes' / 'tetrahedron.obj').unlink()
-    with pytest.raises(ModelError, match=r'mug\.xml does not compile: .*tetrahedron\.obj'):
+    with pytest.raises(ModelError, match=r'no such mesh file: .*tetrahedron\.obj'):
         create_object(path)
 
 

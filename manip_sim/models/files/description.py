@@ -8,13 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
-import yaml
-
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.quoting import one_line, quoted
+from manip_sim.models.strict_descriptions import (
+    AfterValidator, BaseModel, ConfigDict, Field, ValidationError)
+from manip_sim.models.strict_yaml import read_yaml
+from manip_sim.quoting import quoted
 
-_MAX_BYTES = 1_000_000
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
@@ -154,47 +153,12 @@ def read_description(file: Path, kind: type[DescriptionT]) -> DescriptionT:
     :raises ModelError: if it cannot be read or a value is of the wrong kind
     :raises UnknownNameError: if it has an unknown key, naming the nearest ones
     """
-    content = _load_yaml(file)
     try:
-        return kind.model_validate({} if content is None else content)
+        return kind.model_validate(read_yaml(file))
     except ValidationError as error:
         # Of a value that may be one of several kinds, what fits best got farthest.
         deepest = max(error.errors(), key=lambda found: len(found['loc']))
         raise _told(file, kind, deepest) from error
-
-
-def _load_yaml(file: Path) -> Any:
-    try:
-        if file.stat().st_size > _MAX_BYTES:
-            raise ModelError(f'{file} has more than {_MAX_BYTES} bytes')
-        text = file.read_text(encoding='utf-8')
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            if isinstance(event, yaml.AliasEvent):
-                raise ModelError(f'{file}, line {event.start_mark.line + 1}: a YAML file here may '
-                                 f'not have aliases, found {quoted(event.anchor)}')
-        _check_keys(file, yaml.compose(text, Loader=yaml.SafeLoader))
-        return yaml.safe_load(text)
-    except OSError as error:
-        raise ModelError(f'cannot read {file}: {error.strerror}') from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ModelError(f'{file} is not YAML that can be read: '
-                         f'{one_line(" ".join(str(error).split()), 200)}') from error
-
-
-def _check_keys(file: Path, node: Any) -> None:
-    if isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _check_keys(file, value)
-    if not isinstance(node, yaml.MappingNode):
-        return
-    seen = set()
-    for key, value in node.value:
-        if key.value in seen:
-            raise ModelError(f'{file}, line {key.start_mark.line + 1}: the key '
-                             f'{quoted(key.value)} is there twice')
-        if isinstance(key.value, str):
-            seen.add(key.value)
-        _check_keys(file, value)
 
 
 def _told(file: Path, kind: type[BaseModel], error: Any) -> ModelError:

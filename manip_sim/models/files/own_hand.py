@@ -137,3 +137,6 @@ class OwnHand(HandFromFile, registered=False):
 
     def attach_to(self, spec: Any, frame: Any) -> None:
         """Change nothing: the hand comes with the robot."""
+
+    def _attach_recorded(self, spec: Any, frame: Any) -> None:
+        pass

@@ -204,5 +204,4 @@ class ManipulatorModel(RobotModel):
         """
         super().attach_to(spec, frame, floor_xpos)
         for arm, gripper in self._grippers.items():
-            frame = spec.body(self.eef_name[arm]).add_frame()
-            gripper._attach_copy(spec, frame, gripper.spec.copy())
+            gripper._attach_recorded(spec, spec.body(self.eef_name[arm]).add_frame())
