@@ -89,8 +89,8 @@ def test_a_root_that_is_lifted_keeps_its_floor(one_joint_arm):
     np.testing.assert_allclose(robot.bottom_offset, [0.0, 0.0, -0.3])
 
 
-def test_an_edit_of_a_mounted_gripper_is_seen_through_the_robot(one_joint_arm, gripper_class,
-                                                               gripper_file):
+def test_an_edit_of_a_mounted_gripper_is_seen_through_the_robot(
+        one_joint_arm, gripper_class, gripper_file):
     robot = one_joint_arm()
     gripper = gripper_class(gripper_file)
     robot.add_gripper(gripper)
