@@ -150,13 +150,11 @@ class World:
 
     def to_archive(self) -> bytes:
         """
-        Return the world with its mesh and texture files, as a zip that loads on any machine::
+        Return the world with its mesh and texture files, as a zip that loads on any machine.
 
-            model = mujoco.MjSpec.from_zip(io.BytesIO(world.to_archive())).compile()
-
-        The zip has ``model.xml`` and the folder ``assets``: unpacked, the XML loads by
-        ``mujoco.MjModel.from_xml_path``; as a file ``world.mjz``, by ``mujoco.MjSpec.from_file``
-        of newer versions of MuJoCo.
+        It loads by ``mujoco.MjSpec.from_zip(io.BytesIO(archive)).compile()``; unpacked, its
+        ``model.xml`` by ``mujoco.MjModel.from_xml_path``; as a file ``world.mjz``, by
+        ``mujoco.MjSpec.from_file`` of newer versions of MuJoCo.
 
         :raises ModelError: with what MuJoCo says, or if a file cannot be read
         """

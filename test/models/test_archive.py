@@ -123,8 +123,8 @@ MESH = '<geom type="mesh" mesh="a"/>'
     ('<compiler assetdir="all"/><asset><mesh file="a.obj"/></asset>', 'all__a_obj'),
     ('<compiler meshdir="../shared"/><asset><mesh file="a.obj"/></asset>', '..__shared__a_obj'),
     ('<compiler strippath="true"/><asset><mesh file="gone/a.obj"/></asset>', 'a_obj')])
-def test_a_mesh_is_found_wherever_the_file_says_and_travels_along(head, file, part, arm_class,
-                                                                 loads):
+def test_a_mesh_is_found_where_the_file_says_and_travels_along(head, file, part, arm_class,
+                                                               loads):
     robot = arm_class(part('robot', head, MESH, **{file: tetrahedron(0.25)}))
     for way, model in loads(World([robot])).items():
         assert edges_m(model) == {'robot0_a': 0.25}, way
@@ -157,8 +157,8 @@ def test_equal_files_are_packed_once(part, arm_class, loads):
         assert set(edges_m(model).values()) == {0.1} and model.nmesh == 4
 
 
-def test_robot_gripper_and_arena_have_folders_of_their_own(part, arm_class, gripper_class, loads,
-                                                          monkeypatch):
+def test_robot_gripper_and_arena_have_folders_of_their_own(
+        part, arm_class, gripper_class, loads):
     robot = arm_class(part('robot', '<compiler meshdir="x"/><asset><mesh file="a.obj"/></asset>',
                            MESH, x__a_obj=tetrahedron(0.1)))
     gripper = gripper_class(part(
