@@ -283,7 +283,7 @@ def check(kind: str, file: Path) -> dict[str, Any]:
     row['floats'] = bool((simulation.model.jnt_type == 0).any())
     row['holds'], why = holds(simulation)
     if not row['holds']:
-        row['reason'].append(why)
+        row['reason'] += [why, *(defect[:90] for defect in simulation.start_defects[:2])]
     if kind == 'hand':
         row['position'], why = hand_follows(simulation, 'right/gripper')
         if not row['position']:
