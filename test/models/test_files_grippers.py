@@ -89,6 +89,22 @@ def test_a_finger_that_bends_closes_towards_the_palm(tmp_path):
     np.testing.assert_allclose(hand.format_action([-1.0, 0.0, 0.5]), [-1.0, 0.0, 0.5])
 
 
+def test_a_control_range_is_no_longer_than_what_the_joint_can_reach(tmp_path):
+    text = HAND.replace('name="pull" tendon="split" ctrlrange="0 255"',
+                        'name="pull" joint="left_finger" ctrlrange="-1 1"')
+    text = text.replace('gainprm="1.5"', 'gainprm="12750"')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    np.testing.assert_allclose(hand.compile().actuator('gripper0_pull').ctrlrange, [0.0, 0.03])
+    np.testing.assert_allclose(hand.format_action([1.0]), [-1.0])
+
+
+def test_an_actuator_without_any_limit_is_told(tmp_path):
+    text = HAND.replace('ctrlrange="0 255" forcerange="-50 50"', '')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    assert "actuator 'pull' has no range, actions are its control" in hand.inferred
+    np.testing.assert_allclose(hand.compile().actuator('gripper0_pull').ctrlrange, [-1.0, 1.0])
+
+
 def test_a_keyframe_is_the_start_of_a_hand(tmp_path):
     text = HAND.replace('</mujoco>', '<keyframe><key name="open" qpos="0.03 0.03" ctrl="255"/>'
                                      '<key name="x" qpos="0 0" ctrl="0"/></keyframe></mujoco>')

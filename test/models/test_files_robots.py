@@ -135,6 +135,12 @@ def test_several_arms_without_sides_are_an_error_that_says_what_to_write(tmp_pat
         load_robot(write(tmp_path / 'pair.xml', text))
 
 
+def test_what_has_no_joints_is_no_robot(tmp_path):
+    with pytest.raises(ModelError, match='rock.xml is no robot: it has no hinges and no slides'):
+        load_robot(write(tmp_path / 'rock.xml', '<mujoco><worldbody><body><freejoint/>'
+                                                '<geom size="1"/></body></worldbody></mujoco>'))
+
+
 def test_legs_alone_are_a_robot_without_arms(tmp_path):
     robot = load_robot(write(tmp_path / 'dog.xml', """
 <mujoco><worldbody><body name="trunk" pos="0 0 0.5"><freejoint/><geom size="0.1"/>
