@@ -110,6 +110,19 @@ def name_main_default(own: mujoco.MjSpec) -> None:
     own.default.name = name
 
 
+def delete_elements(spec: Any, elements: list[Any]) -> None:
+    """
+    Delete elements that are no bodies, and the sensors that look at them.
+
+    :param spec: the ``mujoco.MjSpec`` that has them
+    """
+    names = {element.name for element in elements if element.name}
+    for sensor in [s for s in spec.sensors if s.objname in names or s.refname in names]:
+        spec.delete(sensor)
+    for element in elements:
+        spec.delete(element)
+
+
 def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
     """
     Let the first of some consecutive actuators of a spec come last.

@@ -39,6 +39,10 @@ _POSES = 64
 _QUANTILE = 0.15
 #: A servo that saturates is integrated explicitly: its damping per step and inertia stays below.
 _EXPLICIT_DAMPING = 1.5
+#: Damping ratio that a servo keeps at most when its gains are lowered for that.
+_SOFT_RATIO = 3.0
+#: A setpoint that moves faster has to overcome all of the joint's dry friction [rad/s or m/s].
+_SLIDING = 0.05
 
 
 class Servos:
@@ -81,6 +85,7 @@ class Servos:
         passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
         #: Force per velocity of a setpoint, so that the joint moves as fast.
         self._drag = self._damping + passive
+        self._friction: FloatArray = model.dof_frictionloss[self.dofs].copy()
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
         self.ranges = {'position': self._position_range(joint_ids),
                        'effort': self._limit_effort(joint_ids)}
@@ -105,7 +110,11 @@ class Servos:
         share = (self._model.opt.timestep * self._damping
                  * self._model.dof_invweight0[self.dofs])
         factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(share, 1e-12))
-        self._damping, self._stiffness = self._damping * factor, self._stiffness * factor**2
+        self._damping = self._damping * factor
+        # With the damping ratio that it had, a servo that was overdamped would become too soft.
+        enough = (self._damping / (2.0 * _SOFT_RATIO))**2 * self._model.dof_invweight0[self.dofs]
+        self._stiffness = np.maximum(self._stiffness * factor**2,
+                                     np.minimum(self._stiffness, enough))
 
     def _position_range(self, joint_ids: IntArray) -> FloatArray:
         limits: FloatArray = self._model.jnt_range[joint_ids].copy()
@@ -224,6 +233,7 @@ class Servos:
         self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
+        force += self._friction * np.clip(velocity / _SLIDING, -1.0, 1.0)
         if self._compensated:
             # The bias force less the weight, which the actuators carry already.
             force += data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs]

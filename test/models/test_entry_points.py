@@ -102,7 +102,7 @@ def test_a_package_is_imported_when_its_class_is_asked_for_and_not_before(packag
     ('import sys; sys.exit(3)', 'SystemExit: 3'),
     ('', r"AttributeError: module 'other\d+' has no attribute 'Broken'")])
 def test_an_entry_point_that_cannot_be_imported_is_told_and_hides_no_other(
-        package, warnings_of, code, why):
+        package, code, why):
     package(code, {'robot': {'Broken': '{}:Broken'}})
     package(MODULE.format('Whole'), {'robot': {'WholeArm': '{}:WholeArm'}})
     message = (r"^robot 'Broken' of the package other\d+ 1\.2 \(other\d+:Broken\) cannot be "

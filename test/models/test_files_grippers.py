@@ -50,6 +50,23 @@ def test_closing_is_where_the_fingertips_meet(tmp_path):
     assert 'closing: pull from 255 to 0' in hand.inferred
 
 
+@pytest.mark.parametrize('pose', ['quat="0 1 0 1"', 'euler="1.5708 0 0"', 'quat="0 1 0 0"', ''])
+def test_the_fingers_point_away_from_the_arm_however_the_file_lays_the_hand(tmp_path, pose):
+    hand = load_gripper(write(tmp_path / 'hand.xml', HAND.replace('quat="0 1 0 1"', pose)))
+    (grip,) = site_positions(hand.compile(), ['gripper0_grip_site'])
+    np.testing.assert_allclose(grip, [0.0, 0.0, 0.05], atol=1e-6)
+    turned = 'mount: turned so that the fingers point along z' in hand.inferred
+    assert turned == bool(pose)
+
+
+def test_a_palm_far_behind_its_frame_is_put_in_front_of_the_mount(tmp_path):
+    text = HAND.replace('size="0.03 0.04 0.01"', 'size="0.03 0.04 0.045" pos="0 0 -0.045"')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text.replace('quat="0 1 0 1"', '')))
+    model = hand.compile()
+    np.testing.assert_allclose(model.body('gripper0_palm').pos, [0.0, 0.0, 0.09], atol=1e-9)
+    assert 'mount: 0.090 m along z, so that the palm is in front of it' in hand.inferred
+
+
 @pytest.mark.parametrize('wrong', [[1.0, 0.0], [np.nan]])
 def test_an_action_that_does_not_fit_is_refused(tmp_path, wrong):
     hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
@@ -70,6 +87,22 @@ def test_a_finger_that_bends_closes_towards_the_palm(tmp_path):
 </actuator></mujoco>"""))
     np.testing.assert_allclose(hand.format_action([1.0, 1.0, 1.0]), [1.0, -1.0, 1.0])
     np.testing.assert_allclose(hand.format_action([-1.0, 0.0, 0.5]), [-1.0, 0.0, 0.5])
+
+
+def test_a_control_range_is_no_longer_than_what_the_joint_can_reach(tmp_path):
+    text = HAND.replace('name="pull" tendon="split" ctrlrange="0 255"',
+                        'name="pull" joint="left_finger" ctrlrange="-1 1"')
+    text = text.replace('gainprm="1.5"', 'gainprm="12750"')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    np.testing.assert_allclose(hand.compile().actuator('gripper0_pull').ctrlrange, [0.0, 0.03])
+    np.testing.assert_allclose(hand.format_action([1.0]), [-1.0])
+
+
+def test_an_actuator_without_any_limit_is_told(tmp_path):
+    text = HAND.replace('ctrlrange="0 255" forcerange="-50 50"', '')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    assert "actuator 'pull' has no range, actions are its control" in hand.inferred
+    np.testing.assert_allclose(hand.compile().actuator('gripper0_pull').ctrlrange, [-1.0, 1.0])
 
 
 def test_a_keyframe_is_the_start_of_a_hand(tmp_path):

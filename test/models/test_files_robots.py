@@ -135,6 +135,12 @@ def test_several_arms_without_sides_are_an_error_that_says_what_to_write(tmp_pat
         load_robot(write(tmp_path / 'pair.xml', text))
 
 
+def test_what_has_no_joints_is_no_robot(tmp_path):
+    with pytest.raises(ModelError, match='rock.xml is no robot: it has no hinges and no slides'):
+        load_robot(write(tmp_path / 'rock.xml', '<mujoco><worldbody><body><freejoint/>'
+                                                '<geom size="1"/></body></worldbody></mujoco>'))
+
+
 def test_legs_alone_are_a_robot_without_arms(tmp_path):
     robot = load_robot(write(tmp_path / 'dog.xml', """
 <mujoco><worldbody><body name="trunk" pos="0 0 0.5"><freejoint/><geom size="0.1"/>
@@ -153,6 +159,19 @@ def test_an_object_beside_the_robot_is_left_out(tmp_path):
     robot = load_robot(write(tmp_path / 'arm.xml', text))
     assert 'robot0_cube' not in robot.bodies
     np.testing.assert_allclose(robot.init_qpos, [0.1, 0.2, 0.3])
+
+
+def test_a_base_and_its_first_link_may_overlap_where_they_start(tmp_path):
+    text = ARM.replace('<joint name="turn"', '<geom size="0.095" mass="0.1"/><joint name="turn"')
+    text = text.replace('<joint name="lift"', '<geom size="0.29" mass="0.1"/><joint name="lift"')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert "'base' and 'link1' overlap at the start, so they do not collide" in robot.inferred
+    data = mujoco.MjData(robot.compile())
+    mujoco.mj_forward(data.model, data)
+    # The second link reaches into the base too, which is said to nobody but left as it is.
+    bodies = {tuple(sorted(data.model.body(data.model.geom_bodyid[geom]).name
+                           for geom in contact.geom)) for contact in data.contact}
+    assert bodies == {('robot0_base', 'robot0_link2')}
 
 
 def test_of_two_actuators_on_a_joint_the_servo_stays(tmp_path):

@@ -25,6 +25,8 @@ _TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
 _TELLING = 0.02
 #: A fingertip that moves less than this part of the one that moves most stands still.
 _STILL = 0.1
+#: A control range may exceed what the joint can reach by this part.
+_BEYOND = 0.5
 #: Time constant of the fingers while that is found out [s].
 _SLOWNESS_S = 0.01
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -54,23 +56,38 @@ def _without_warnings() -> Iterator[None]:
 
 
 def control_range(model: Any, actuator: int) -> tuple[float, float] | None:
-    """Return the range of an actuator's control, or what its joint or force leaves of it."""
+    """
+    Return the range of an actuator's control, and of a servo no more than its joint can reach.
+
+    :returns: lowest and highest control; None if nothing limits it
+    """
+    reach = _reach(model, actuator)
     if model.actuator_ctrllimited[actuator]:
         low, high = model.actuator_ctrlrange[actuator]
-        return float(low), float(high)
-    gain, gear = model.actuator_gainprm[actuator, 0], model.actuator_gear[actuator, 0]
-    bias = model.actuator_biasprm[actuator]
-    scalar_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
-    joint = int(model.actuator_trnid[actuator, 0])
-    if _is_servo(model, actuator):
-        if scalar_joint and model.jnt_limited[joint]:
-            ends = -(bias[0] + bias[1] * model.jnt_range[joint] * gear) / gain
-            return float(ends.min()), float(ends.max())
-        return None
-    if model.actuator_forcelimited[actuator] and gain > 0.0:
+        # An end that is a little beyond the joint's presses.
+        beyond = _BEYOND * (reach[1] - reach[0]) if reach else 0.0
+        if reach and (low < reach[0] - beyond or high > reach[1] + beyond):
+            low, high = max(low, reach[0]), min(high, reach[1])
+        return (float(low), float(high)) if low < high else None
+    if reach:
+        return reach
+    gain = model.actuator_gainprm[actuator, 0]
+    if model.actuator_forcelimited[actuator] and gain > 0.0 and not _is_servo(model, actuator):
         low, high = model.actuator_forcerange[actuator] / gain
         return float(low), float(high)
     return None
+
+
+def _reach(model: Any, actuator: int) -> tuple[float, float] | None:
+    """Return the controls at which a servo rests at the ends of its joint's range, or None."""
+    joint = int(model.actuator_trnid[actuator, 0])
+    is_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
+    if not (is_joint and _is_servo(model, actuator) and model.jnt_limited[joint]):
+        return None
+    bias = model.actuator_biasprm[actuator]
+    ends = (-(bias[0] + bias[1] * model.jnt_range[joint] * model.actuator_gear[actuator, 0])
+            / model.actuator_gainprm[actuator, 0])
+    return float(ends.min()), float(ends.max())
 
 
 def _is_servo(model: Any, actuator: int) -> bool:

@@ -8,13 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import mujoco
-
 from manip_sim.models.files.description import GripperDescription
 from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.frames import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.hands import FoundHand
+from manip_sim.models.files.mounting import place_root, stand_on_mount
 from manip_sim.models.files.reading import compile_alone, read_model
 from manip_sim.models.files.start import start_pose
 from manip_sim.models.files.tree import BodyTree
@@ -54,10 +53,10 @@ class FileGripper(HandFromFile, registered=False):
         self._start = start_pose(model_file, declared.start, self._where)
         spec = model_file.spec
         if declared.mount is not None:
-            root = spec.worldbody.bodies[0]
-            root.pos = declared.mount.position
-            root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            root.quat = quat_wxyz_of(declared.mount.orientation)
+            place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))
+        elif spec.body('eef') is None:
+            self.inferred += stand_on_mount(spec, *_whole(compile_alone(spec, str(self.file))),
+                                            self._start)
         model = compile_alone(spec, str(self.file))
         tree, hand = _whole(model)
         self.inferred += fill_control_ranges(spec, model, list(hand.actuators))

@@ -14,6 +14,7 @@ from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
+from manip_sim.models.spec_edits import delete_elements
 from manip_sim.typing import FloatArray
 
 
@@ -142,20 +143,11 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
             if carries or child.name == hand._eef_body or not moves:
                 spec.delete(child)
         own = {*hand._important_sites.values(), f'{arm}_hand_ft_frame'}
-        _delete(spec, [site for site in body.sites if site.name in own or not moves])
+        delete_elements(spec, [site for site in body.sites if site.name in own or not moves])
         if not moves:
-            _delete(spec, [*body.geoms, *body.cameras, *body.lights])
+            delete_elements(spec, [*body.geoms, *body.cameras, *body.lights])
             body.explicitinertial = False
             body.mass, body.inertia, body.fullinertia = 0.0, [0.0] * 3, [np.nan] + [0.0] * 5
         self._record()
         self.update_joints()
         self.update_actuators()
-
-
-def _delete(spec: Any, elements: list[Any]) -> None:
-    """Delete elements of a body and the sensors that look at them."""
-    names = {element.name for element in elements}
-    for sensor in [s for s in spec.sensors if s.objname in names or s.refname in names]:
-        spec.delete(sensor)
-    for element in elements:
-        spec.delete(element)

@@ -20,6 +20,7 @@ from manip_sim.models.files.frames import add_body_at, find_place, free_name
 from manip_sim.models.files.hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.reading import ModelFile, read_model
+from manip_sim.models.files.scenery import exclude_neighbours
 from manip_sim.models.files.start import start_pose
 from manip_sim.models.files.tree import BodyTree
 
@@ -68,6 +69,9 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     model_file = read_model(file, _KEYFRAMES, keyframe)
     spec, tree, told = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
+    if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
+        raise ModelError(f'{file} is no robot: it has no hinges and no slides')
+    told += exclude_neighbours(spec, tree.model, start)
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,

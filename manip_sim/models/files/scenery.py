@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 import warnings
 
@@ -12,9 +13,12 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+#: What is less deep only touches [m].
+_OVERLAP_M = 0.0005
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
@@ -40,8 +44,7 @@ def single_tree(spec: Any, model: Any, file: object) -> tuple[Any, list[str]]:
     loose = [*world.geoms, *world.sites]
     free = [body for body in roots if _is_free(body)]
     if len(roots) == 1 and (free or not loose):
-        for element in loose:
-            spec.delete(element)
+        delete_elements(spec, loose)
         if loose:
             told.append(f'left out: {len(loose)} shapes and sites of the world body')
         return spec, told
@@ -55,17 +58,51 @@ def single_tree(spec: Any, model: Any, file: object) -> tuple[Any, list[str]]:
     return _wrapped(spec, name), told
 
 
+def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> list[str]:
+    """
+    Let no links collide with what they turn on, if they overlap where they start.
+
+    MuJoCo does so by itself, except with a link that cannot move.
+
+    :param spec: the ``mujoco.MjSpec``, changed in place
+    :param model: the same, compiled
+    :param start: where joints start, by name [rad or m]
+    :returns: what was done, in sentences
+    """
+    data = mujoco.MjData(model)
+    for joint, position in start.items():
+        data.joint(joint).qpos[0] = position
+    mujoco.mj_forward(model, data)
+    told = []
+    for contact in data.contact:
+        fixed, other = sorted(model.geom_bodyid[contact.geom].tolist(),
+                              key=lambda body: int(model.body_weldid[body]))
+        mover = int(model.body_weldid[other])
+        neighbours = mover and fixed and not model.body_weldid[fixed] and not model.body_weldid[
+            model.body_parentid[mover]]
+        if neighbours and contact.dist < -_OVERLAP_M:
+            names = [str(model.body(body).name) for body in (fixed, other)]
+            what = f"'{names[0]}' and '{names[1]}' overlap at the start, so they do not collide"
+            if what not in told:
+                spec.add_exclude(bodyname1=names[0], bodyname2=names[1])
+                told.append(what)
+    return told
+
+
 def _leave_out(spec: Any, tree: BodyTree) -> list[str]:
     world, told = spec.worldbody, []
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
+    objects = _objects(spec, tree)
     for what, elements in (('lights', list(world.lights)), ('cameras', list(world.cameras)),
-                           ('grounds', grounds), ('bodies', _objects(spec, tree))):
+                           ('grounds', grounds), ('bodies', objects)):
         names = [element.name for element in elements if element.name]
         if elements:
             told.append(f'left out: {len(elements)} {what} of the world body'
                         + (f' ({quoted_names(names)})' if names else ''))
-        for element in elements:
-            spec.delete(element)
+        if elements is not objects:
+            delete_elements(spec, elements)
+    for body in objects:
+        spec.delete(body)
     return told
 
 
