@@ -25,6 +25,7 @@ from manip_sim.simulation.commands import MODES
 
 STEPPING = ('realtime', 'free', 'lockstep')
 
+
 @dataclass(frozen=True)
 class ParameterSpec:
     """

@@ -138,7 +138,7 @@ class SimulationInterfaces:
                           SimulationState.STATE_PAUSED):
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                           f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
-                           'PAUSED (2); SIGTERM ends the simulator')
+                          'PAUSED (2); SIGTERM ends the simulator')
         if target == self._state():
             raise Refusal(SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
                           'the simulation is in this state already')
@@ -172,7 +172,7 @@ class SimulationInterfaces:
         if not everything and (scope & ~known or not scope & ResetSimulation.Request.SCOPE_STATE):
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                           f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
-                           'STATE with TIME (3)')
+                          'STATE with TIME (3)')
         self._thread.reset(
             restart_time=everything or bool(scope & ResetSimulation.Request.SCOPE_TIME))
 
@@ -214,7 +214,7 @@ class SimulationInterfaces:
         if request.state.header.frame_id not in ('', WORLD):
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                           f"frame_id '{request.state.header.frame_id}' is not supported: leave "
-                           f"it empty or write '{WORLD}'")
+                          f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
         def place() -> None:

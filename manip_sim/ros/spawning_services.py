@@ -162,7 +162,7 @@ def _place(item: ObjectModel, pose: Any) -> None:
     if pose.header.frame_id not in ('', WORLD):
         raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
                       f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it empty "
-                       f"or write '{WORLD}'")
+                      f"or write '{WORLD}'")
     position, turn = pose.pose.position, pose.pose.orientation
     try:
         place = Pose.checked([position.x, position.y, position.z],

@@ -38,8 +38,8 @@ def followed(simulation, mode):
     """Move all arm joints along a sine; return goals and what was reached, shape (n, joints)."""
     names = list(simulation.robot.arm_joints)
     index = simulation.indices_of['arm']
-    start = simulation.state().position[index]
-    simulation.set_control_mode('arm', mode)
+    start = simulation.robot.state().position[index]
+    simulation.robot.set_control_mode('arm', mode)
     goals, reached = [], []
     for tick in range(300):
         phase = 2.0 * np.pi * 0.5 * tick * PERIOD_S
@@ -47,19 +47,19 @@ def followed(simulation, mode):
             goal, fields = start + 0.1 * np.sin(phase), ('position',)
         else:
             goal, fields = np.full(len(names), 0.1 * np.pi * np.cos(phase)), ('velocity',)
-        simulation.apply(*simulation.parse.joint_command(names, **{fields[0]: goal}),
+        simulation.robot.apply(*simulation.robot.parse.joint_command(names, **{fields[0]: goal}),
                          period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
         goals.append(goal)
-        reached.append(getattr(simulation.state(), mode)[index])
+        reached.append(getattr(simulation.robot.state(), mode)[index])
     return np.array(goals), np.array(reached)
 
 
 def test_the_start_pose_is_held_for_ten_seconds(simulation):
-    start = simulation.state().position
+    start = simulation.robot.state().position
     for _ in range(100):
         simulation.advance(50)
-        np.testing.assert_allclose(simulation.state().position, start, atol=5e-3)
+        np.testing.assert_allclose(simulation.robot.state().position, start, atol=5e-3)
 
 
 @pytest.mark.parametrize(('mode', 'tolerance'), [('position', 0.01), ('velocity', 0.05)])
@@ -70,11 +70,11 @@ def test_the_arm_follows_a_sine(simulation, mode, tolerance):
 
 def test_the_hand_opens_and_closes(simulation):
     part = 'right/gripper'
-    gripper = simulation.grippers[part].part.gripper
+    gripper = simulation.robot.grippers[part].part.gripper
     spreads = []
     for closing in (-1.0, 1.0):
         simulation.reset()
-        simulation.apply(simulation.parse.action(part, np.full(gripper.dof, closing)))
+        simulation.robot.apply(simulation.robot.parse.action(part, np.full(gripper.dof, closing)))
         simulation.advance(round(3.0 / simulation.timestep_s))
         spreads.append(spread(simulation, gripper))
     assert spreads[1] < 0.95 * spreads[0]
@@ -96,6 +96,6 @@ def test_the_joints_and_limits_are_those_of_the_files(simulation):
             continue
         folder = Path(os.environ['MENAGERIE_ROOT']) / source.partition(':')[2]
         original = mujoco.MjModel.from_xml_path(str(folder / 'iiwa14.xml'))
-        for joint in simulation.parts[part].joints:
+        for joint in simulation.robot.parts[part].joints:
             expected = original.joint(joint.removeprefix('robot0_'))
             np.testing.assert_allclose(simulation.model.joint(joint).range, expected.range)
