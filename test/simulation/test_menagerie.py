@@ -36,8 +36,9 @@ def simulation(request):
 
 def followed(simulation, mode):
     """Move all arm joints along a sine; return goals and what was reached, shape (n, joints)."""
-    names = list(simulation.robot.arm_joints)
-    index = simulation.indices_of['arm']
+    robot = simulation.robot
+    names = robot.robot_model.arm_joints
+    index = robot.indices_of['arm']
     start = simulation.robot.state().position[index]
     simulation.robot.set_control_mode('arm', mode)
     goals, reached = [], []
@@ -47,8 +48,7 @@ def followed(simulation, mode):
             goal, fields = start + 0.1 * np.sin(phase), ('position',)
         else:
             goal, fields = np.full(len(names), 0.1 * np.pi * np.cos(phase)), ('velocity',)
-        simulation.robot.apply(*simulation.robot.parse.joint_command(names, **{fields[0]: goal}),
-                         period_s=PERIOD_S)
+        robot.apply(*robot.parse.joint_command(names, **{fields[0]: goal}), period_s=PERIOD_S)
         simulation.advance(round(PERIOD_S / simulation.timestep_s))
         goals.append(goal)
         reached.append(getattr(simulation.robot.state(), mode)[index])
@@ -92,7 +92,7 @@ def spread(simulation, gripper):
 
 def test_the_joints_and_limits_are_those_of_the_files(simulation):
     for part, source in (('arm', PAIRS['an iiwa with our gripper'][0]),):
-        if simulation.robot.name.startswith('Panda'):
+        if simulation.robot.robot_model.name.startswith('Panda'):
             continue
         folder = Path(os.environ['MENAGERIE_ROOT']) / source.partition(':')[2]
         original = mujoco.MjModel.from_xml_path(str(folder / 'iiwa14.xml'))
