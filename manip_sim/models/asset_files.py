@@ -46,13 +46,11 @@ class Reference:
         return str(self._element.cubefiles[self._side])
 
     def set_file(self, file: str) -> None:
-        """Let the element name another file; it keeps its name, which MuJoCo takes from there."""
-        if self._side is not None:
+        """Let the element name another file."""
+        if self._side is None:
+            self._element.file = file
+        else:
             self._element.cubefiles[self._side] = file
-            return
-        if not self._element.name:
-            self._element.name = PurePosixPath(self.file).stem
-        self._element.file = file
 
     @property
     def element_name(self) -> str:

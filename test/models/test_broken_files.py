@@ -156,6 +156,8 @@ BROKEN = {
         mjcf(REPLICATE.format(1000, '<attach model="a" body="base" prefix="p"/>'),
              '<asset><model name="a" file="a.xml"/></asset>'),
         'more than 20000$', {'a.xml': mjcf(f'<body name="base">{GEOM * 30}</body>')}),
+    'replicate of no number': (mjcf(REPLICATE.format('nan', GEOM)), 'is not MJCF that MuJoCo', {}),
+    'replicate of words': (mjcf(REPLICATE.format('many', GEOM)), 'is not MJCF that MuJoCo', {}),
     'flexcomp': (mjcf('<flexcomp name="f" type="grid" count="900 900 900"/>'),
                  'more than 20000$', {}),
     'height field of many points': (
