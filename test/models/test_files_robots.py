@@ -157,7 +157,8 @@ def test_legs_alone_are_a_robot_without_arms(tmp_path):
 def test_a_free_robot_that_was_made_for_another_floor_is_raised(tmp_path, keyframe):
     robot = load_robot(write(tmp_path / 'dog.xml', f"""
 <mujoco><worldbody><body name="trunk" pos="0 0 -0.2"><freejoint/><geom size="0.1"/>
-  <body name="leg"><joint name="fl_hx"/><geom size="0.05" pos="0 0 -0.3"/></body></body></worldbody>
+  <body name="leg"><joint name="fl_hx"/><geom size="0.05" pos="0 0 -0.3"/></body></body>
+  </worldbody>
   <actuator><motor joint="fl_hx"/></actuator>{keyframe}</mujoco>"""))
     np.testing.assert_allclose(robot.compile().qpos0[2], 0.35)
     assert any('so that it stands on the floor' in sentence for sentence in robot.inferred)

@@ -141,8 +141,8 @@ def _place_root(spec: Any, model: Any, start: dict[str, float], qpos: FloatArray
     """Put free bodies where a keyframe has them, but not below the floor."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    for joint, position in start.items():
-        data.joint(joint).qpos[0] = position
+    for name, position in start.items():
+        data.joint(name).qpos[0] = position
     mujoco.mj_kinematics(model, data)
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     lowest = float(shape_heights(model, data, collides)[:, 0].min(initial=0.0))
