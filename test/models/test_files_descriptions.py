@@ -198,6 +198,16 @@ def test_a_file_that_is_missing_or_nothing_we_know_is_told(tmp_path):
         load_robot(tmp_path / 'two')
 
 
+@pytest.mark.parametrize(('path', 'message'), [
+    ('/' + 'a' * 5000, 'cannot read /aaa.*: File name too long'),
+    ('~nobody_of_that_name/x.xml', 'cannot read ~nobody_of_that_name/x.xml: .*home'),
+    ('a\nb.xml', r'no such file: a\\nb.xml')])
+def test_a_path_that_cannot_be_looked_at_is_told_in_one_line(path, message):
+    with pytest.raises(ModelError, match=message) as raised:
+        load_robot(path)
+    assert '\n' not in str(raised.value) and len(str(raised.value)) < 300
+
+
 def test_a_yaml_file_that_cannot_be_decoded_is_told(tmp_path):
     file = write(tmp_path / 'arm.xml', ARM)
     (tmp_path / 'arm.yaml').write_bytes(b'base: \xff\xfe')

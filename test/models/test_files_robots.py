@@ -152,6 +152,18 @@ def test_legs_alone_are_a_robot_without_arms(tmp_path):
     np.testing.assert_allclose(robot.compile().qpos0[:3], [0.0, 0.0, 0.4])
 
 
+@pytest.mark.parametrize('keyframe', [
+    '', '<keyframe><key name="home" qpos="0 0 -1 1 0 0 0 0"/></keyframe>'])
+def test_a_free_robot_that_was_made_for_another_floor_is_raised(tmp_path, keyframe):
+    robot = load_robot(write(tmp_path / 'dog.xml', f"""
+<mujoco><worldbody><body name="trunk" pos="0 0 -0.2"><freejoint/><geom size="0.1"/>
+  <body name="leg"><joint name="fl_hx"/><geom size="0.05" pos="0 0 -0.3"/></body></body>
+  </worldbody>
+  <actuator><motor joint="fl_hx"/></actuator>{keyframe}</mujoco>"""))
+    np.testing.assert_allclose(robot.compile().qpos0[2], 0.35)
+    assert any('so that it stands on the floor' in sentence for sentence in robot.inferred)
+
+
 def test_an_object_beside_the_robot_is_left_out(tmp_path):
     text = ARM.replace('<worldbody>', '<worldbody><body name="cube" pos="1 0 0.1"><freejoint/>'
                                       '<geom size="0.02"/></body>')

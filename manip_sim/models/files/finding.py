@@ -11,6 +11,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.description import (
     Description, DescriptionT, read_description, RobotDescription)
 from manip_sim.models.sources import is_path
+from manip_sim.quoting import one_line
 
 YAML = ('.yaml', '.yml')
 MODELS = ('.xml', '.mjcf', '.urdf')
@@ -28,11 +29,18 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, D
     :param stem: the name of a YAML file that counts for its folder, such as ``robot``
     :raises ModelError: if a file is missing, or more than one could be meant
     """
-    path = path.expanduser()
+    try:
+        return _find(path.expanduser(), kind, stem)
+    except (OSError, RuntimeError) as error:
+        raise ModelError(f'cannot read {one_line(str(path), 200)}: '
+                         f'{getattr(error, "strerror", None) or error}') from error
+
+
+def _find(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, DescriptionT, str]:
     if path.is_dir():
         path = _in_folder(path, stem)
     if not path.is_file():
-        raise ModelError(f'no such file: {path}')
+        raise ModelError(f'no such file: {one_line(str(path), 200)}')
     if path.suffix.lower() in YAML:
         description = _described(path, kind)
         return _model_of(path, description, stem), description, str(path)

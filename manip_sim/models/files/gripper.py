@@ -67,7 +67,7 @@ class FileGripper(HandFromFile, registered=False):
         return spec
 
     def _prepare_spec(self, spec: Any) -> None:
-        if self._eef_body == type(self)._eef_body:
+        if not self._has_grasp_frame:
             super()._prepare_spec(spec)
 
 

@@ -33,6 +33,8 @@ class HandFromFile(GripperModel, registered=False):
     """
 
     inferred: list[str]
+    #: Whether the grasp frame was added.
+    _has_grasp_frame = False
     #: What the description was read from, for messages.
     _where: str
     _description: HandDescription
@@ -61,6 +63,7 @@ class HandFromFile(GripperModel, registered=False):
         self._eef_body = free_name({body.name for body in spec.bodies}, f'{prefix}eef')
         eef = add_body_at(spec, tree.model, place, self._eef_body, position, orientation)
         add_standard_elements(spec, spec.body(mount), eef, prefix)
+        self._has_grasp_frame = True
         self._important_sites = {role: prefix + name for role, name in
                                  GripperModel._important_sites.items()}
         self._important_sensors = {role: prefix + name for role, name in

@@ -19,12 +19,12 @@ from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
-from manip_sim.typing import FloatArray
+from manip_sim.typing import BoolArray, FloatArray
 
 _MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
 #: A joint that zero is out of reach for starts at so much of its range from the nearer end.
 _INSIDE = 0.05
-#: A keyframe that has shapes farther below the floor was made for another floor [m].
+#: A free robot that starts farther below the floor was made for another floor [m].
 _BELOW_FLOOR_M = 0.05
 
 
@@ -68,8 +68,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         told.append(f"start pose: keyframe '{model.key(key).name}'")
     elif key is None:
         told += _zero_of(model, start)
-    if key is not None:
-        told += _place_root(spec, model, model.key_qpos[key])
+    told += _place_root(spec, model, start, model.qpos0 if key is None else model.key_qpos[key])
     for old in list(spec.keys):
         spec.delete(old)
     if servos and not model.nu and start:
@@ -138,12 +137,15 @@ def _zero_of(model: Any, start: dict[str, float]) -> list[str]:
     return [f'start pose: zero, but inside the range for {", ".join(moved)}']
 
 
-def _place_root(spec: Any, model: Any, qpos: FloatArray) -> list[str]:
+def _place_root(spec: Any, model: Any, start: dict[str, float], qpos: FloatArray) -> list[str]:
     """Put free bodies where a keyframe has them, but not below the floor."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
+    for name, position in start.items():
+        data.joint(name).qpos[0] = position
     mujoco.mj_kinematics(model, data)
-    lowest = float(shape_heights(model, data)[:, 0].min(initial=0.0))
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    lowest = float(shape_heights(model, data, collides)[:, 0].min(initial=0.0))
     free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).tolist()
     raised = -lowest if free and lowest < -_BELOW_FLOOR_M else 0.0
     for joint in free:
@@ -155,16 +157,18 @@ def _place_root(spec: Any, model: Any, qpos: FloatArray) -> list[str]:
     return [f'raised by {raised:.3f} m, so that it stands on the floor'] if raised else []
 
 
-def shape_heights(model: Any, data: Any) -> FloatArray:
+def shape_heights(model: Any, data: Any, which: BoolArray | None = None) -> FloatArray:
     """
     Return the lowest and highest point of the box around each shape but planes [m].
 
     :param data: after ``mj_kinematics``
+    :param which: shapes that count, shape (ngeom,); None is all
     :returns: shape (n, 2)
     """
     upward = data.geom_xmat.reshape(-1, 9)[:, 6:9]
     middle = data.geom_xpos[:, 2] + (upward * model.geom_aabb[:, :3]).sum(axis=1)
     half = (np.abs(upward) * model.geom_aabb[:, 3:]).sum(axis=1)
     has_size = model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
-    heights: FloatArray = np.stack([middle - half, middle + half], axis=1)[has_size]
+    counts = has_size if which is None else has_size & which
+    heights: FloatArray = np.stack([middle - half, middle + half], axis=1)[counts]
     return heights
