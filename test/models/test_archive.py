@@ -21,8 +21,7 @@ from manip_sim.models.arenas import Arena, TableArena
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 
-MENAGERIE = Path(os.environ.get(
-    'MENAGERIE_ROOT', Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'menagerie'))
+MENAGERIE = Path(os.environ.get('MENAGERIE_ROOT') or 'no_menagerie')
 
 
 def tetrahedron(edge_m):
@@ -290,7 +289,7 @@ def test_meshes_of_a_urdf_are_found_as_ros_packages_lay_them_out(name, place, tm
 
 
 @pytest.mark.skipif(not (MENAGERIE / 'kuka_iiwa_14').is_dir(),
-                    reason=f'no copy of MuJoCo Menagerie in {MENAGERIE} (MENAGERIE_ROOT)')
+                    reason='MENAGERIE_ROOT names no checkout of MuJoCo Menagerie with an iiwa 14')
 def test_two_arms_and_hands_of_menagerie_are_packed(arm_class, loads):
     class Allegro(GripperModel):
         init_qpos = None
