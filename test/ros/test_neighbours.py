@@ -174,4 +174,6 @@ def test_a_second_clock_is_told_and_separate_robots_are_not(process, client):
         arrays[-4:])['left/manip_sim: other nodes'])
     client.node.destroy_publisher(clock)
     assert 'publish_clock:=false' in ended(left)
-    assert '[WARN]' not in ended(right)
+    # A busy machine may be too slow.
+    warnings = [line for line in ended(right).splitlines() if '[WARN]' in line]
+    assert not [line for line in warnings if 'the machine is too slow' not in line]
