@@ -15,12 +15,11 @@ import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arena_parameters import ArenaParameter, check_arguments
-from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
-from manip_sim.models.sources import check_no_parameters, find_source, names_in_folders
+from manip_sim.models.sources import check_no_parameters
 from manip_sim.models.validation import finite_numbers
 from manip_sim.resources import asset_path
 from manip_sim.typing import FloatArray
@@ -79,27 +78,8 @@ class Arena(MujocoXMLModel):
         return 0.0
 
     def compose(self) -> mujoco.MjSpec:
-        """Return a new spec of the arena alone, without its objects."""
-        return self._spec.copy()
-
-    def compile(self) -> Any:
-        """
-        Compile the arena with its objects.
-
-        :returns: a new ``mujoco.MjModel``
-        :raises ModelError: with what MuJoCo says
-        """
-        return compile_spec(self._compose_all(), self.name)
-
-    def to_xml(self) -> str:
-        """Return the MJCF of the arena with its objects."""
-        spec = self._compose_all()
-        compile_spec(spec, self.name)
-        xml: str = spec.to_xml()
-        return xml
-
-    def _compose_all(self) -> Any:
-        spec = self.compose()
+        """Return a new spec of the arena with its objects."""
+        spec = self._spec.copy()
         for item in self._objects:
             item.attach(spec)
         return spec
@@ -209,7 +189,7 @@ class BinsArena(Arena):
 
 def arena_names() -> list[str]:
     """Return the names that :func:`create_arena` takes, those of the user's folders too."""
-    return sorted({*ARENAS.names(), *names_in_folders('arenas')})
+    return ARENAS.all_names()
 
 
 def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
@@ -223,17 +203,17 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
     :raises ModelError: if a value is not within the limits of its parameter, a file cannot be
         used, or the arena is one of another package and cannot be imported
     """
-    source = None if ARENAS.knows(name) else find_source(name, 'arenas')
-    if source is None:
-        return ARENAS.create(str(name), arena_names, **_arguments(str(name), parameters))
+    file = ARENAS.find_file(name)
+    if file is None:
+        return ARENAS.create(str(name), **_arguments(str(name), parameters))
     check_no_parameters(name, parameters)
     from manip_sim.models.files import load_arena
-    return load_arena(source)
+    return load_arena(file)
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters of an arena of the catalogue by the keywords of its constructor."""
-    kind = ARENAS.get(name, arena_names)
+    kind = ARENAS.get(name)
     argument_of = {parameter.name: parameter.argument for parameter in kind.parameters}
     keywords = {name: keyword for name, keyword in inspect.signature(kind).parameters.items()
                 if name != 'fname'}
@@ -256,6 +236,6 @@ def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
 
     :raises UnknownNameError: if there is no such arena, naming the nearest ones
     """
-    if not ARENAS.knows(name) and find_source(name, 'arenas') is not None:
+    if ARENAS.find_file(name) is not None:
         return ()
-    return ARENAS.get(str(name), arena_names).parameters
+    return ARENAS.get(str(name)).parameters

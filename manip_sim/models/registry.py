@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import importlib
 import inspect
 import logging
+from os import PathLike
+from pathlib import Path
 import pkgutil
 from typing import Any, Generic, TypeVar
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.entry_points import Offer, offers
+from manip_sim.models.sources import find_source, names_in_folders
 
 T = TypeVar('T')
 _LOGGER = logging.getLogger('manip_sim.models')
@@ -74,15 +77,27 @@ class Registry(Generic[T]):
         return sorted(name for name, cls in self._classes.items()
                       if self._is_public(name, cls) and not self._missing_arguments(cls))
 
-    def knows(self, name: object) -> bool:
-        """Tell whether there is a class or an entry point of a name; nothing is imported."""
-        return name in self._classes or name in offers(self._group)
+    def all_names(self) -> list[str]:
+        """Return the names of all that can be created, from files in the user's folders too."""
+        return sorted({*self.names(), *names_in_folders(self._folder)})
 
-    def get(self, name: str, available: Callable[[], Iterable[str]] | None = None) -> type[T]:
+    def find_file(self, name: str | PathLike[str]) -> Path | None:
+        """
+        Return the file or folder that a name stands for; None if a class has the name, or nothing.
+
+        Nothing is imported.
+
+        :param name: as for :func:`find_source`
+        :raises ModelError: as :func:`find_source` does
+        """
+        if name in self._classes or name in offers(self._group):
+            return None
+        return find_source(name, self._folder)
+
+    def get(self, name: str) -> type[T]:
         """
         Return the class of a name.
 
-        :param available: tells all names that exist, for the message; by default those of classes
         :raises UnknownNameError: naming the nearest ones
         :raises ModelError: if it is a class that cannot be created by name, or another package
             offers it and it cannot be imported
@@ -93,16 +108,15 @@ class Registry(Generic[T]):
                 return self._load(name, offer)
         cls = self._classes.get(name)
         if cls is None or not self._is_public(name, cls):
-            raise UnknownNameError(self.kind, name, (available or self.names)())
+            raise UnknownNameError(self.kind, name, self.all_names())
         missing = self._missing_arguments(cls)
         if missing:
             raise ModelError(f"{self.kind} '{name}' cannot be created by its name: {missing}")
         return cls
 
-    def create(self, name: str, available: Callable[[], Iterable[str]] | None = None, /,
-               **arguments: Any) -> T:
+    def create(self, name: str, /, **arguments: Any) -> T:
         """Create an instance of the class of a name; raises what :meth:`get` does."""
-        create: Callable[..., T] = self.get(name, available)
+        create: Callable[..., T] = self.get(name)
         return create(**arguments)
 
     def attribute(self, module: str, name: str) -> type[T]:
@@ -121,8 +135,12 @@ class Registry(Generic[T]):
         raise AttributeError(f"module '{module}' has no attribute '{name}'")
 
     @property
+    def _folder(self) -> str:
+        return f'{self.kind}s'
+
+    @property
     def _group(self) -> str:
-        return f'manip_sim.{self.kind}s'
+        return f'manip_sim.{self._folder}'
 
     def _load(self, name: str, offer: Offer) -> type[T]:
         if offer not in self._loaded:

@@ -9,23 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.errors import CommandError
+from manip_sim.models import validation
 from manip_sim.typing import FloatArray
 
 
 def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:
     """
-    Return numbers as an array.
+    Return numbers of a command as an array of shape (length,), a copy.
 
     :param what: what they are, for the message
-    :raises CommandError: if there are not ``length`` of them, or one is not finite
+    :raises CommandError: if they are no numbers, not as many, or one is not finite
     """
-    numbers = np.asarray(values, dtype=float)
-    if numbers.shape != (length,):
-        raise CommandError(f'{what} must have {length} numbers, got {numbers.size}')
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if bad.size:
-        raise CommandError(f'{what} must be finite, got {numbers[bad[0]]} at index {bad[0]}')
-    return numbers
+    return validation.finite_numbers(values, length, what, CommandError)
 
 
 def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:

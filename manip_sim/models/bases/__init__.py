@@ -17,14 +17,13 @@ from manip_sim.models.bases.rethink_mount import RethinkMount
 from manip_sim.models.bases.robot_base_model import (
     BASES, MobileBaseModel, MountModel, RobotBaseModel)
 from manip_sim.models.registry import import_submodules
-from manip_sim.models.sources import find_source, names_in_folders
 
 import_submodules(__name__, __path__)
 
 
 def base_names() -> list[str]:
     """Return the names that :func:`create_base` takes, those of the user's folders too."""
-    return sorted({*BASES.names(), *names_in_folders('bases')})
+    return BASES.all_names()
 
 
 def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel:
@@ -37,11 +36,11 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
     :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
         imported
     """
-    source = None if BASES.knows(name) else find_source(name, 'bases')
-    if source is None:
-        return BASES.create(str(name), base_names, idn=idn)
+    file = BASES.find_file(name)
+    if file is None:
+        return BASES.create(str(name), idn=idn)
     from manip_sim.models.files import load_base
-    return load_base(source, idn)
+    return load_base(file, idn)
 
 
 if not TYPE_CHECKING:

@@ -21,14 +21,13 @@ from manip_sim.models.grippers.robotiq_three_finger_gripper import (
     RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper)
 from manip_sim.models.grippers.wiping_gripper import WipingGripper
 from manip_sim.models.registry import import_submodules
-from manip_sim.models.sources import find_source, names_in_folders
 
 import_submodules(__name__, __path__)
 
 
 def gripper_names() -> list[str]:
     """Return the names that :func:`create_gripper` takes, those of the user's folders too."""
-    return sorted({*GRIPPERS.names(), *names_in_folders('grippers')})
+    return GRIPPERS.all_names()
 
 
 def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperModel:
@@ -41,11 +40,11 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
     :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
         imported
     """
-    source = None if GRIPPERS.knows(name) else find_source(name, 'grippers')
-    if source is None:
-        return GRIPPERS.create(str(name), gripper_names, idn=idn)
+    file = GRIPPERS.find_file(name)
+    if file is None:
+        return GRIPPERS.create(str(name), idn=idn)
     from manip_sim.models.files import load_gripper
-    return load_gripper(source, idn)
+    return load_gripper(file, idn)
 
 
 if not TYPE_CHECKING:

@@ -20,14 +20,13 @@ from manip_sim.models.robots.panda_omron import PandaOmron
 from manip_sim.models.robots.robot_model import RobotModel, ROBOTS
 from manip_sim.models.robots.sawyer import Sawyer
 from manip_sim.models.robots.ur5e import UR5e
-from manip_sim.models.sources import find_source, names_in_folders
 
 import_submodules(__name__, __path__)
 
 
 def robot_names() -> list[str]:
     """Return the names that :func:`create_robot` takes, those of the user's folders too."""
-    return sorted({*ROBOTS.names(), *names_in_folders('robots')})
+    return ROBOTS.all_names()
 
 
 def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = '') -> RobotModel:
@@ -42,13 +41,13 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
     :raises ModelError: if names cannot begin with the prefix, a file cannot be used, or the robot
         is one of another package and cannot be imported
     """
-    source = None if ROBOTS.knows(name) else find_source(name, 'robots')
+    file = ROBOTS.find_file(name)
     robot: RobotModel
-    if source is None:
-        robot = ROBOTS.create(str(name), robot_names, idn=idn)
+    if file is None:
+        robot = ROBOTS.create(str(name), idn=idn)
     else:
         from manip_sim.models.files import load_robot
-        robot = load_robot(source, idn)
+        robot = load_robot(file, idn)
     if prefix:
         robot.set_naming_prefix(prefix)
     return robot
