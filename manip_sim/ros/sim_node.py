@@ -19,6 +19,7 @@ from manip_sim.interface.parameters import (
     MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import set_model_path, World
+from manip_sim.ros.actions import offer_actions
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
@@ -90,6 +91,7 @@ class SimNode(Node):
         self.thread.observe(self.objects.publish)
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
+        self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.simulation, self.thread)
         offer_simulation_interfaces(self, self.simulation, self.thread, self.objects.follow)
         Diagnostics(self, self.simulation, self.thread, self.commands)
@@ -186,6 +188,11 @@ class SimNode(Node):
     def start(self) -> None:
         """Let the simulation run."""
         self.thread.start()
+
+    def end_goals(self) -> None:
+        """Abort the goals of actions and let their clients know; the executor must still run."""
+        if self._actions is not None:
+            self._actions.end()
 
     def stop(self) -> None:
         """End the simulation; the node can be destroyed then."""
