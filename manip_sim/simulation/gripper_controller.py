@@ -122,6 +122,10 @@ class GripperController:
         found = [self._model.joint(name) for name in joints]
         return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
 
+    def reach(self, joint: str) -> tuple[float, float]:
+        """Return how far a joint can be brought [rad or m], infinite where nothing is known."""
+        return self._actuators.joint_range(self._model.joint(joint).id)
+
     def followers(self, joint: str) -> frozenset[str]:
         """Return the joints that follow a commanded joint because they are coupled to it."""
         group = self._actuators.couplings.group(self._model.joint(joint).id)
@@ -219,8 +223,8 @@ class GripperController:
 
     def is_still(self, data: Any) -> bool:
         """Tell whether all fingers that can be commanded have stopped, or nearly so."""
-        ranges = self.joint_ranges(self.commanded_joints)
-        span = np.where(np.isfinite(ranges).all(axis=1), ranges[:, 1] - ranges[:, 0], 1.0)
+        low, high = self.joint_ranges(self.commanded_joints).T
+        span = np.where(np.isfinite(high - low), high - low, 1.0)
         speed = np.array([data.joint(name).qvel[0] for name in self.commanded_joints])
         return bool((np.abs(speed) < span / _STILL_S).all())
 

@@ -91,14 +91,14 @@ class GripperGoal(Goal):
                 raise GoalError(GoalCode.INVALID_GOAL, f'{part}: {name} must be finite'
                                 f'{"" if name == "position" else " and not negative"}, got '
                                 f'{value:g}')
-        (low, high), = gripper.joint_ranges([joint])
+        low, high = gripper.reach(joint)
         values, clamped = clamp(np.array([request.position]), np.array([[low, high]]))
         super().__init__(robot, GripperGrasp(
             parts=frozenset([part]), indices=gripper.indices, joints=(joint,), values=values,
             clamped=clamped, max_effort=request.max_effort, max_velocity=request.max_velocity))
         self._gripper = gripper
         self._joint, self._position = joint, float(values[0])
-        span = float(high - low)
+        span = high - low
         self._near = _REACHED * span if math.isfinite(span) else _REACHED_ENDLESS
         self._still_since_ns: int | None = None
 
