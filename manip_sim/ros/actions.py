@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 import contextlib
 import queue
 import threading
@@ -22,6 +22,7 @@ from manip_sim.ros.goal_server import GoalServer
 from manip_sim.ros.log import RejectionLog
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.goals import Goal
 
 #: How often clients are told how their goals are doing, wall time [s].
@@ -35,14 +36,13 @@ class Actions:
     The action servers of all robots.
 
     :param node: the node
-    :param types: of the actions
-    :param commands: of each robot
+    :param offered: what the messages of each action mean, and what counts its goals
     :param thread: runs the simulation
     :param log: counts and tells what is rejected
     :ivar tracker: watches the goals
     """
 
-    def __init__(self, node: Node, types: ActionTypes, commands: Sequence[CommandSubscribers],
+    def __init__(self, node: Node, offered: Iterable[tuple[ActionMessages, CommandSubscribers]],
                  thread: SimulationThread, log: RejectionLog) -> None:
         self._node = node
         self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
@@ -52,8 +52,8 @@ class Actions:
         self._timer = node.create_timer(_FEEDBACK_S, self._tell_feedback,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._servers = [
-            GoalServer(node, messages, of_robot, self.tracker, log, self._timer.reset)
-            for of_robot in commands for messages in _messages(types, of_robot, thread)]
+            GoalServer(node, messages, commands, self.tracker, log, self._timer.reset)
+            for messages, commands in offered]
 
     def _has_ended(self, goal: Goal) -> None:
         """Hand a goal over from the simulation's thread to the executor's."""
@@ -90,12 +90,14 @@ class Actions:
         told.wait(_END_S)
 
 
-def _messages(types: ActionTypes, commands: CommandSubscribers, thread: SimulationThread
-              ) -> Iterator[ActionMessages]:
-    robot = commands.robot
+def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], int]
+                ) -> Iterator[ActionMessages]:
+    """
+    Return the actions that there are for a robot.
 
-    def now_ns() -> int:
-        return thread.progress.time_ns
+    :param types: of the actions
+    :param now_ns: tells the simulation time [ns]
+    """
     for name, part in robot.parts.items():
         if part.gripper is None:
             if part.actuators:
@@ -121,4 +123,9 @@ def offer_actions(node: Node, commands: Sequence[CommandSubscribers], thread: Si
         node.get_logger().info('no actions: the package control_msgs is not installed '
                                '(ros-jazzy-control-msgs)')
         return None
-    return Actions(node, types, commands, thread, log)
+
+    def now_ns() -> int:
+        return thread.progress.time_ns
+    return Actions(node, [(messages, of_robot) for of_robot in commands
+                          for messages in messages_of(types, of_robot.robot, now_ns)],
+                   thread, log)
