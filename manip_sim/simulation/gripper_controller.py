@@ -244,8 +244,9 @@ class GripperController:
         low, high = self._actuators.ranges.T
         self._goal = np.clip(goal, low, high)
         ends = np.stack([self._goal - low, high - self._goal], axis=1) <= self._tolerance[:, None]
+        before = self._to_end
         self._to_end = ends & to_end & (self._actuators.overtravel > 0.0)
-        self._pressing &= self._to_end.any(axis=1)
+        self._pressing &= (before & self._to_end).any(axis=1)
         self._turned = True
 
     def tick(self, data: Any, duration_s: float) -> None:

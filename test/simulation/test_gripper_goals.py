@@ -130,6 +130,26 @@ def test_what_is_held_stalls_the_fingers_with_the_force_that_is_allowed(
     assert at_a_cube.effort(OTHER) == pytest.approx(expected, rel=0.01)
 
 
+def test_fingers_let_go_no_faster_than_they_may_move(at_a_cube):
+    at_a_cube.run(goal=at_a_cube.start(0.0, max_effort=20.0))
+    goal, speeds = at_a_cube.start(0.04), []
+    while goal.outcome is None:
+        at_a_cube.run(0.01)
+        speeds.append(goal.view.velocity)
+    # From 25 to 40 mm at 50 mm/s, less the tolerance at the end.
+    assert len(speeds) * 0.01 == pytest.approx(0.29, abs=0.03)
+    assert max(speeds[5:]) < 0.0525
+
+
+def test_same_goal_again_does_not_loosen_the_grasp(at_a_cube):
+    at_a_cube.run(goal=at_a_cube.start(0.0, max_effort=20.0))
+    goal, efforts = at_a_cube.start(0.0, max_effort=20.0), []
+    while goal.outcome is None:
+        at_a_cube.run(0.01)
+        efforts.append(at_a_cube.effort())
+    assert goal.view.stalled and max(efforts) < -19.0
+
+
 def test_limit_of_the_force_ends_with_the_next_command(at_a_cube):
     at_a_cube.run(goal=at_a_cube.start(0.0, max_effort=5.0))
     assert at_a_cube.effort() == pytest.approx(-5.0, rel=0.01)
