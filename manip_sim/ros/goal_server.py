@@ -18,8 +18,8 @@ from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation.goals import Ending, Goal, GoalError
 
-#: How long a client may take to fetch a result, wall time [s].
-_RESULT_TIMEOUT_S = 60
+#: How long a client may take to ask for a result, wall time [s]; the default of rcl_action.
+_RESULT_TIMEOUT_S = 10
 
 
 class GoalServer:
