@@ -96,6 +96,8 @@ def swinger(served, client):
     yield Swinger(client)
     assert served._actions.tracker.goals == ()
     client.spin_until(lambda: not any(s._running for s in served._actions._servers))
+    # Without goals nothing wakes the executor.
+    client.spin_until(served._actions._timer.is_canceled)
 
 
 def test_goal_succeeds_and_its_client_hears_of_it_twenty_times_a_second(swinger):

@@ -215,6 +215,31 @@ def test_goal_that_starts_later_waits_and_its_end_counts_from_its_stamp(panda):
     assert panda.simulation.time_s - now_s == pytest.approx(1.5, abs=0.1)
 
 
+def test_goal_that_starts_later_ends_when_another_one_takes_a_joint_before(panda):
+    start_ns = panda.simulation.time_ns + 500_000_000
+    goal = panda.start(J1, J2, positions=[[0.3, 0.4]], start_ns=start_ns)
+    panda.run(0.1)
+    assert goal.outcome is None
+    panda.operator.follow('arm', [J2], [1.0], [[0.1]], start_ns=start_ns - 100_000_000)
+    panda.run(0.01)
+    assert ended(goal) == INVALID
+    panda.run(2.0)
+    assert panda.operator.where(J1)[0] == pytest.approx(0.0, abs=1e-6)
+    assert panda.operator.where(J2)[0] == pytest.approx(0.1, abs=1e-3)
+
+
+def test_time_of_a_goal_begins_when_its_command_is_taken_over(panda):
+    panda.push(-20.0)
+    goal = TrajectoryGoal(
+        panda.simulation.robot, 'arm', panda.request(
+            [J1], goal_tolerance=at_most(position=1e-6), goal_time_s=0.2), 0)
+    panda.goals.append(goal)
+    panda.run(0.5)
+    assert goal.outcome is None and goal.view.time_ns == panda.simulation.time_ns
+    panda.simulation.robot.apply(goal.command, period_s=0.01)
+    assert panda.run(3.0, until=goal) == pytest.approx(1.21, abs=0.011)
+
+
 def test_end_of_a_goal_whose_stamp_is_past_counts_from_the_stamp(panda):
     panda.run(0.5)
     goal = panda.start(start_ns=panda.simulation.time_ns - 400_000_000, goal_time_s=0.2,
