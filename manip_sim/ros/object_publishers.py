@@ -54,9 +54,10 @@ class ObjectPublishers:
 
     def publish(self, simulation: Simulation) -> None:
         """Publish all poses and twists that somebody listens to."""
+        free_names = simulation.entities.free_names
         for name, (pose_output, twist_output) in self._outputs.items():
             pose_wanted, twist_wanted = pose_output.wanted, twist_output.wanted
-            if not (pose_wanted or twist_wanted) or name not in simulation.entities.free_names:
+            if not (pose_wanted or twist_wanted) or name not in free_names:
                 continue
             stamp = messages.stamp_of(simulation.time_ns)
             pose, twist = simulation.entities.frame(simulation.data, name)

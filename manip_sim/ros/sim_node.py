@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 import contextlib
 from typing import Any
 
@@ -65,21 +65,22 @@ class SimNode(Node):
         set_model_path(folder for folder in value(MODEL_PATH.name) if folder)
         self._declared.declare(node_parameters())
         steps = steps_per_period(value('publish_rate'), value('timestep'))
-        self._scopes, world = compose_world(self._declared)
+        scopes, world = compose_world(self._declared)
         self.simulation = Simulation(world)
-        served = list(zip(self._scopes, self.simulation.robots.values()))
-        for scope, robot in served:
+        self._robots = dict(zip(scopes, self.simulation.robots.values()))
+        for scope, robot in self._robots.items():
             self._declare_parts(scope, robot)
         self._declared.check_names()
-        for scope, robot in served:
+        for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
         self.thread = SimulationThread(
             self.simulation, steps, value('stepping'), value('real_time_factor'),
-            {robot.name: self._lockstep_parts(scope, robot) for scope, robot in served},
+            {robot.name: self._lockstep_parts(scope, robot)
+             for scope, robot in self._robots.items()},
             value('start_paused'), self._tell_failure)
         self._check_lockstep()
         self.commands = []
-        for scope, robot in served:
+        for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections)
             self.thread.observe(publishers.publish)
@@ -96,7 +97,7 @@ class SimNode(Node):
         publish_model(self, world)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
-        self._introduce(served)
+        self._introduce()
         for model in self._models(world):
             if getattr(model, 'inferred', None):
                 self.get_logger().info(f'{model.name}: inferred: {"; ".join(model.inferred)}')
@@ -132,7 +133,7 @@ class SimNode(Node):
         return parts
 
     def _check_lockstep(self) -> None:
-        names = [scope.parameter('lockstep_parts') for scope in self._scopes]
+        names = [scope.parameter('lockstep_parts') for scope in self._robots]
         if self._declared.value('stepping') == 'lockstep' and not any(
                 part for name in names for part in self._declared.value(name)):
             raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
@@ -148,23 +149,23 @@ class SimNode(Node):
                     self._change_part(*found, parameter.value)
 
     def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
-        robot = list(self.simulation.robots.values())[self._scopes.index(scope)]
+        robot = self._robots[scope]
         change = robot.set_control_mode if group == 'control_mode' else robot.set_command_timeout
         self.thread.call(lambda: change(part, value))
 
     def _tell_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
 
-    def _introduce(self, served: Sequence[tuple[Scope, SimulatedRobot]]) -> None:
+    def _introduce(self) -> None:
         value = self._declared.value
         lines = []
-        for scope, robot in served:
+        for scope, robot in self._robots.items():
             name = f'{scope.name}: ' if scope.name else ''
             lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
                          f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
                          f'{self.simulation.timestep_s:g} s')
             lines += self._parts_in_words(scope, robot)
-        space = '<robot>/' if served[0][0].name else ''
+        space = '<robot>/' if any(scope.name for scope in self._robots) else ''
         lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '
                      f'on {space}<part>/command, {space}<part>/joint_command and '
                      f'{space}joint_command')

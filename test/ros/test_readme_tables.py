@@ -73,9 +73,12 @@ def test_the_pasted_controller_moves_the_robot(serve, client):
     serve()
     example = next(block for block in re.findall(r'```python\n(.*?)```', README, re.DOTALL)
                    if 'rclpy.spin' in block)
-    assert len(example.strip().splitlines()) == 10
-    controller = subprocess.Popen([sys.executable, '-c', example])
+    assert len([line for line in example.splitlines() if line]) == 10
+    # A terminal ends a block at an empty line, and only there.
+    controller = subprocess.Popen([sys.executable, '-i'], stdin=subprocess.PIPE, text=True)
     try:
+        controller.stdin.write(example)
+        controller.stdin.close()
         client.spin_until(lambda: abs(client.state().position[0]) > 0.1)
     finally:
         controller.terminate()
