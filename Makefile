@@ -42,6 +42,7 @@ test: $(READY)
 lint: $(READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
 	$(BIN)/python -m mypy
+	$(BIN)/python -m mypy benchmark/*.py
 
 soak: $(READY)
 	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)

@@ -136,9 +136,9 @@ def differences(original: Any, model: Any, prefix: str, robot_root: str) -> list
         mujoco.mj_kinematics(model, b)
         for kind, places in (('body', bodies), ('site', sites)):
             for name in places:
-                pose = [_relative(getattr(d, kind)(p + name), d.body(p + first))
-                        for d, p in ((a, ''), (b, prefix))]
-                if not np.allclose(*pose, atol=1e-6):
+                pose, other = (_relative(getattr(d, kind)(p + name), d.body(p + first))
+                               for d, p in ((a, ''), (b, prefix)))
+                if not np.allclose(pose, other, atol=1e-6):
                     told.append(f'pose of {kind} {name}')
         if told:
             break
@@ -159,7 +159,7 @@ def holds(simulation: Simulation) -> tuple[bool, str]:
         moved = np.abs(simulation.robot.state().position - start)
         if moved.max(initial=0.0) > worst:
             worst = float(moved.max())
-            where = f'{simulation.joint_names[int(moved.argmax())]} moves {worst:.3g}'
+            where = f'{simulation.robot.joint_names[int(moved.argmax())]} moves {worst:.3g}'
     return worst < HELD and simulation.diverged is None, simulation.diverged or where
 
 
@@ -167,7 +167,7 @@ def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
     """Return whether the joints of a part follow a sine, and which one is worst."""
     simulation.reset()
     names = [joint for joint in simulation.robot.parts[part].driven_joints if joint]
-    index = [simulation.joint_names.index(name) for name in names]
+    index = [simulation.robot.joint_names.index(name) for name in names]
     start = simulation.robot.state().position[index]
     middle, swing = _room(simulation.model, names, start)
     run_to(simulation, part, names, start, middle)
@@ -237,7 +237,7 @@ def hand_follows(simulation: Simulation, part: str, original: Any) -> tuple[bool
         return True, 'has no servos'
     low, high = actuators.ranges.T
     start = np.clip(2.0 * (actuators.place(simulation.data) - low) / (high - low) - 1.0, -1, 1)
-    gripper = controller.part.gripper
+    gripper: Any = controller.part.gripper
     share = (start - gripper._open) / (gripper._closed - gripper._open)
     middle = np.clip(2.0 * share - 1.0, -0.6, 0.6)
     goals, reached, controls = [], [], []
@@ -315,7 +315,7 @@ def check(kind: str, file: Path) -> dict[str, Any]:
         row['reason'].append(str(error)[:160])
         return row
     row['loads'] = True
-    robot = simulation.robot
+    robot = simulation.robot.robot_model
     prefix = robot.naming_prefix if kind == 'robot' else 'gripper0_right_'
     changed = differences(original, simulation.model, prefix, robot.root_body)
     row['same'] = not changed
@@ -370,7 +370,8 @@ def in_process(kind: str, file: Path) -> dict[str, Any]:
     process = context.Process(target=_worker, args=(kind, file, out))
     process.start()
     try:
-        return out.get(timeout=LIMIT_S)
+        row: dict[str, Any] = out.get(timeout=LIMIT_S)
+        return row
     except Exception:
         return {'bare': True, 'reason': [f'ends after {LIMIT_S:g} s or by a crash']}
     finally:
@@ -393,7 +394,7 @@ def main() -> None:
             continue
         row = in_process(kind, file)
         rows.append((collection, kind, row))
-        marks = ' | '.join(_MARKS.get(row.get(c), row.get(c)) for c in columns)
+        marks = ' | '.join(str(_MARKS.get(row.get(c), row.get(c))) for c in columns)
         what = kind + ('' if row.get('arms', True) or kind == 'hand' else ', no arm')
         print(f'| {name} | {what} | {marks} | {"; ".join(row["reason"])} |', flush=True)
     summary(rows)
