@@ -1,6 +1,6 @@
 # make run    set up and run a Panda at a table with a cube
 # make pick   in a second shell: pick the cube up
-# make test   set up and run all tests
+# make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
 #
@@ -14,6 +14,7 @@ PYTHON ?= python3
 VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
 PYTEST_ARGS ?=
+TEST_JOBS ?= 2
 SOAK_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
@@ -37,7 +38,7 @@ pick: $(READY)
 	$(BIN)/pick_cube
 
 test: $(READY)
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses $(TEST_JOBS) --dist loadfile $(PYTEST_ARGS)
 
 lint: $(READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark setup.py

@@ -35,7 +35,7 @@ setup(
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pydocstyle',
-                 'pytest', 'pytest-timeout', 'ruff'],
+                 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff'],
     },
     zip_safe=False,
     maintainer='manip_sim maintainers',
