@@ -1,0 +1,151 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The tree of frames of a world: which there are, on what each hangs, and where it is in that.
+
+One frame for each body, with the body's name; the frames that users ask for, such as sites, as
+children of bodies; an optical frame for each camera. The root is ``world``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation.poses import Pose
+from manip_sim.typing import FloatArray
+
+#: The root of the tree.
+WORLD = 'world'
+#: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
+#: along z with y down: half a turn about x, as w, x, y, z.
+_TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
+_FIXED_CAMERA = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    A frame and the one that it hangs on.
+
+    :ivar name: no other frame has it
+    :ivar parent: name of another frame, or ``world``
+    """
+
+    name: str
+    parent: str
+
+
+class FrameTree:
+    """
+    The frames of a model; poses are rows x, y, z [m] and quaternion x, y, z, w.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param sites: names of sites that are frames too
+    :param placed: further frames and where they stand in ``world``, by name
+    :ivar model: the model
+    :ivar moving: frames that move in their parent: bodies with joints, and cameras that follow
+        something
+    :ivar static: frames that do not
+    :ivar static_poses: of :attr:`static` in their parents, shape (n, 7)
+    """
+
+    def __init__(self, model: Any, sites: Iterable[str] = (),
+                 placed: Iterable[tuple[str, Pose]] = ()) -> None:
+        self.model = model
+        self.moving: list[Frame] = []
+        self.static: list[Frame] = []
+        self._names = {WORLD}
+        self._bodies = [WORLD]
+        self._cameras: list[int] = []
+        static_poses: list[FloatArray] = []
+        moving: list[int] = []
+        for body in range(1, model.nbody):
+            frame = self._add(model.body(body).name or f'body_{body}', 'body',
+                              int(model.body_parentid[body]))
+            self._bodies.append(frame.name)
+            if model.body_jntnum[body] or model.body_mocapid[body] >= 0:
+                self.moving.append(frame)
+                moving.append(body)
+            else:
+                self.static.append(frame)
+                static_poses.append(_row(model.body_pos[body], model.body_quat[body]))
+        self._moving = np.array(moving, dtype=np.int64)
+        self._parents: Any = model.body_parentid[self._moving]
+        for site in (model.site(name).id for name in sites):
+            self.static.append(self._add(model.site(site).name, 'site',
+                                         int(model.site_bodyid[site])))
+            static_poses.append(_row(model.site_pos[site], model.site_quat[site]))
+        for camera in range(model.ncam):
+            self._add_camera(camera, static_poses)
+        for name, pose in placed:
+            self.static.append(self._add(name, 'frame', 0))
+            static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
+        self.static_poses = np.array(static_poses).reshape(-1, 7)
+
+    def _add(self, name: str, kind: str, parent: int) -> Frame:
+        # Sites, cameras and bodies may share a name in MuJoCo, frames cannot.
+        while name in self._names:
+            name = f'{name}_{kind}'
+        self._names.add(name)
+        return Frame(name, self._bodies[parent])
+
+    def _add_camera(self, camera: int, static_poses: list[FloatArray]) -> None:
+        model = self.model
+        name = f'{model.camera(camera).name or f"camera_{camera}"}_optical_frame'
+        if int(model.cam_mode[camera]) == _FIXED_CAMERA:
+            self.static.append(self._add(name, 'camera', int(model.cam_bodyid[camera])))
+            static_poses.append(_row(model.cam_pos[camera], _optical(model.cam_quat[camera])))
+        else:
+            self.moving.append(self._add(name, 'camera', 0))
+            self._cameras.append(camera)
+
+    def moving_poses(self, data: Any) -> FloatArray:
+        """
+        Return where :attr:`moving` are in their parents at the instant of the last ``mj_forward``.
+
+        :param data: the ``mujoco.MjData`` of :attr:`model`
+        :returns: in the order of :attr:`moving`, shape (n, 7)
+        """
+        poses = np.empty((len(self.moving), 7))
+        count = len(self._moving)
+        children, parents = self._moving, self._parents
+        axes = data.xmat[parents].reshape(-1, 3, 3)
+        poses[:count, :3] = np.einsum('nji,nj->ni', axes, data.xpos[children] - data.xpos[parents])
+        poses[:count, 3:] = np.einsum('ijk,nj,nk->ni', _INVERSE_PRODUCT, data.xquat[parents],
+                                      data.xquat[children])
+        for row, camera in enumerate(self._cameras, start=count):
+            quat_wxyz = np.empty(4)
+            mujoco.mju_mat2Quat(quat_wxyz, data.cam_xmat[camera])
+            poses[row] = _row(data.cam_xpos[camera], _optical(quat_wxyz))
+        return poses
+
+
+def _row(position: Any, quat_wxyz: Any) -> FloatArray:
+    return np.concatenate([position, wxyz_to_xyzw(quat_wxyz)])
+
+
+def _optical(quat_wxyz: Any) -> FloatArray:
+    optical = np.empty(4)
+    mujoco.mju_mulQuat(optical, quat_wxyz, _TO_OPTICAL)
+    return optical
+
+
+def _inverse_product() -> FloatArray:
+    """Return t with t[i, j, k] p[j] c[k] the product of p's inverse and c, as x, y, z, w."""
+    table, product, inverse = np.empty((4, 4, 4)), np.empty(4), np.empty(4)
+    for j, p in enumerate(np.eye(4)):
+        for k, c in enumerate(np.eye(4)):
+            mujoco.mju_negQuat(inverse, p)
+            mujoco.mju_mulQuat(product, inverse, c)
+            table[:, j, k] = wxyz_to_xyzw(product)
+    return table
+
+
+_INVERSE_PRODUCT = _inverse_product()
