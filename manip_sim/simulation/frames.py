@@ -5,7 +5,8 @@
 The tree of frames of a world: which there are, on what each hangs, and where it is in that.
 
 One frame for each body, with the body's name; the frames that users ask for, such as sites, as
-children of bodies; an optical frame for each camera. The root is ``world``.
+children of bodies; two frames for each camera, that of MuJoCo and the optical one. The root is
+``world``.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from manip_sim.typing import FloatArray
 
 #: The root of the tree.
 WORLD = 'world'
+#: After the name of a camera.
+OPTICAL = '_optical_frame'
 #: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
 #: along z with y down: half a turn about x, as w, x, y, z.
 _TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
@@ -67,8 +70,8 @@ class FrameTree:
         static_poses: list[FloatArray] = []
         moving: list[int] = []
         for body in range(1, model.nbody):
-            frame = self._add(model.body(body).name or f'body_{body}', 'body',
-                              int(model.body_parentid[body]))
+            frame = self._add(model.body(body).name or f'body_{body}', '_body',
+                              self._bodies[model.body_parentid[body]])
             self._bodies.append(frame.name)
             if model.body_jntnum[body] or model.body_mocapid[body] >= 0:
                 self.moving.append(frame)
@@ -79,32 +82,36 @@ class FrameTree:
         self._moving = np.array(moving, dtype=np.int64)
         self._parents: Any = model.body_parentid[self._moving]
         for site in (model.site(name).id for name in sites):
-            self.static.append(self._add(model.site(site).name, 'site',
-                                         int(model.site_bodyid[site])))
+            self.static.append(self._add(model.site(site).name, '_site',
+                                         self._bodies[model.site_bodyid[site]]))
             static_poses.append(_row(model.site_pos[site], model.site_quat[site]))
         for camera in range(model.ncam):
             self._add_camera(camera, static_poses)
         for name, pose in placed:
-            self.static.append(self._add(name, 'frame', 0))
+            self.static.append(self._add(name, '_frame', WORLD))
             static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
         self.static_poses = np.array(static_poses).reshape(-1, 7)
 
-    def _add(self, name: str, kind: str, parent: int) -> Frame:
+    def _add(self, name: str, otherwise: str, parent: str) -> Frame:
         # Sites, cameras and bodies may share a name in MuJoCo, frames cannot.
         while name in self._names:
-            name = f'{name}_{kind}'
+            name += otherwise
         self._names.add(name)
-        return Frame(name, self._bodies[parent])
+        return Frame(name, parent)
 
     def _add_camera(self, camera: int, static_poses: list[FloatArray]) -> None:
         model = self.model
-        name = f'{model.camera(camera).name or f"camera_{camera}"}_optical_frame'
-        if int(model.cam_mode[camera]) == _FIXED_CAMERA:
-            self.static.append(self._add(name, 'camera', int(model.cam_bodyid[camera])))
-            static_poses.append(_row(model.cam_pos[camera], _optical(model.cam_quat[camera])))
+        fixed = int(model.cam_mode[camera]) == _FIXED_CAMERA
+        parent = self._bodies[int(model.cam_bodyid[camera])] if fixed else WORLD
+        frame = self._add(model.camera(camera).name or f'camera_{camera}', '_camera', parent)
+        if fixed:
+            self.static.append(frame)
+            static_poses.append(_row(model.cam_pos[camera], model.cam_quat[camera]))
         else:
-            self.moving.append(self._add(name, 'camera', 0))
+            self.moving.append(frame)
             self._cameras.append(camera)
+        self.static.append(self._add(frame.name + OPTICAL, '_', frame.name))
+        static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
 
     def moving_poses(self, data: Any) -> FloatArray:
         """
@@ -123,18 +130,12 @@ class FrameTree:
         for row, camera in enumerate(self._cameras, start=count):
             quat_wxyz = np.empty(4)
             mujoco.mju_mat2Quat(quat_wxyz, data.cam_xmat[camera])
-            poses[row] = _row(data.cam_xpos[camera], _optical(quat_wxyz))
+            poses[row] = _row(data.cam_xpos[camera], quat_wxyz)
         return poses
 
 
 def _row(position: Any, quat_wxyz: Any) -> FloatArray:
     return np.concatenate([position, wxyz_to_xyzw(quat_wxyz)])
-
-
-def _optical(quat_wxyz: Any) -> FloatArray:
-    optical = np.empty(4)
-    mujoco.mju_mulQuat(optical, quat_wxyz, _TO_OPTICAL)
-    return optical
 
 
 def _inverse_product() -> FloatArray:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,6 @@ import numpy as np
 
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.poses import Pose
-from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.typing import FloatArray
 
 
@@ -36,23 +36,23 @@ class Odometry:
 
 class OdometryReader:
     """
-    Reads a base that takes a twist; the frame of its odometry is fixed in ``world``.
+    Reads a mobile base; the frame of its odometry is fixed in ``world``.
 
     That frame is where the base's frame is while the base's joints are at zero.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param robot: in the model; it has a base that takes a twist
+    :param joints: by which the base moves, such as ``SimulatedRobot.twist_joints``
     :ivar base: the body that moves, by its name
     :ivar origin: where the frame of the odometry is in ``world``
     """
 
-    def __init__(self, model: Any, robot: SimulatedRobot) -> None:
-        joints = [model.joint(robot.joints.names[i]) for i in robot.joints.twist_indices]
+    def __init__(self, model: Any, joints: Sequence[str]) -> None:
+        moved_by = [model.joint(name) for name in joints]
         # Bodies come after those they hang on.
-        self._body = max(int(joint.bodyid[0]) for joint in joints)
+        self._body = max(int(joint.bodyid[0]) for joint in moved_by)
         self.base: str = model.body(self._body).name
         data = mujoco.MjData(model)
-        for joint in joints:
+        for joint in moved_by:
             data.qpos[joint.qposadr[0]] = 0.0
         mujoco.mj_kinematics(model, data)
         self._position = data.xpos[self._body].copy()

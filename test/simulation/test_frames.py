@@ -68,6 +68,9 @@ def test_composed_along_the_tree_each_frame_is_where_it_is_in_mujoco(name):
         found = in_world(tree, data)
         for body in range(1, model.nbody):
             assert_is_at(found[model.body(body).name], data.xpos[body], data.xmat[body])
+        for camera in range(model.ncam):
+            assert_is_at(found[model.camera(camera).name], data.cam_xpos[camera],
+                         data.cam_xmat[camera])
         for site in sites:
             assert_is_at(found[site], data.site(site).xpos, data.site(site).xmat)
     assert len(sites) == 2 * len(robot.end_effectors) > 0
@@ -101,8 +104,7 @@ def test_the_optical_frame_of_a_camera_sees_a_point_where_its_image_has_it(cart)
 
 def test_a_camera_that_follows_a_body_moves_in_world(cart):
     model, data, tree = cart
-    follower = next(f for f in tree.moving if f.name == 'follower_optical_frame')
-    assert follower.parent == WORLD
+    assert next(f for f in tree.moving if f.name == 'follower').parent == WORLD
     data.qpos[:] = [1.0, 2.0, 3.0, 0.0, 0.6, 0.0, 0.8]
     mujoco.mj_forward(model, data)
     position, rotation = in_world(tree, data)['follower_optical_frame']
@@ -114,9 +116,10 @@ def test_a_camera_that_follows_a_body_moves_in_world(cart):
 def test_names_differ_although_a_site_has_that_of_a_body(cart):
     _, _, tree = cart
     assert {f.name: f.parent for f in tree.static} == {
-        'body_2': WORLD, 'cart_site': 'cart', 'eye_optical_frame': 'cart'}
+        'body_2': WORLD, 'cart_site': 'cart', 'eye': 'cart', 'eye_optical_frame': 'eye',
+        'follower_optical_frame': 'follower'}
     # What is placed by hand has no joint and moves all the same.
-    assert [frame.name for frame in tree.moving] == ['cart', 'body_3', 'follower_optical_frame']
+    assert [frame.name for frame in tree.moving] == ['cart', 'body_3', 'follower']
 
 
 def test_a_placed_frame_stands_in_world(cart):
