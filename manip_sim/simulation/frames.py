@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation.joint_frames import JointFrames
 from manip_sim.simulation.poses import Pose
 from manip_sim.typing import FloatArray
 
@@ -53,8 +54,8 @@ class FrameTree:
     :param sites: names of sites that are frames too
     :param placed: further frames and where they stand in ``world``, by name
     :ivar model: the model
-    :ivar moving: frames that move in their parent: bodies with joints, and cameras that follow
-        something
+    :ivar moving: frames that move in their parent: bodies with joints, the frames of such joints
+        between them, and cameras that follow something
     :ivar static: frames that do not
     :ivar static_poses: of :attr:`static` in their parents, shape (n, 7)
     """
@@ -67,6 +68,7 @@ class FrameTree:
         self._names = {WORLD}
         self._bodies = [WORLD]
         self._cameras: list[int] = []
+        self._joint_frames: list[JointFrames] = []
         static_poses: list[FloatArray] = []
         moving: list[int] = []
         for body in range(1, model.nbody):
@@ -79,6 +81,8 @@ class FrameTree:
             else:
                 self.static.append(frame)
                 static_poses.append(_row(model.body_pos[body], model.body_quat[body]))
+        for body in moving:
+            self._add_joints(JointFrames(model, body), body)
         self._moving = np.array(moving, dtype=np.int64)
         self._parents: Any = model.body_parentid[self._moving]
         for site in (model.site(name).id for name in sites):
@@ -98,6 +102,14 @@ class FrameTree:
             name += otherwise
         self._names.add(name)
         return Frame(name, parent)
+
+    def _add_joints(self, frames: JointFrames, body: int) -> None:
+        if frames.joints:
+            self._joint_frames.append(frames)
+        for joint in frames.joints:
+            name = self.model.joint(joint).name or f'joint_{joint}'
+            self.moving.append(self._add(f'{name}_link', '_',
+                                         self._bodies[self.model.body_parentid[body]]))
 
     def _add_camera(self, camera: int, static_poses: list[FloatArray]) -> None:
         model = self.model
@@ -127,15 +139,22 @@ class FrameTree:
         poses[:count, :3] = np.einsum('nji,nj->ni', axes, data.xpos[children] - data.xpos[parents])
         poses[:count, 3:] = np.einsum('ijk,nj,nk->ni', _INVERSE_PRODUCT, data.xquat[parents],
                                       data.xquat[children])
-        for row, camera in enumerate(self._cameras, start=count):
-            quat_wxyz = np.empty(4)
-            mujoco.mju_mat2Quat(quat_wxyz, data.cam_xmat[camera])
-            poses[row] = _row(data.cam_xpos[camera], quat_wxyz)
+        others = [pose for frames in self._joint_frames for pose in frames.poses(data)]
+        others += [(data.cam_xpos[camera], _quat_wxyz(data.cam_xmat[camera]))
+                   for camera in self._cameras]
+        for row, (position, quat_wxyz) in enumerate(others, start=count):
+            poses[row] = _row(position, quat_wxyz)
         return poses
 
 
 def _row(position: Any, quat_wxyz: Any) -> FloatArray:
     return np.concatenate([position, wxyz_to_xyzw(quat_wxyz)])
+
+
+def _quat_wxyz(matrix: Any) -> FloatArray:
+    quat_wxyz = np.empty(4)
+    mujoco.mju_mat2Quat(quat_wxyz, matrix)
+    return quat_wxyz
 
 
 def _inverse_product() -> FloatArray:

@@ -77,8 +77,39 @@ def test_composed_along_the_tree_each_frame_is_where_it_is_in_mujoco(name):
     assert {frame.name for frame in tree.static} >= {
         f'{model.camera(camera).name}_optical_frame' for camera in range(model.ncam)}
     moving = {model.body(model.jnt_bodyid[joint]).name for joint in range(model.njnt)}
-    assert {frame.name for frame in tree.moving} == moving
+    between = {f'mobilebase0_joint_mobile_{way}_link' for way in ('forward', 'side', 'yaw')}
+    assert {frame.name for frame in tree.moving} == moving | (
+        between if name == 'PandaOmron' else set())
     assert 'cube' in moving
+
+
+def test_between_the_joints_of_a_body_there_are_frames_as_in_a_robot_description():
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody>
+      <body pos="1 2 3" name="base"><body name="arm" pos="0.1 0.2 0.3" euler="40 50 60">
+        <joint name="slide" type="slide" axis="0.6 0 0.8" ref="0.1"/>
+        <joint name="turn" pos="0.2 0.1 0" axis="0 0.6 0.8" ref="0.2"/>
+        <joint name="last" pos="0 0 0.4" axis="1 0 0"/>
+        <geom size="0.1"/></body></body>
+      <body name="off"><joint name="hinge" pos="0.3 0 0"/><geom size="0.1"/></body>
+      <body name="on"><joint name="own" axis="1 0 0"/><geom size="0.1"/></body>
+    </worldbody></mujoco>""")
+    data, tree = mujoco.MjData(model), FrameTree(model)
+    data.qpos[:] = [0.5, 1.0, -0.7, 0.4, 0.3]
+    mujoco.mj_forward(model, data)
+    found = in_world(tree, data)
+    links = [f.name for f in tree.moving if f.name.endswith('_link')]
+    assert links == ['slide_link', 'turn_link', 'last_link', 'hinge_link']
+    for joint in ('turn', 'last', 'hinge'):
+        np.testing.assert_allclose(found[f'{joint}_link'][0], data.joint(joint).xanchor, atol=1e-9)
+    # The next axis in world is that of the frame before it; the last one turns with the body.
+    np.testing.assert_allclose(
+        found['slide_link'][1].apply([0.0, 0.6, 0.8]), data.joint('turn').xaxis, atol=1e-9)
+    np.testing.assert_allclose(
+        found['turn_link'][1].apply([1.0, 0.0, 0.0]), data.joint('last').xaxis, atol=1e-9)
+    for joint, body in (('last', 'arm'), ('hinge', 'off')):
+        place, turn = found[f'{joint}_link']
+        assert_is_at((place - turn.apply(model.joint(joint).pos), turn), data.body(body).xpos,
+                     data.body(body).xmat)
 
 
 @pytest.fixture
