@@ -93,6 +93,7 @@ def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
     goals = {'mobilebase0_joint_mobile_forward': 0.3, 'mobilebase0_joint_mobile_yaw': 0.5,
              'robot0_joint2': 0.4, 'mobilebase0_joint_torso_height': 0.1}
     robot, sim = node.simulation.robot, node.simulation
+    sim.step_count = 1_000_000  # Of 2 ms.
     node.thread.call(lambda: robot.apply(*robot.parse.joint_command(
         list(goals), list(goals.values()))))
     start = {name: sim.data.joint(name).qpos[0] for name in goals}
@@ -135,9 +136,8 @@ def test_frames_of_objects_come_and_go(serve, records):
     moving, static = records
     sim, thread = node.simulation, node.thread
     thread.call(lambda: sim.change_objects(plan_with(sim.plan, create_object(BALL))))
-    count = len(moving.messages)
-    for _ in range(30):
-        thread.call(lambda: None)
+    count, before = len(moving.messages), sim.step_count
+    wait_for(thread, lambda: sim.step_count > before + 50)
     # The old tree does not fit any more; the thread waits for the new one, and lives.
     assert len(moving.messages) == count and thread.error is None
     node._objects_changed(sim)

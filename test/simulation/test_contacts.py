@@ -23,7 +23,8 @@ def settled(worldbody, seconds=1.0):
 
 
 @pytest.mark.parametrize('table', [
-    FLOOR, '<body name="table"><geom type="box" size="1 1 0.1" pos="0 0 -0.1"/></body>'])
+    FLOOR, f'<body name="table">{FLOOR}</body>',
+    '<body name="table"><geom type="box" size="1 1 0.1" pos="0 0 -0.1"/></body>'])
 @pytest.mark.parametrize('table_first', [True, False])
 def test_the_forces_on_a_box_carry_its_weight(table, table_first):
     box = BALL.format('box', 0.1, 2.0)
