@@ -112,6 +112,13 @@ def node_parameters() -> list[ParameterSpec]:
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
         ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
                       'links and grippers; it counts as effort and against the torque limits.'),
+        ParameterSpec('publish_tf', True, 'Publish /tf and /tf_static, where tf2_msgs is '
+                      'installed; switch it off beside robot_state_publisher.'),
+        ParameterSpec('tf_rate', 50.0, 'Messages on /tf and ~/markers per second of simulation '
+                      'time: the nearest rate that comes every so many control periods.', 'Hz',
+                      minimum=0.1, maximum=10000.0),
+        ParameterSpec('frame_prefix', '', 'Beginning of all names of frames in messages, as that '
+                      'of robot_state_publisher, such as left/.'),
         ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
                       'domain but one.'),
     ]
@@ -206,6 +213,17 @@ def steps_per_period(publish_rate: float, timestep: float) -> int:
             f'timesteps of {timestep:g} s; the nearest rates that are: '
             + ', '.join(f'{rate:.10g}' for rate in rates))
     return whole
+
+
+def periods_per_message(publish_rate: float, rate: float) -> int:
+    """
+    Return after how many control periods a message comes, for the nearest rate there is.
+
+    :param publish_rate: control periods per second [Hz]
+    :param rate: messages per second that are asked for [Hz]
+    """
+    fewer = max(1, int(publish_rate / rate))
+    return min((fewer, fewer + 1), key=lambda n: abs(publish_rate / n - rate))
 
 
 def parameters_of(parts: Mapping[str, PartLike], arena: str = 'empty',

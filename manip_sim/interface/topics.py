@@ -90,6 +90,14 @@ TOPICS = (
           'a free body in world', 'object'),
     Topic('objects/<name>/twist', 'geometry_msgs/TwistStamped', PUBLISHED,
           'velocity of a free body, in the axes of world', 'object'),
+    Topic('odom', 'nav_msgs/Odometry', PUBLISHED,
+          'pose of a mobile base in the frame odom, and its velocity in its own axes', 'twist'),
+    Topic('/tf', 'tf2_msgs/TFMessage', PUBLISHED,
+          'frames that move, where tf2_msgs is installed'),
+    Topic('/tf_static', 'tf2_msgs/TFMessage', PUBLISHED,
+          'frames that do not, latched, where tf2_msgs is installed'),
+    Topic('~/markers', 'visualization_msgs/MarkerArray', PUBLISHED,
+          'contacts with their forces, and external wrenches, to look at'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
@@ -109,6 +117,8 @@ TOPICS = (
           'a spline through the points, in position mode', 'actuators'),
     Topic('base/cmd_vel', 'geometry_msgs/Twist', SUBSCRIBED,
           "velocity in the base's own frame, in velocity mode", 'twist'),
+    Topic('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped', SUBSCRIBED,
+          'the same with a stamp, which counts in lockstep', 'twist'),
 )
 
 SERVICES = (

@@ -25,11 +25,13 @@ class ObjectPublishers:
 
     :param node: the node
     :param log: counts and tells what could not be published
+    :param frame_prefix: beginning of the names of frames
     """
 
-    def __init__(self, node: Node, log: RejectionLog) -> None:
+    def __init__(self, node: Node, log: RejectionLog, frame_prefix: str = '') -> None:
         self._node = node
         self._log = log
+        self._world = frame_prefix + messages.WORLD
         self._outputs: dict[str, tuple[Output, Output]] = {}
 
     def follow(self, simulation: Simulation) -> None:
@@ -62,6 +64,6 @@ class ObjectPublishers:
             stamp = messages.stamp_of(simulation.time_ns)
             pose, twist = simulation.entities.frame(simulation.data, name)
             if pose_wanted:
-                pose_output.publish(messages.pose_stamped(stamp, pose))
+                pose_output.publish(messages.pose_stamped(stamp, pose, self._world))
             if twist_wanted:
-                twist_output.publish(messages.twist_stamped(stamp, twist))
+                twist_output.publish(messages.twist_stamped(stamp, twist, self._world))

@@ -27,6 +27,7 @@ from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, publish_model, StatePublishers
+from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -79,20 +80,23 @@ class SimNode(Node):
              for scope, robot in self._robots.items()},
             value('start_paused'), self._tell_failure)
         self._check_lockstep()
+        frame_prefix = check_frame_prefix(value('frame_prefix'))
         self.commands = []
         for scope, robot in self._robots.items():
             self._control(scope, robot)
-            publishers = StatePublishers(self, robot, scope, self.rejections)
+            publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
             self.thread.observe(publishers.publish)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
-        self.objects = ObjectPublishers(self, self.rejections)
+        self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
+        self._followers = [self.objects.follow, *publish_scene(
+            self, value, served, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
         SimulationServices(self, self.simulation, self.thread)
-        offer_simulation_interfaces(self, self.simulation, self.thread, self.objects.follow)
+        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
         Diagnostics(self, self.simulation, self.thread, self.commands)
         publish_model(self, world)
         check_qos_names(self)
@@ -152,6 +156,10 @@ class SimNode(Node):
         robot = self._robots[scope]
         change = robot.set_control_mode if group == 'control_mode' else robot.set_command_timeout
         self.thread.call(lambda: change(part, value))
+
+    def _objects_changed(self, simulation: Simulation) -> None:
+        for follow in self._followers:
+            follow(simulation)
 
     def _tell_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)

@@ -96,6 +96,12 @@ class SimulatedRobot:
         return base.root_body if base is not None and base.joints else self.robot_model.root_body
 
     @property
+    def twist_joints(self) -> tuple[str, ...]:
+        """The joints x, y and yaw of a base that takes a twist, or none."""
+        indices = self.joints.twist_indices
+        return () if indices is None else tuple(self.joints.names[i] for i in indices)
+
+    @property
     def moving(self) -> bool:
         """Whether setpoints change, or may, in the next interval."""
         return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())

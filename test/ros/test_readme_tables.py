@@ -10,6 +10,8 @@ import sys
 
 from rclpy.qos import QoSDurabilityPolicy
 
+from manip_sim.ros import transforms
+
 README = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
 PARTS = ('arm', 'base', 'torso', 'head', 'legs')
 
@@ -24,7 +26,7 @@ def documented(kinds):
 def general(name):
     """Turn the name of a topic into the form that the README has."""
     name = re.sub(r'^/manip_sim/', '~/', name)
-    if name not in ('/clock', '/diagnostics'):
+    if name not in ('/clock', '/diagnostics', '/tf', '/tf_static'):
         name = name.lstrip('/')
     name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
@@ -47,10 +49,16 @@ def test_topics_are_documented_with_their_types(serve, client):
             found |= {(general(topic), kinds[0].replace('/msg/', '/'))
                       for topic, kinds in topics if topic not in OF_ROS}
     table = documented({'sensor_msgs', 'geometry_msgs', 'std_msgs', 'rosgraph_msgs',
-                        'diagnostic_msgs', 'trajectory_msgs'})
+                        'diagnostic_msgs', 'trajectory_msgs', 'nav_msgs', 'visualization_msgs'})
+    frames = documented({'tf2_msgs'})
+    assert {name for name, _ in frames} == {'/tf', '/tf_static'}
+    if transforms.TFMessage is not None:
+        table |= frames
     assert found <= table
     # A Panda has no mobile base.
-    assert table - found == {('base/cmd_vel', 'geometry_msgs/Twist')}
+    assert table - found == {('base/cmd_vel', 'geometry_msgs/Twist'),
+                             ('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped'),
+                             ('odom', 'nav_msgs/Odometry')}
 
 
 def test_services_are_documented_with_their_types(serve, client):
