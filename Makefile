@@ -23,7 +23,7 @@ VENV_ARGS = --system-site-packages
 EXTRAS = test
 else
 VENV_ARGS =
-EXTRAS = jazzy,test
+EXTRAS = jazzy,jazzy-test,test
 endif
 
 BIN = $(VENV)/bin

@@ -34,6 +34,7 @@ setup(
     extras_require={
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
+        'jazzy-test': ['ros-jazzy-test-msgs'],
         'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pydocstyle',
                  'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff'],
     },

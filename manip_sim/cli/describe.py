@@ -51,6 +51,8 @@ _COLUMNS: dict[str, tuple[tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = 
             r['direction'], 'subscribes'), r['meaning'])),
     'services': (('service', 'type', 'meaning'),
                  lambda r: (r['name'], r['type'], r['meaning'])),
+    'actions': (('action', 'type', 'meaning'),
+                lambda r: (r['name'], r['type'], r['meaning'])),
     'parameters': (
         ('parameter', 'value', 'unit', 'live', 'meaning'),
         lambda r: (r['name'], _value(r['value']), r['unit'] or '-', 'yes' if r['live'] else '-',
@@ -62,7 +64,9 @@ _TITLES = {
     'actuators': 'Actuators, as the files have them', 'sensors': 'Sensors',
     'frames': 'Frames, at the start in world', 'cameras': 'Cameras',
     'objects': 'Objects of the arena', 'topics': 'Topics of the node',
-    'services': 'Services of the node', 'parameters': 'Parameters of the node'}
+    'services': 'Services of the node',
+    'actions': 'Actions of the node, where control_msgs is installed',
+    'parameters': 'Parameters of the node'}
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:

@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.cli.elements import actuator_rows, camera_rows, frame_rows, sensor_rows
 from manip_sim.cli.listing import free_bodies, origin
 from manip_sim.interface.parameters import parameters_of
-from manip_sim.interface.topics import SERVICES, topics_of
+from manip_sim.interface.topics import actions_of, SERVICES, topics_of
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
@@ -61,6 +61,7 @@ def describe(world: World, given: Mapping[str, Any]) -> Row:
                     for name, mass in free_bodies(world.arena.compile()).items()],
         'topics': [asdict(topic) for topic in topics_of(parts, twist)],
         'services': [asdict(service) for service in SERVICES],
+        'actions': [asdict(action) for action in actions_of(parts)],
         'parameters': [
             {'name': p.name, 'value': given.get(p.name, p.default), 'default': p.default,
              'unit': p.unit, 'live': p.live, 'meaning': p.description} for p in parameters],

@@ -70,6 +70,21 @@ class Service:
     meaning: str
 
 
+@dataclass(frozen=True)
+class Action:
+    """
+    An action, where the package of its type is installed.
+
+    :ivar name: relative
+    :ivar type: package and name of the action type
+    :ivar meaning: what its goals are
+    """
+
+    name: str
+    type: str
+    meaning: str
+
+
 TOPICS = (
     Topic('joint_states', 'sensor_msgs/JointState', PUBLISHED, 'all joints of the robot'),
     Topic('<part>/joint_states', 'sensor_msgs/JointState', PUBLISHED, 'joints of a part',
@@ -127,6 +142,26 @@ SERVICES = (
     Service('~/reset', 'std_srvs/Trigger', 'back to the start; simulation time goes on'),
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
 )
+
+ACTIONS = (
+    Action('<part>/follow_joint_trajectory', 'control_msgs/FollowJointTrajectory',
+           'a trajectory, with tolerances on the way and at the end'),
+    Action('<arm>/gripper/gripper_cmd', 'control_msgs/GripperCommand',
+           'a position of the first driven joint, with a largest effort'),
+    Action('<arm>/gripper/parallel_gripper_cmd', 'control_msgs/ParallelGripperCommand',
+           'the same as a joint state of one joint, with a largest velocity too'),
+)
+
+
+def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
+    """
+    Return the actions that the node has for a robot where control_msgs is installed.
+
+    :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
+    """
+    return [replace(pattern, name=pattern.name.replace(_GRIPPER, name).replace(PART, name))
+            for pattern in ACTIONS for name, part in parts.items()
+            if part.actuators and (part.gripper is not None) == (_GRIPPER in pattern.name)]
 
 
 def topics_of(parts: Mapping[str, PartLike], twist: bool, objects: Iterable[str] = ()

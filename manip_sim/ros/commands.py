@@ -12,7 +12,6 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
-import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -21,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 from manip_sim.errors import CommandError
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
-from manip_sim.ros.reading import read_command
+from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.interface.scope import Scope
 from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.runtime import SimulationThread
@@ -111,11 +110,22 @@ class CommandSubscribers:
                 self.statistics[entry].refused += 1
                 self._log.warn(topic, kind_of(error), f'refused a message on {topic}: {error}')
                 return
-            self._count(topic, entry, commands)
+            self.count(topic, part, commands)
 
         CommandSubscription(self._node, message_type, topic, take)
 
-    def _count(self, topic: str, entry: str, commands: Sequence[Command]) -> None:
+    def count_refused(self, part: str) -> None:
+        """Count what came for a part and is not used."""
+        self.statistics[self._entry_of[part]].refused += 1
+
+    def count(self, topic: str, part: str, commands: Sequence[Command]) -> None:
+        """
+        Count commands that are used, and tell what of them was changed.
+
+        :param topic: topic or action that they came on
+        :param part: that it is for, or ``joint_command``
+        """
+        entry = self._entry_of.get(part, part)
         now_s, clamped = time.monotonic(), sum(command.clamped for command in commands)
         entries = {entry: clamped}
         for command in commands:
@@ -143,16 +153,9 @@ class CommandSubscribers:
                                          message.effort, part)
 
     def _trajectory(self, part: str, message: JointTrajectory) -> Sequence[Command]:
-        points = message.points
-        times_s = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points]
-        fields: list[list[Any] | None] = [
-            None if all(not len(getattr(p, name)) for p in points)
-            else [np.asarray(getattr(p, name)) for p in points]
-            for name in ('positions', 'velocities', 'accelerations')]
-        if any(len(p.effort) for p in points):
-            raise CommandError(f'{part}: a trajectory has no use for effort, leave it empty')
+        times_s, positions, velocities, accelerations = trajectory_fields(part, message)
         return [self._parse.trajectory(
-            part, message.joint_names, times_s, fields[0] or [], fields[1], fields[2],
+            part, message.joint_names, times_s, positions, velocities, accelerations,
             start_ns=nanoseconds_of(message.header.stamp),
             now_ns=self._thread.progress.time_ns)]
 

@@ -102,6 +102,8 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
                 return _fail('the executor ended unexpectedly')
         return 0
     finally:
+        if spinner.is_alive():
+            node.end_goals()
         # Callbacks that wait for the simulation are answered before it ends.
         executor.end()
         if spinner.is_alive():

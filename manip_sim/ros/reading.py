@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+import numpy as np
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
@@ -44,6 +45,26 @@ def read_command(message_type: Any, data: bytes) -> Any:
     except (struct.error, RuntimeError) as error:
         raise CommandError('the data cannot be read as a message of the type '
                            f'{message_type.__name__}') from error
+
+
+def trajectory_fields(part: str, message: JointTrajectory) -> tuple[Any, Any, Any, Any]:
+    """
+    Return the times of a trajectory's points [s], and positions, velocities and accelerations.
+
+    Velocities and accelerations that no point has are None.
+
+    :param part: that it is for
+    :raises CommandError: if a point has an effort
+    """
+    points = message.points
+    times_s = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in points]
+    positions, velocities, accelerations = (
+        None if all(not len(getattr(p, name)) for p in points)
+        else [np.asarray(getattr(p, name)) for p in points]
+        for name in ('positions', 'velocities', 'accelerations'))
+    if any(len(p.effort) for p in points):
+        raise CommandError(f'{part}: a trajectory has no use for effort, leave it empty')
+    return times_s, positions or [], velocities, accelerations
 
 
 def _check_counts(data: bytes) -> None:

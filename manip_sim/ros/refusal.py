@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from simulation_interfaces.msg import Result
+from typing import Any
 
 from manip_sim.errors import ManipSimError, UnknownNameError
+from manip_sim.ros.standard_codes import ResultCode
 
 
 class Refusal(ManipSimError):
@@ -18,11 +19,15 @@ class Refusal(ManipSimError):
         self.code = code
 
 
-def result_of(error: ManipSimError) -> Result:
-    """Return the result that tells an error."""
-    code = Result.RESULT_OPERATION_FAILED
+def tell(error: ManipSimError, result: Any) -> None:
+    """
+    Write an error into a result.
+
+    :param result: message ``Result``
+    """
+    code: int = ResultCode.RESULT_OPERATION_FAILED
     if isinstance(error, Refusal):
         code = error.code
     elif isinstance(error, UnknownNameError):
-        code = Result.RESULT_NOT_FOUND
-    return Result(result=code, error_message=str(error))
+        code = ResultCode.RESULT_NOT_FOUND
+    result.result, result.error_message = int(code), str(error)

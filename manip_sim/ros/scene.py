@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.node import Node
@@ -24,7 +24,6 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.frames import FrameTree
 from manip_sim.simulation.odometry import OdometryReader
 
-Served = Sequence[tuple[Scope, SimulatedRobot]]
 #: Is to be called when objects have come or gone.
 Follower = Callable[[Simulation], None]
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
@@ -43,14 +42,14 @@ def check_frame_prefix(prefix: str) -> str:
     return prefix
 
 
-def publish_scene(node: Node, value: Callable[[str], Any], served: Served,
+def publish_scene(node: Node, value: Callable[[str], Any], robots: Mapping[Scope, SimulatedRobot],
                   simulation: Simulation, thread: SimulationThread, log: RejectionLog
                   ) -> list[Follower]:
     """
     Publish odometry each period, and frames and markers at their rate.
 
     :param value: returns the value of a parameter
-    :param served: the robots, and where their topics are
+    :param robots: by where their topics are
     :param simulation: what is seen
     :param thread: runs it
     :param log: counts and tells what could not be published
@@ -58,14 +57,14 @@ def publish_scene(node: Node, value: Callable[[str], Any], served: Served,
     """
     prefix = value('frame_prefix')
     readers = {}
-    for scope, robot in served:
+    for scope, robot in robots.items():
         if robot.twist_joints:
             frame = value(scope.parameter('prefix')) + ODOM
             readers[frame] = OdometryReader(simulation.model, robot.twist_joints)
             thread.observe(OdometryPublisher(node, readers[frame], scope.topic('odom'), frame,
                                              prefix, log).publish)
     every = _divider(node, value('publish_rate'), value('tf_rate'))
-    end_effectors = {scope.topic(arm): reader for scope, robot in served
+    end_effectors = {scope.topic(arm): reader for scope, robot in robots.items()
                      for arm, reader in robot.end_effectors.items()}
     thread.observe(MarkerPublisher(node, end_effectors, prefix + WORLD, log).publish, every)
     if not value('publish_tf'):

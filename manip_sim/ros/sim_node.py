@@ -19,6 +19,7 @@ from manip_sim.interface.parameters import (
     MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import set_model_path, World
+from manip_sim.ros.actions import offer_actions
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
@@ -92,9 +93,10 @@ class SimNode(Node):
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
         self._followers = [self.objects.follow, *publish_scene(
-            self, value, served, self.simulation, self.thread, self.rejections)]
+            self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
+        self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.simulation, self.thread)
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
         Diagnostics(self, self.simulation, self.thread, self.commands)
@@ -195,6 +197,11 @@ class SimNode(Node):
     def start(self) -> None:
         """Let the simulation run."""
         self.thread.start()
+
+    def end_goals(self) -> None:
+        """Abort the goals of actions and let their clients know; the executor must still run."""
+        if self._actions is not None:
+            self._actions.end()
 
     def stop(self) -> None:
         """End the simulation; the node can be destroyed then."""

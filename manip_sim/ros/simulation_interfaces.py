@@ -16,31 +16,23 @@ from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.posix_ere import PosixExpression
+from manip_sim.ros.refusal import Refusal, tell
+from manip_sim.ros.spawning_services import FORMATS, SpawningServices
+from manip_sim.ros.standard_codes import (
+    BoundsType, Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, State)
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose, Twist
 
 try:
-    from simulation_interfaces.msg import (
-        Bounds, EntityCategory, Result, SimulationState, SimulatorFeatures)
-    from simulation_interfaces.srv import (
-        GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures, ResetSimulation,
-        SetEntityState, SetSimulationState, StepSimulation)
-
-    from manip_sim.ros.refusal import Refusal, result_of
-    from manip_sim.ros.spawning_services import FORMATS, SpawningServices
-    AVAILABLE = True
+    from simulation_interfaces import srv as SERVICE_TYPES
 except ModuleNotFoundError as missing:
     if str(missing.name).split('.')[0] != 'simulation_interfaces':
         raise
-    AVAILABLE = False
+    SERVICE_TYPES = None
 
-#: What of ``SimulatorFeatures`` works here.
-_FEATURES = (
-    'ENTITY_CATEGORIES', 'ENTITY_STATE_GETTING', 'ENTITY_STATE_SETTING', 'SIMULATION_RESET',
-    'SIMULATION_RESET_STATE', 'SIMULATION_STATE_GETTING', 'SIMULATION_STATE_SETTING',
-    'SIMULATION_STATE_PAUSE', 'STEP_SIMULATION_SINGLE', 'STEP_SIMULATION_MULTIPLE', 'SPAWNING',
-    'SPAWNING_RESOURCE_STRING', 'DELETING')
+#: Whether the package is installed.
+AVAILABLE = SERVICE_TYPES is not None
 _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
           'of a reset restarts simulation time, scope STATE lets it go on.')
 
@@ -70,8 +62,8 @@ def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: Simu
     :param objects_changed: is called after objects have come or gone
     """
     if AVAILABLE:
-        SimulationInterfaces(node, simulation, thread)
-        SpawningServices(node, simulation, thread, objects_changed)
+        SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
+        SpawningServices(node, simulation, thread, objects_changed, SERVICE_TYPES)
 
 
 class SimulationInterfaces:
@@ -84,30 +76,33 @@ class SimulationInterfaces:
     :param node: the node
     :param simulation: what is controlled
     :param thread: runs it
+    :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread) -> None:
+    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread, types: Any
+                 ) -> None:
         self._node = node
         self._simulation = simulation
         self._thread = thread
         self._stopped = False
-        node.create_service(GetSimulatorFeatures, '~/get_simulator_features', self._features)
-        self._offer(GetSimulationState, 'get_simulation_state', self._get_state)
-        self._offer(SetSimulationState, 'set_simulation_state', self._set_state)
-        self._offer(StepSimulation, 'step_simulation', self._step)
-        self._offer(ResetSimulation, 'reset_simulation', self._reset)
-        self._offer(GetEntities, 'get_entities', self._get_entities)
-        self._offer(GetEntityState, 'get_entity_state', self._get_entity_state)
-        self._offer(SetEntityState, 'set_entity_state', self._set_entity_state)
+        node.create_service(types.GetSimulatorFeatures, '~/get_simulator_features',
+                            self._features)
+        self._offer(types.GetSimulationState, 'get_simulation_state', self._get_state)
+        self._offer(types.SetSimulationState, 'set_simulation_state', self._set_state)
+        self._offer(types.StepSimulation, 'step_simulation', self._step)
+        self._offer(types.ResetSimulation, 'reset_simulation', self._reset)
+        self._offer(types.GetEntities, 'get_entities', self._get_entities)
+        self._offer(types.GetEntityState, 'get_entity_state', self._get_entity_state)
+        self._offer(types.SetEntityState, 'set_entity_state', self._set_entity_state)
 
     def _offer(self, service_type: Any, name: str,
                meet: Callable[[Any, Any], Awaitable[None]]) -> None:
         async def answer(request: Any, response: Any) -> Any:
-            response.result.result = Result.RESULT_OK
+            response.result.result = int(ResultCode.RESULT_OK)
             try:
                 await meet(request, response)
             except ManipSimError as error:
-                response.result = result_of(error)
+                tell(error, response.result)
             return response
 
         # Each has a group of its own, because a request for many steps takes long.
@@ -115,7 +110,7 @@ class SimulationInterfaces:
                                   callback_group=MutuallyExclusiveCallbackGroup())
 
     def _features(self, _: Any, response: Any) -> Any:
-        response.features.features = [getattr(SimulatorFeatures, name) for name in _FEATURES]
+        response.features.features = [int(feature) for feature in Feature]
         response.features.spawn_formats = list(FORMATS)
         response.features.custom_info = _ABOUT
         return response
@@ -124,37 +119,36 @@ class SimulationInterfaces:
 
     def _state(self) -> int:
         if not self._thread.paused:
-            return int(SimulationState.STATE_PLAYING)
+            return int(State.STATE_PLAYING)
         if self._stopped and self._thread.at_start:
-            return int(SimulationState.STATE_STOPPED)
-        return int(SimulationState.STATE_PAUSED)
+            return int(State.STATE_STOPPED)
+        return int(State.STATE_PAUSED)
 
     async def _get_state(self, _: Any, response: Any) -> None:
         response.state.state = self._state()
 
     async def _set_state(self, request: Any, response: Any) -> None:
         target = request.state.state
-        if target not in (SimulationState.STATE_STOPPED, SimulationState.STATE_PLAYING,
-                          SimulationState.STATE_PAUSED):
-            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+        if target not in list(State):
+            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                           f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
                           'PAUSED (2); SIGTERM ends the simulator')
         if target == self._state():
-            raise Refusal(SetSimulationState.Response.ALREADY_IN_TARGET_STATE,
+            raise Refusal(SetStateCode.ALREADY_IN_TARGET_STATE,
                           'the simulation is in this state already')
-        if target == SimulationState.STATE_PLAYING and self._simulation.diverged is not None:
-            raise Refusal(SetSimulationState.Response.STATE_TRANSITION_ERROR,
+        if target == State.STATE_PLAYING and self._simulation.diverged is not None:
+            raise Refusal(SetStateCode.STATE_TRANSITION_ERROR,
                           f'{self._simulation.diverged}; reset it first')
-        self._thread.pause(target != SimulationState.STATE_PLAYING)
-        if target == SimulationState.STATE_STOPPED:
+        self._thread.pause(target != State.STATE_PLAYING)
+        if target == State.STATE_STOPPED:
             self._thread.reset(restart_time=True)
-        self._stopped = target == SimulationState.STATE_STOPPED
+        self._stopped = target == State.STATE_STOPPED
 
     async def _step(self, request: Any, response: Any) -> None:
         if request.steps == 0:
-            raise Refusal(Result.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
-        if self._state() == SimulationState.STATE_STOPPED:
-            raise Refusal(Result.RESULT_OPERATION_FAILED,
+            raise Refusal(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
+        if self._state() == State.STATE_STOPPED:
+            raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
                           'the simulation is stopped: pause it first')
         for done in range(request.steps):
             try:
@@ -166,32 +160,32 @@ class SimulationInterfaces:
 
     async def _reset(self, request: Any, response: Any) -> None:
         scope = request.scope
-        everything = scope in (ResetSimulation.Request.SCOPE_DEFAULT,
-                               ResetSimulation.Request.SCOPE_ALL)
-        known = ResetSimulation.Request.SCOPE_TIME | ResetSimulation.Request.SCOPE_STATE
-        if not everything and (scope & ~known or not scope & ResetSimulation.Request.SCOPE_STATE):
-            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+        everything = scope in (Scope.SCOPE_DEFAULT,
+                               Scope.SCOPE_ALL)
+        known = Scope.SCOPE_TIME | Scope.SCOPE_STATE
+        if not everything and (scope & ~known or not scope & Scope.SCOPE_STATE):
+            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                           f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
                           'STATE with TIME (3)')
         self._thread.reset(
-            restart_time=everything or bool(scope & ResetSimulation.Request.SCOPE_TIME))
+            restart_time=everything or bool(scope & Scope.SCOPE_TIME))
 
     # ------------------------------------------------------------------ the entities
 
     async def _get_entities(self, request: Any, response: Any) -> None:
         filters = request.filters
         if filters.tags.tags:
-            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
-        if filters.bounds.type != Bounds.TYPE_EMPTY:
-            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
+            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
+        if filters.bounds.type != BoundsType.TYPE_EMPTY:
+            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
         wanted = {category.category for category in filters.categories}
         response.entities = _matching(filters.filter, [
             name for name in self._simulation.entities.names
             if not wanted or self._category(name) in wanted])
 
     def _category(self, name: str) -> int:
-        return int(EntityCategory.CATEGORY_OBJECT if self._simulation.entities.is_free(name)
-                   else EntityCategory.CATEGORY_ROBOT)
+        return int(Category.CATEGORY_OBJECT if self._simulation.entities.is_free(name)
+                   else Category.CATEGORY_ROBOT)
 
     async def _get_entity_state(self, request: Any, response: Any) -> None:
         name, simulation = request.entity, self._simulation
@@ -209,17 +203,17 @@ class SimulationInterfaces:
     async def _set_entity_state(self, request: Any, response: Any) -> None:
         name = request.entity
         if not self._simulation.entities.is_free(name):
-            raise Refusal(Result.RESULT_OPERATION_FAILED,
+            raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
                           f"'{request.entity}' cannot be moved, only free bodies can")
         if request.state.header.frame_id not in ('', WORLD):
-            raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                           f"frame_id '{request.state.header.frame_id}' is not supported: leave "
                           f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
         def place() -> None:
             if self._simulation.diverged is not None:
-                raise Refusal(Result.RESULT_INCORRECT_STATE,
+                raise Refusal(ResultCode.RESULT_INCORRECT_STATE,
                               f'{self._simulation.diverged}; reset it first')
             self._simulation.entities.place(self._simulation.data, name, pose, twist)
         self._thread.call(place)
@@ -241,13 +235,13 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
     set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
     pose = twist = None
     if not (set_pose or set_twist):
-        raise Refusal(Result.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
+        raise Refusal(ResultCode.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
                       'are false, and an acceleration cannot be set')
     if set_pose:
         try:
             pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
         except CommandError as error:
-            raise Refusal(SetEntityState.Response.INVALID_POSE, str(error)) from error
+            raise Refusal(SetEntityCode.INVALID_POSE, str(error)) from error
     if set_twist:
         twist = Twist.checked(_numbers(state.twist.linear), _numbers(state.twist.angular))
     return pose, twist
@@ -260,6 +254,6 @@ def _matching(pattern: str, names: list[str]) -> list[str]:
     try:
         expression = PosixExpression(pattern)
     except ValueError as error:
-        raise Refusal(Result.RESULT_OPERATION_FAILED,
+        raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
                       f'filter {quoted(pattern)}: {error}') from error
     return [name for name in names if expression.found_in(name)]

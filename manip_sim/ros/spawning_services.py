@@ -14,8 +14,6 @@ from urllib.parse import unquote, urlsplit
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
-from simulation_interfaces.msg import Result
-from simulation_interfaces.srv import DeleteEntity, SpawnEntity
 
 from manip_sim.errors import CommandError, ManipSimError, ModelError
 from manip_sim.models.object_model import check_object_name
@@ -24,7 +22,8 @@ from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.refusal import Refusal, result_of
+from manip_sim.ros.refusal import Refusal, tell
+from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
@@ -48,22 +47,23 @@ class SpawningServices:
     :param simulation: what is changed
     :param thread: runs it
     :param changed: is called after objects have come or gone
+    :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 changed: Callable[[Simulation], None]) -> None:
+                 changed: Callable[[Simulation], None], types: Any) -> None:
         self._simulation = simulation
         self._thread = thread
         self._changed = changed
         # One group: each plan is made from what the last one left.
         group = MutuallyExclusiveCallbackGroup()
-        for service_type, name, meet in ((SpawnEntity, 'spawn_entity', self._spawn),
-                                         (DeleteEntity, 'delete_entity', self._delete)):
+        for service_type, name, meet in ((types.SpawnEntity, 'spawn_entity', self._spawn),
+                                         (types.DeleteEntity, 'delete_entity', self._delete)):
             node.create_service(service_type, f'~/{name}', _answering(meet), callback_group=group)
 
     def _spawn(self, request: Any, response: Any) -> None:
         if request.entity_namespace.strip('/'):
-            raise Refusal(SpawnEntity.Response.NAMESPACE_INVALID,
+            raise Refusal(SpawnCode.NAMESPACE_INVALID,
                           'an object is published below objects/, it has no namespace of its own')
         item = _created(request)
         item.name = self._free_name(request.name or item.name, request.allow_renaming)
@@ -71,7 +71,7 @@ class SpawningServices:
         try:
             self._take_over(plan_with(self._simulation.plan, item))
         except ModelError as error:
-            raise Refusal(SpawnEntity.Response.RESOURCE_PARSE_ERROR, str(error)) from error
+            raise Refusal(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
         response.entity_name = item.name
 
     def _free_name(self, wanted: str, may_rename: bool) -> str:
@@ -83,25 +83,25 @@ class SpawningServices:
                 free, number = f'{wanted}_{number}', number + 1
             wanted = free
         elif wanted in taken:
-            raise Refusal(SpawnEntity.Response.NAME_NOT_UNIQUE,
+            raise Refusal(SpawnCode.NAME_NOT_UNIQUE,
                           f'there is an entity {quoted(wanted)} already')
         try:
             check_object_name(wanted, 'name')
         except ModelError as error:
-            raise Refusal(SpawnEntity.Response.NAME_INVALID, str(error)) from error
+            raise Refusal(SpawnCode.NAME_INVALID, str(error)) from error
         return wanted
 
     def _delete(self, request: Any, response: Any) -> None:
         name, plan = request.entity, self._simulation.plan
         if name in self._simulation.entities.names and name not in plan.object_names:
-            raise Refusal(Result.RESULT_OPERATION_FAILED,
+            raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
                           f"'{name}' belongs to a robot or the arena and cannot be deleted")
         self._take_over(plan_without(plan, name))
 
     def _take_over(self, plan: Plan) -> None:
         def change() -> None:
             if self._simulation.diverged is not None:
-                raise Refusal(Result.RESULT_INCORRECT_STATE,
+                raise Refusal(ResultCode.RESULT_INCORRECT_STATE,
                               f'{self._simulation.diverged}; reset it first')
             self._simulation.change_objects(plan)
         self._thread.call(change)
@@ -110,11 +110,11 @@ class SpawningServices:
 
 def _answering(meet: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
     def answer(request: Any, response: Any) -> Any:
-        response.result.result = Result.RESULT_OK
+        response.result.result = int(ResultCode.RESULT_OK)
         try:
             meet(request, response)
         except ManipSimError as error:
-            response.result = result_of(error)
+            tell(error, response.result)
         return response
     return answer
 
@@ -126,7 +126,7 @@ def _created(request: Any) -> ObjectModel:
             return _from_file(_path(request.uri))
         text = request.resource_string.strip()
         if not text:
-            raise Refusal(SpawnEntity.Response.NO_RESOURCE,
+            raise Refusal(SpawnCode.NO_RESOURCE,
                           'give a file (uri) or a text (resource_string)')
         if not text.startswith('<'):
             return create_object({'name': _UNNAMED, **parse_yaml(text, 'resource_string')})
@@ -135,7 +135,7 @@ def _created(request: Any) -> ObjectModel:
             file.write_text(text)
             return _from_file(str(file))
     except ModelError as error:
-        raise Refusal(SpawnEntity.Response.RESOURCE_PARSE_ERROR, str(error)) from error
+        raise Refusal(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
 
 
 def _from_file(path: str) -> ObjectModel:
@@ -150,17 +150,17 @@ def _from_file(path: str) -> ObjectModel:
 def _path(uri: str) -> str:
     parts = urlsplit(uri)
     if parts.scheme not in ('', 'file'):
-        raise Refusal(SpawnEntity.Response.UNSUPPORTED_FORMAT,
+        raise Refusal(SpawnCode.UNSUPPORTED_FORMAT,
                       f'uri {quoted(uri)}: only paths and file:// can be read')
     if Path(parts.path).suffix not in ('.xml', '.mjcf', '.yaml', '.yml'):
-        raise Refusal(SpawnEntity.Response.UNSUPPORTED_FORMAT,
+        raise Refusal(SpawnCode.UNSUPPORTED_FORMAT,
                       f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
     return unquote(parts.path)
 
 
 def _place(item: ObjectModel, pose: Any) -> None:
     if pose.header.frame_id not in ('', WORLD):
-        raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED,
+        raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                       f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it empty "
                       f"or write '{WORLD}'")
     position, turn = pose.pose.position, pose.pose.orientation
@@ -168,5 +168,5 @@ def _place(item: ObjectModel, pose: Any) -> None:
         place = Pose.checked([position.x, position.y, position.z],
                              [turn.x, turn.y, turn.z, turn.w])
     except CommandError as error:
-        raise Refusal(SpawnEntity.Response.INVALID_POSE, str(error)) from error
+        raise Refusal(SpawnCode.INVALID_POSE, str(error)) from error
     item.place(place.position, xyzw_to_wxyz(place.quat_xyzw))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from manip_sim.simulation.commands import (
-    Command, GripperAction, GripperSetpoint, JointTrajectory, Status, STOPPED, TrajectoryStop)
+    Command, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 
 class CommandBuffer:
@@ -66,9 +66,9 @@ class CommandBuffer:
 
 def _rivals(older: Command, newer: Command) -> bool:
     """Tell whether a command takes joints from an older one."""
-    if isinstance(newer, (GripperAction, GripperSetpoint)):
-        return isinstance(older, (GripperAction, GripperSetpoint)) and older.parts == newer.parts
-    if isinstance(older, (GripperAction, GripperSetpoint)):
+    if isinstance(newer, GripperCommand):
+        return isinstance(older, GripperCommand) and older.parts == newer.parts
+    if isinstance(older, GripperCommand):
         return False
     if isinstance(newer, TrajectoryStop) or (isinstance(newer, JointTrajectory)
                                              and newer.start_ns):

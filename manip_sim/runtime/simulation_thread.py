@@ -66,6 +66,7 @@ class SimulationThread:
         self._stepping = stepping
         self._tell_failure = tell_failure
         self._observers: list[tuple[Observer, int]] = []
+        self._busy: list[Callable[[str], frozenset[str]]] = []
         needed = lockstep_parts or {}
         self._buffers = {
             name: CommandBuffer(atomic for part in needed.get(name, ())
@@ -100,6 +101,15 @@ class SimulationThread:
         if every < 1:
             raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
         self._observers = [*self._observers, (observer, every)]
+
+    def keep_busy(self, busy_parts: Callable[[str], frozenset[str]]) -> None:
+        """
+        Let lock-step not wait for commands of some parts, beside those that follow trajectories.
+
+        :param busy_parts: returns the atomic parts of a robot, by its name; called in the
+            simulation's thread, must not call back
+        """
+        self._busy = [*self._busy, busy_parts]
 
     def start(self) -> None:
         """Show the first state and begin."""
@@ -280,7 +290,8 @@ class SimulationThread:
         return False
 
     def _all_commanded(self) -> bool:
-        return all(buffer.ready(self._simulation.robots[name].joints.busy_parts)
+        return all(buffer.ready(self._simulation.robots[name].joints.busy_parts.union(
+                       *(busy_parts(name) for busy_parts in self._busy)))
                    for name, buffer in self._buffers.items())
 
     @property
@@ -295,7 +306,9 @@ class SimulationThread:
             commands = {name: buffer.take() for name, buffer in self._buffers.items()}
         for name, taken in commands.items():
             for command in taken:
-                self._apply(name, command)
+                # It may have been withdrawn meanwhile.
+                if command.handle.is_active:
+                    self._apply(name, command)
         self._simulation.advance(self._steps)
         self.at_start = False
         self._show(number=self._simulation.step_count // self._steps)

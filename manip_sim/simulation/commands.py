@@ -157,7 +157,12 @@ class BaseTwist(Command):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GripperAction(Command):
+class GripperCommand(Command):
+    """What a gripper shall do from now on; ``indices`` are those of its actuators."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperAction(GripperCommand):
     """
     What a gripper shall do from now on.
 
@@ -168,7 +173,7 @@ class GripperAction(Command):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GripperSetpoint(Command):
+class GripperSetpoint(GripperCommand):
     """
     Positions for some joints of a gripper.
 
@@ -178,3 +183,18 @@ class GripperSetpoint(Command):
 
     joints: tuple[str, ...]
     values: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GripperGrasp(GripperSetpoint):
+    """
+    A position for one joint; all other fingers go as far, as part of their way to be closed.
+
+    At the ends of their ranges the fingers press with all force that they may use.
+
+    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 is their own limits
+    :ivar max_velocity: of the joint [rad/s or m/s]; 0 is its own limit
+    """
+
+    max_effort: float = 0.0
+    max_velocity: float = 0.0

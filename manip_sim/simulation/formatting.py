@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import copy
 from typing import Any
 
@@ -34,15 +36,41 @@ class Formatter:
         self.dof = gripper.dof
         self.faults = 0
         self.last_fault = ''
-        state = {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
-                 for name, value in vars(gripper).items()}
-        fault = self._fault(np.zeros(self.dof))[1]
-        vars(gripper).clear()
-        vars(gripper).update(state)
+        self._closing: FloatArray | None = None
+        with self._state_kept():
+            fault = self._fault(np.zeros(self.dof))[1]
         if fault is not None:
             raise ModelError(f'format_action of {type(gripper).__name__} must return {count} '
                              f'finite numbers, one for each actuator, but with an action of '
                              f'{self.dof} zeros {fault}')
+
+    @contextlib.contextmanager
+    def _state_kept(self) -> Iterator[None]:
+        gripper = self._gripper
+        state = {name: copy.deepcopy(value) if isinstance(value, _STATE) else value
+                 for name, value in vars(gripper).items()}
+        try:
+            yield
+        finally:
+            vars(gripper).clear()
+            vars(gripper).update(state)
+
+    @property
+    def closing(self) -> FloatArray:
+        """
+        Signs of how commands change with actions of ones, zero where they do not, shape (count,).
+
+        The first time, ``format_action`` is called with ones and minus ones, and its state put
+        back.
+        """
+        if self._closing is None:
+            found = []
+            with self._state_kept():
+                for sign in (1.0, -1.0):
+                    self.start_at(np.zeros(self._count))
+                    found.append(self._fault(np.full(self.dof, sign))[0])
+            self._closing = np.sign(found[0] - found[1])
+        return self._closing
 
     def format(self, action: FloatArray) -> FloatArray | None:
         """

@@ -131,6 +131,22 @@ class GripperActuators:
                     for joint, coefficient in terms)
         return lengths
 
+    def joint_range(self, joint: int) -> tuple[float, float]:
+        """
+        Return how far a joint can be brought [rad or m], infinite where nothing is known.
+
+        :param joint: its id
+        """
+        model = self._model
+        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
+        for index, terms in enumerate(self.terms):
+            if self.is_servo[index] and [other for other, _ in terms] == [joint]:
+                lengths = -(self._bias[index, 0] + self._gain[index] * self.ranges[index]
+                            ) / self._bias[index, 1]
+                ends = lengths / (terms[0][1] * model.actuator_gear[self.ids[index], 0])
+                low, high = max(low, ends.min()), min(high, ends.max())
+        return float(low), float(high)
+
     def why_no_setpoint(self, index: int) -> str:
         """Say what the control of an actuator without a setpoint is."""
         damping = self._model.actuator_biasprm[self.ids[index], 2]

@@ -12,9 +12,11 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError
-from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint, Status
+from manip_sim.simulation.commands import (
+    Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
 from manip_sim.simulation.formatting import Formatter
 from manip_sim.simulation.gripper_actuators import GripperActuators
+from manip_sim.simulation.gripper_force import ForceLimit
 from manip_sim.simulation.parts import Part
 from manip_sim.typing import FloatArray, IntArray
 
@@ -24,6 +26,8 @@ GRIPPER_RATE_HZ = 20.0
 _AT_END = 0.015
 #: A finger has stopped if it would take longer than this for its range [s].
 _STOPPED_S = 20.0
+#: A finger stands still if it would take longer than this for its range [s].
+_STILL_S = 40.0
 #: How long a finger that was stopped takes to press with its full force [s].
 _PRESS_S = 0.05
 #: What two setpoints may differ by and yet be the same, as part of the range.
@@ -43,6 +47,7 @@ class GripperController:
     :param part: the gripper
     :param timestep_s: of the physics [s]
     :ivar commanded_joints: the joints that a position command may name
+    :ivar owner: the handle of the last command, or of what has ended it
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
 
@@ -53,11 +58,13 @@ class GripperController:
         self._model = model
         self._timestep_s = timestep_s
         self._actuators = GripperActuators(model, part)
+        self._force = ForceLimit(model, self._actuators)
         self._formatter = Formatter(part.gripper, len(part.actuators))
         self._joints = self._servo_joints()
         self.commanded_joints: tuple[str, ...] = tuple(model.joint(j).name for j in self._joints)
         self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
         self._running: Command | None = None
+        self.owner = CommandHandle(Status.DONE)
         self._forget()
 
     def _forget(self) -> None:
@@ -83,6 +90,7 @@ class GripperController:
         """Go on with a model in which the gripper is what and where it was."""
         self._model = model
         self._actuators.rebind(model)
+        self._force.rebind(model)
 
     @property
     def faults(self) -> int:
@@ -114,6 +122,10 @@ class GripperController:
         found = [self._model.joint(name) for name in joints]
         return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
 
+    def reach(self, joint: str) -> tuple[float, float]:
+        """Return how far a joint can be brought [rad or m], infinite where nothing is known."""
+        return self._actuators.joint_range(self._model.joint(joint).id)
+
     def followers(self, joint: str) -> frozenset[str]:
         """Return the joints that follow a commanded joint because they are coupled to it."""
         group = self._actuators.couplings.group(self._model.joint(joint).id)
@@ -141,7 +153,10 @@ class GripperController:
 
     def reset(self, data: Any) -> None:
         """Abort all commands and hold the fingers where they are."""
-        self._end(Status.ABORTED, 'the simulation was reset')
+        reason = 'the simulation was reset'
+        self._end(Status.ABORTED, reason)
+        self.owner = CommandHandle(Status.ABORTED, reason)
+        self._force.set(0.0)
         self._forget()
         mujoco.mj_fwdPosition(self._model, data)
         self._goal = np.clip(self._actuators.place(data), *self._actuators.ranges.T)
@@ -152,7 +167,9 @@ class GripperController:
         """Take a command over; it takes effect with the next :meth:`tick`."""
         self._end(Status.REPLACED)
         self._running = command
+        self.owner = command.handle
         command.handle.status = Status.RUNNING
+        self._force.set(command.max_effort if isinstance(command, GripperGrasp) else 0.0)
         if isinstance(command, GripperAction):
             if not self._in_step:
                 # A joint command may still be under way.
@@ -162,9 +179,54 @@ class GripperController:
         elif isinstance(command, GripperSetpoint):
             self._action, self._in_step = None, False
             goal = self._actuators.rest(self._actuators.lengths_at(data, self._positions(command)))
-            self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=False)
-            self._pace[:] = np.inf
+            grasp = command if isinstance(command, GripperGrasp) else None
+            if grasp is not None:
+                goal = self._together(goal)
+            self._set_goal(np.where(np.isnan(goal), self._goal, goal), to_end=grasp is not None)
+            self._pace = self._pace_of(grasp, data)
         self._moving = True
+
+    def _together(self, goal: FloatArray) -> FloatArray:
+        """Let the servos without a goal (NaN) close as far as the first one that has one."""
+        low, high = self._actuators.ranges.T
+        closing = self._formatter.closing
+        first = int(np.flatnonzero(~np.isnan(goal))[0])
+        part = (goal[first] - low[first]) / (high[first] - low[first])
+        # Where it closes the other way, what is left of the way counts.
+        part = np.where(closing == closing[first], part, 1.0 - part)
+        follows = np.isnan(goal) & self._actuators.is_servo & (closing != 0.0)
+        return np.where(follows & (closing[first] != 0.0), low + part * (high - low), goal)
+
+    def _pace_of(self, grasp: GripperGrasp | None, data: Any) -> FloatArray:
+        """Return how fast setpoints may go so that a joint keeps to a velocity."""
+        if grasp is None or not grasp.max_velocity:
+            return np.full(len(self._goal), np.inf)
+        present = float(data.joint(grasp.joints[0]).qpos[0])
+        duration_s = abs(float(grasp.values[0]) - present) / grasp.max_velocity
+        return np.asarray(np.abs(self._goal - self._actuators.setpoints(data))
+                          / max(duration_s, self._timestep_s))
+
+    def withdraw(self, handle: CommandHandle, data: Any, reason: str) -> None:
+        """
+        Abort a command; if it was the last one, fingers that move stop, what presses goes on.
+
+        :param handle: of the command
+        :param reason: why, for the handle
+        """
+        handle.end(Status.ABORTED, reason)
+        if self.owner is not handle:
+            return
+        self._running, self.owner = None, CommandHandle(Status.ABORTED, reason)
+        if self._moving and not self._pressing.any():
+            self._action, self._in_step = None, False
+            self._set_goal(self._actuators.setpoints(data), to_end=False)
+
+    def is_still(self, data: Any) -> bool:
+        """Tell whether all fingers that can be commanded have stopped, or nearly so."""
+        low, high = self.joint_ranges(self.commanded_joints).T
+        span = np.where(np.isfinite(high - low), high - low, 1.0)
+        speed = np.array([data.joint(name).qvel[0] for name in self.commanded_joints])
+        return bool((np.abs(speed) < span / _STILL_S).all())
 
     def _positions(self, command: GripperSetpoint) -> dict[int, float]:
         """Return where the named joints shall go, and those that are coupled to them."""
@@ -182,8 +244,9 @@ class GripperController:
         low, high = self._actuators.ranges.T
         self._goal = np.clip(goal, low, high)
         ends = np.stack([self._goal - low, high - self._goal], axis=1) <= self._tolerance[:, None]
+        before = self._to_end
         self._to_end = ends & to_end & (self._actuators.overtravel > 0.0)
-        self._pressing &= self._to_end.any(axis=1)
+        self._pressing &= (before & self._to_end).any(axis=1)
         self._turned = True
 
     def tick(self, data: Any, duration_s: float) -> None:

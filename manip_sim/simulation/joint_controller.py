@@ -13,9 +13,11 @@ import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation.commands import (
-    BaseTwist, Command, JointSetpoint, JointTrajectory, MODES, Status, STOPPED,
+    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status, STOPPED,
     TrajectoryStop)
 from manip_sim.simulation.controlled_joints import ControlledJoints
+from manip_sim.simulation.numbers import clamp
+from manip_sim.simulation.ownership import JointOwners
 from manip_sim.simulation.parts import Part
 from manip_sim.typing import FloatArray, IntArray
 
@@ -44,6 +46,7 @@ class JointController(ControlledJoints):
         #: Each owns the joints of its indices; trajectories that start later own none yet.
         self._running: list[Command] = []
         self._waiting: list[JointTrajectory] = []
+        self._owners = JointOwners(len(self.names))
         self._timeout_s = dict.fromkeys(atomic, 0.0)
         self._last_command_s: dict[str, float] = {}
         self.timeouts = dict.fromkeys(atomic, 0)
@@ -119,6 +122,7 @@ class JointController(ControlledJoints):
 
     def _release(self, indices: IntArray, status: Status, reason: str = '') -> None:
         """Take joints from the commands that own or await them."""
+        self._owners.release(indices, reason)
         self._running = list(_without(self._running, indices, status, reason))
         self._waiting = list(_without(self._waiting, indices, status, reason))
 
@@ -146,6 +150,7 @@ class JointController(ControlledJoints):
             self._stop_trajectories(meant)
         else:
             self._release(meant.indices, Status.REPLACED)
+            self._owners.take(meant.indices, meant.handle)
             self._running.append(meant)
             if isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
@@ -180,7 +185,63 @@ class JointController(ControlledJoints):
             named = np.intersect1d(stop.indices, followed)
             self._release(named, *STOPPED)
             self._setpoints.set_velocity(named, np.zeros(len(named)))
+        self._owners.release(stop.indices, STOPPED[1])
         stop.handle.end(Status.DONE)
+
+    def withdraw(self, handle: CommandHandle, data: Any, reason: str) -> None:
+        """
+        Abort a command; joints that it was the last to take come to rest, and press no more.
+
+        They brake with their acceleration limits and stay where that brings them.
+
+        :param handle: of the command
+        :param reason: why, for the handle
+        """
+        own = self._owners.of(handle)
+        self._running = [command for command in self._running if command.handle is not handle]
+        self._waiting = [command for command in self._waiting if command.handle is not handle]
+        handle.end(Status.ABORTED, reason)
+        self._owners.release(own, reason)
+        velocity = data.qvel[self._servos.dofs[own]]
+        stop = data.qpos[self._servos.qpos[own]] + velocity * np.abs(velocity) / (
+            2.0 * self._servos.acceleration_limit[own])
+        self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
+
+    def rival(self, command: Command) -> CommandHandle | None:
+        """
+        Return what took joints from a command that has been applied, or None if it has them all.
+
+        A trajectory that starts later has its joints if no other trajectory took them.
+        """
+        for waiting in self._waiting:
+            if waiting.handle is command.handle:
+                return None if len(waiting.indices) == len(command.indices) else CommandHandle()
+        return self._owners.rival(command.handle, command.indices)
+
+    def awaits(self, handle: CommandHandle) -> bool:
+        """Tell whether a trajectory has been applied that starts later."""
+        return any(waiting.handle is handle for waiting in self._waiting)
+
+    def measured(self, indices: IntArray, data: Any) -> tuple[FloatArray, FloatArray]:
+        """Return position and velocity of joints, copies, each of shape (n,)."""
+        return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
+
+    def reference(self, handle: CommandHandle, now_s: float
+                  ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """
+        Return position, velocity and acceleration of a trajectory that runs, or None.
+
+        Unlike the setpoints, they do not wait for joints that are held up.
+
+        :param now_s: simulation time [s]
+        """
+        for command in self._running:
+            if command.handle is handle and isinstance(command, JointTrajectory):
+                position, velocity, acceleration = (
+                    values[command.columns]
+                    for values in command.trajectory.at(now_s - command.start_ns * 1e-9))
+                return position, velocity, acceleration
+        return None
 
     # ------------------------------------------------------------------ in the control loop
 
@@ -243,6 +304,7 @@ class JointController(ControlledJoints):
                 continue
             self._waiting.remove(command)
             self._release(command.indices, Status.REPLACED)
+            self._owners.take(command.indices, command.handle)
             own = command.own_trajectory()
             if own.trajectory.end_s <= now_s - start_s:
                 self._come_to(own.as_setpoint())

@@ -13,7 +13,7 @@ import numpy as np
 from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.command_parser import CommandParser
-from manip_sim.simulation.commands import Command, GripperAction, GripperSetpoint
+from manip_sim.simulation.commands import Command, GripperCommand
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
@@ -118,11 +118,23 @@ class SimulatedRobot:
             self._period_s = period_s
         now_s = self._now_ns() * 1e-9
         for command in commands:
-            if isinstance(command, (GripperAction, GripperSetpoint)):
+            if isinstance(command, GripperCommand):
                 (part,) = command.parts
                 self.grippers[part].apply(command, self._data)
             else:
                 self.joints.apply(command, self._data, now_s, self._period_s)
+
+    def withdraw(self, command: Command, reason: str) -> None:
+        """
+        Abort a command; what no newer command has taken comes to rest.
+
+        :param reason: why, for the command's handle
+        """
+        if isinstance(command, GripperCommand):
+            (part,) = command.parts
+            self.grippers[part].withdraw(command.handle, self._data, reason)
+        else:
+            self.joints.withdraw(command.handle, self._data, reason)
 
     def limits(self, part: str) -> FloatArray:
         """

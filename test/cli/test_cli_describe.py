@@ -165,6 +165,9 @@ def test_topics_and_parameters_are_those_of_the_parts(described):
             ('right/wrench', PUBLISHED), ('/clock', PUBLISHED)} <= topics
     assert ('base/cmd_vel', SUBSCRIBED) not in {
         (t['name'], t['direction']) for t in described()['topics']}
+    assert {action['name'] for action in found['actions']} == {
+        *(f'{part}/follow_joint_trajectory' for part in ('arm', 'right', 'base', 'torso')),
+        'right/gripper/gripper_cmd', 'right/gripper/parallel_gripper_cmd'}
     parameters = by_name(found['parameters'])
     assert parameters['control_mode.base']['value'] == 'velocity'
     assert parameters['robot']['value'] == 'PandaOmron'
@@ -184,7 +187,7 @@ def test_tables_hold_what_the_description_has(here):
     code, text, errors = here('describe', '--arena', 'table', '--arena-param', 'cube=true')
     assert (code, errors) == (0, '')
     for title in ('Models', 'Parts', 'Joints', 'Actuators', 'Sensors', 'Frames', 'Cameras',
-                  'Objects', 'Topics', 'Services', 'Parameters'):
+                  'Objects', 'Topics', 'Services', 'Actions', 'Parameters'):
         assert f'\n{title}' in text
     assert text.startswith('Panda0 in arena table, ')
     row = next(line for line in text.splitlines() if line.startswith('  robot0_joint4'))

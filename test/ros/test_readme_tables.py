@@ -11,6 +11,7 @@ import sys
 from rclpy.qos import QoSDurabilityPolicy
 
 from manip_sim.ros import transforms
+from manip_sim.interface.topics import ACTIONS
 
 README = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
 PARTS = ('arm', 'base', 'torso', 'head', 'legs')
@@ -47,7 +48,8 @@ def test_topics_are_documented_with_their_types(serve, client):
         for topics in (client.node.get_publisher_names_and_types_by_node(name, namespace),
                        client.node.get_subscriber_names_and_types_by_node(name, namespace)):
             found |= {(general(topic), kinds[0].replace('/msg/', '/'))
-                      for topic, kinds in topics if topic not in OF_ROS}
+                      for topic, kinds in topics
+                      if topic not in OF_ROS and '/_action/' not in topic}
     table = documented({'sensor_msgs', 'geometry_msgs', 'std_msgs', 'rosgraph_msgs',
                         'diagnostic_msgs', 'trajectory_msgs', 'nav_msgs', 'visualization_msgs'})
     frames = documented({'tf2_msgs'})
@@ -68,6 +70,10 @@ def test_services_are_documented_with_their_types(serve, client):
     found = {(general(name), kinds[0].replace('/srv/', '/')) for name, kinds in services
              if kinds[0].startswith('std_srvs')}
     assert found == documented({'std_srvs'})
+
+
+def test_actions_are_documented_with_their_types():
+    assert documented({'control_msgs'}) == {(action.name, action.type) for action in ACTIONS}
 
 
 def test_the_model_is_latched(serve, client):

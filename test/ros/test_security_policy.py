@@ -10,6 +10,7 @@ from harness import Served
 import pytest
 from rclpy.node import Node
 
+from manip_sim.interface.topics import actions_of
 from manip_sim.resources import config_path
 from manip_sim.ros import simulation_interfaces, transforms
 
@@ -40,7 +41,7 @@ def granted(enclave, kind, permission):
 @pytest.fixture(scope='module')
 def graph():
     """Return what the node publishes, subscribes to and serves, over several robots."""
-    names = {'publish': set(), 'subscribe': set(), 'reply': set()}
+    names = {'publish': set(), 'subscribe': set(), 'reply': set(), 'execute': set()}
     for robot in ROBOTS:
         served = Served({'robot': robot, 'arena': 'table'})
         try:
@@ -50,14 +51,18 @@ def graph():
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
                 names[permission] |= {re.sub('^/objects/.*', '/objects/*', name)
-                                      for name, _ in entities('manip_sim', '/')}
+                                      for name, _ in entities('manip_sim', '/')
+                                      if '/_action/' not in name}
+            # With or without control_msgs in this environment.
+            names['execute'] |= {f'/{action.name}' for action in actions_of(
+                served.node.simulation.robot.parts)}
         finally:
             served.close()
     return names
 
 
 @pytest.mark.parametrize('kind, permission', [
-    ('topic', 'publish'), ('topic', 'subscribe'), ('service', 'reply')])
+    ('topic', 'publish'), ('topic', 'subscribe'), ('service', 'reply'), ('action', 'execute')])
 def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
     allowed = granted('/manip_sim/sim_node', kind, permission)
     if kind == 'service':
@@ -80,5 +85,6 @@ def test_a_controller_may_command_and_observe_but_not_change_parameters():
     assert controller('topic', 'publish') == node('topic', 'subscribe') | {
         '/parameter_events', '/rosout'}
     assert controller('topic', 'subscribe') == node('topic', 'publish') - {'/rosout'}
+    assert controller('action', 'call') == node('action', 'execute')
     assert node('service', 'reply') - controller('service', 'request') == {
         '/manip_sim/set_parameters', '/manip_sim/set_parameters_atomically'}

@@ -24,6 +24,8 @@ from simulation_interfaces.srv import (  # noqa: E402
     DeleteEntity, GetEntities, GetEntityState, GetSimulationState, GetSimulatorFeatures,
     ResetSimulation, SetEntityState, SetSimulationState, SpawnEntity, StepSimulation)
 
+from manip_sim.ros import standard_codes as codes  # noqa: E402
+
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STOPPED, PLAYING, PAUSED = (
     SimulationState.STATE_STOPPED, SimulationState.STATE_PLAYING, SimulationState.STATE_PAUSED)
@@ -93,6 +95,17 @@ def numbers(message):
 
 def nanoseconds(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
+
+
+@pytest.mark.parametrize(('ours', 'theirs'), [
+    (codes.ResultCode, Result), (codes.SetStateCode, SetSimulationState.Response),
+    (codes.SetEntityCode, SetEntityState.Response), (codes.SpawnCode, SpawnEntity.Response),
+    (codes.State, SimulationState), (codes.Scope, ResetSimulation.Request),
+    (codes.Category, EntityCategory), (codes.BoundsType, Bounds),
+    (codes.Feature, SimulatorFeatures)], ids=lambda kind: kind.__name__)
+def test_the_numbers_are_those_of_the_package(ours, theirs):
+    assert {code.name: code.value for code in ours} == {
+        code.name: getattr(theirs, code.name) for code in ours}
 
 
 def test_the_features_are_those_that_work(serve, client):
@@ -461,7 +474,7 @@ def test_names_are_unique_or_made_so(serve, client):
 
 @pytest.mark.parametrize(('arguments', 'code', 'what'), [
     ({'text': ''}, Code.NO_RESOURCE, 'give a file'),
-    ({'text': '<mujoco'}, Code.RESOURCE_PARSE_ERROR, 'MJCF'),
+    ({'text': '<mujoco'}, Code.RESOURCE_PARSE_ERROR, 'is not well-formed XML'),
     ({'text': '{shape: sfere, size: 1.0}'}, Code.RESOURCE_PARSE_ERROR, 'sphere'),
     ({'uri': 'http://example.org/a.xml'}, Code.UNSUPPORTED_FORMAT, 'only paths and file://'),
     ({'uri': 'a.usd'}, Code.UNSUPPORTED_FORMAT, 'only MJCF'),

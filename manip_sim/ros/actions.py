@@ -1,0 +1,131 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The actions of the package control_msgs, where it is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+import contextlib
+import queue
+import threading
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from manip_sim.errors import SimulationEnded
+from manip_sim.ros.action_messages import (
+    ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
+from manip_sim.ros.commands import CommandSubscribers
+from manip_sim.ros.control_messages import ActionTypes, load_action_types
+from manip_sim.ros.goal_server import GoalServer
+from manip_sim.ros.log import RejectionLog
+from manip_sim.runtime import SimulationThread
+from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation.goals import Goal
+
+#: How often clients are told how their goals are doing, wall time [s].
+_FEEDBACK_S = 0.05
+#: How long the end of the node waits for clients to be told, wall time [s].
+_END_S = 1.0
+
+
+class Actions:
+    """
+    The action servers of all robots.
+
+    :param node: the node
+    :param offered: what the messages of each action mean, and what counts its goals
+    :param thread: runs the simulation
+    :param log: counts and tells what is rejected
+    :ivar tracker: watches the goals
+    """
+
+    def __init__(self, node: Node, offered: Iterable[tuple[ActionMessages, CommandSubscribers]],
+                 thread: SimulationThread, log: RejectionLog) -> None:
+        self._node = node
+        self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
+        self._guard = node.create_guard_condition(self._tell_ends)
+        self.tracker = GoalTracker(thread, self._has_ended)
+        # It runs while there are goals.
+        self._timer = node.create_timer(_FEEDBACK_S, self._tell_feedback,
+                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._servers = [
+            GoalServer(node, messages, commands, self.tracker, log, self._timer.reset)
+            for messages, commands in offered]
+
+    def _has_ended(self, goal: Goal) -> None:
+        """Hand a goal over from the simulation's thread to the executor's."""
+        self._ended.put(goal)
+        self._guard.trigger()
+
+    def _tell_ends(self) -> None:
+        while not self._ended.empty():
+            goal = self._ended.get()
+            any(server.tell_end(goal) for server in self._servers)
+
+    def _tell_feedback(self) -> None:
+        if not self.tracker.goals:
+            self._timer.cancel()
+        for server in self._servers:
+            server.tell_feedback()
+
+    def end(self) -> None:
+        """Abort all goals, and wait until their clients were told; the executor must still run."""
+        with contextlib.suppress(SimulationEnded):
+            if not self.tracker.goals:
+                return
+            self.tracker.abort_all('the node is ending')
+        told = threading.Event()
+        executor = self._node.executor
+
+        def after(rounds: int) -> None:
+            # Ends, results and their answers each take a round of the executor.
+            if rounds:
+                executor.create_task(after, rounds - 1)
+            else:
+                told.set()
+        executor.create_task(after, 5)
+        told.wait(_END_S)
+
+
+def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], int]
+                ) -> Iterator[ActionMessages]:
+    """
+    Return the actions that there are for a robot.
+
+    :param types: of the actions
+    :param now_ns: tells the simulation time [ns]
+    """
+    for name, part in robot.parts.items():
+        if part.gripper is None:
+            if part.actuators:
+                yield TrajectoryMessages(types.follow_joint_trajectory, robot, name, now_ns)
+        elif robot.grippers[name].commanded_joints:
+            yield GripperMessages(types.gripper_command, robot, name, now_ns)
+            if types.parallel_gripper_command is not None:
+                yield ParallelGripperMessages(types.parallel_gripper_command, robot, name, now_ns)
+
+
+def offer_actions(node: Node, commands: Sequence[CommandSubscribers], thread: SimulationThread,
+                  log: RejectionLog) -> Actions | None:
+    """
+    Offer the actions if the package control_msgs is installed, else say that they are missing.
+
+    :param node: the node
+    :param commands: of each robot
+    :param thread: runs the simulation
+    :param log: counts and tells what is rejected
+    """
+    types = load_action_types()
+    if types is None:
+        node.get_logger().info('no actions: the package control_msgs is not installed '
+                               '(ros-jazzy-control-msgs)')
+        return None
+
+    def now_ns() -> int:
+        return thread.progress.time_ns
+    return Actions(node, [(messages, of_robot) for of_robot in commands
+                          for messages in messages_of(types, of_robot.robot, now_ns)],
+                   thread, log)

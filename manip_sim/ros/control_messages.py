@@ -1,0 +1,34 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The action types of the package control_msgs, where it is installed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class ActionTypes:
+    """
+    Types with ``Goal``, ``Feedback`` and ``Result``, as of ``control_msgs.action``.
+
+    :ivar parallel_gripper_command: None in versions of the package that are older than it
+    """
+
+    follow_joint_trajectory: Any
+    gripper_command: Any
+    parallel_gripper_command: Any = None
+
+
+def load_action_types() -> ActionTypes | None:
+    """Return the types of the package, or None if it is not installed."""
+    try:
+        from control_msgs import action
+    except ModuleNotFoundError as missing:
+        if str(missing.name).split('.')[0] != 'control_msgs':
+            raise
+        return None
+    return ActionTypes(action.FollowJointTrajectory, action.GripperCommand,
+                       getattr(action, 'ParallelGripperCommand', None))

@@ -1,0 +1,96 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Numbers of the package ``simulation_interfaces``, the same in its versions 1 and 2.
+
+They are written down here so that the handlers need no types of the package, which may be absent;
+a test compares them to those of the package where that is installed.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ResultCode(IntEnum):
+    """Constants of the message ``Result``."""
+
+    RESULT_FEATURE_UNSUPPORTED = 0
+    RESULT_OK = 1
+    RESULT_NOT_FOUND = 2
+    RESULT_INCORRECT_STATE = 3
+    RESULT_OPERATION_FAILED = 4
+
+
+class SetStateCode(IntEnum):
+    """Constants of the response of ``SetSimulationState``."""
+
+    ALREADY_IN_TARGET_STATE = 101
+    STATE_TRANSITION_ERROR = 102
+
+
+class SetEntityCode(IntEnum):
+    """Constants of the response of ``SetEntityState``."""
+
+    INVALID_POSE = 101
+
+
+class SpawnCode(IntEnum):
+    """Constants of the response of ``SpawnEntity``."""
+
+    NAME_NOT_UNIQUE = 101
+    NAME_INVALID = 102
+    UNSUPPORTED_FORMAT = 103
+    NO_RESOURCE = 104
+    NAMESPACE_INVALID = 105
+    RESOURCE_PARSE_ERROR = 106
+    INVALID_POSE = 109
+
+
+class State(IntEnum):
+    """Constants of the message ``SimulationState``."""
+
+    STATE_STOPPED = 0
+    STATE_PLAYING = 1
+    STATE_PAUSED = 2
+
+
+class Scope(IntEnum):
+    """Constants of the request of ``ResetSimulation``."""
+
+    SCOPE_DEFAULT = 0
+    SCOPE_TIME = 1
+    SCOPE_STATE = 2
+    SCOPE_ALL = 255
+
+
+class Category(IntEnum):
+    """Constants of the message ``EntityCategory``."""
+
+    CATEGORY_OBJECT = 0
+    CATEGORY_ROBOT = 1
+
+
+class BoundsType(IntEnum):
+    """Constants of the message ``Bounds``."""
+
+    TYPE_EMPTY = 0
+
+
+class Feature(IntEnum):
+    """Those constants of the message ``SimulatorFeatures`` that work here."""
+
+    SPAWNING = 0
+    DELETING = 1
+    ENTITY_CATEGORIES = 8
+    SPAWNING_RESOURCE_STRING = 9
+    ENTITY_STATE_GETTING = 10
+    ENTITY_STATE_SETTING = 11
+    SIMULATION_RESET = 20
+    SIMULATION_RESET_STATE = 22
+    SIMULATION_STATE_GETTING = 24
+    SIMULATION_STATE_SETTING = 25
+    SIMULATION_STATE_PAUSE = 26
+    STEP_SIMULATION_SINGLE = 31
+    STEP_SIMULATION_MULTIPLE = 32

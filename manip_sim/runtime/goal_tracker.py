@@ -1,0 +1,89 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Watch the goals of actions in the simulation's thread, and tell how each has ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import threading
+
+from manip_sim.errors import SimulationEnded
+from manip_sim.runtime.simulation_thread import SimulationThread
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.goals import Goal
+
+
+class GoalTracker:
+    """
+    Goals that have not ended.
+
+    In lock-step each counts as the command of its parts until it has ended, so that whoever waits
+    for its end does not have to command them.
+
+    :param thread: runs the simulation; any number of trackers may observe it
+    :param ended: is called in the simulation's thread, with each goal that has ended
+    """
+
+    def __init__(self, thread: SimulationThread, ended: Callable[[Goal], None]) -> None:
+        self._thread = thread
+        self._ended = ended
+        self._lock = threading.Lock()
+        self._goals: tuple[Goal, ...] = ()
+        thread.observe(self.observe)
+        thread.keep_busy(self.busy_parts)
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals that have not ended, oldest first."""
+        return self._goals
+
+    def busy_parts(self, robot: str) -> frozenset[str]:
+        """Return the atomic parts of a robot that goals command."""
+        return frozenset().union(*(goal.busy_parts for goal in self._goals
+                                   if goal.robot.name == robot))
+
+    def start(self, goal: Goal) -> None:
+        """Submit the command of a goal and watch it from now on."""
+        with self._lock:
+            self._goals = (*self._goals, goal)
+        self._thread.submit([goal.command], robot=goal.robot.name)
+
+    def cancel(self, goal: Goal) -> bool:
+        """
+        End a goal because its client wants so.
+
+        :returns: whether it had not ended before
+        """
+        try:
+            return self._thread.call(lambda: self._change(goal, goal.cancel))
+        except SimulationEnded:
+            return False
+
+    def abort_all(self, reason: str) -> None:
+        """End all goals without success."""
+        def abort() -> None:
+            for goal in self._goals:
+                goal.abort(reason)
+            self._sweep()
+        self._thread.call(abort)
+
+    def _change(self, goal: Goal, change: Callable[[], bool]) -> bool:
+        changed = change()
+        self._sweep()
+        return changed
+
+    def observe(self, simulation: Simulation) -> None:
+        """See which goals have ended; called in the simulation's thread."""
+        if self._goals:
+            for goal in self._goals:
+                goal.check(simulation)
+            self._sweep()
+
+    def _sweep(self) -> None:
+        with self._lock:
+            ended = [goal for goal in self._goals if goal.outcome is not None]
+            if ended:
+                self._goals = tuple(goal for goal in self._goals if goal.outcome is None)
+        for goal in ended:
+            self._ended(goal)

@@ -1,0 +1,57 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Limit the force of a gripper's actuators for one command, and take the limit off again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from manip_sim.simulation.gripper_actuators import GripperActuators
+
+
+class ForceLimit:
+    """
+    The force limits of a gripper's actuators in the model.
+
+    :param model: the compiled ``mujoco.MjModel``; its ``actuator_forcerange`` is changed
+    :param actuators: of the gripper
+    """
+
+    def __init__(self, model: Any, actuators: GripperActuators) -> None:
+        self._model = model
+        self._actuators = actuators
+        ids = actuators.ids
+        self._limited = model.actuator_forcelimited[ids].copy()
+        # A range that does not count may be empty.
+        endless = np.array([-np.inf, np.inf])
+        self._ranges = np.where(self._limited[:, None] != 0, model.actuator_forcerange[ids],
+                                endless)
+        self._per_effort = np.array([
+            model.actuator_gear[actuator, 0] * (terms[0][1] if terms else 1.0)
+            for actuator, terms in zip(ids, actuators.terms)])
+        self._effort = 0.0
+
+    def rebind(self, model: Any) -> None:
+        """Go on with a model that has the present limits."""
+        self._model = model
+
+    def set(self, effort: float) -> None:
+        """
+        Limit the force of each actuator so that it gives its first joint no more than an effort.
+
+        :param effort: [N or N m]; 0 is the actuators' own limits
+        """
+        if effort == self._effort:
+            return
+        self._effort, ids = effort, self._actuators.ids
+        if effort:
+            most = (effort / np.abs(self._per_effort))[:, None]
+            self._model.actuator_forcerange[ids] = np.clip(self._ranges, -most, most)
+            self._model.actuator_forcelimited[ids] = 1
+        else:
+            self._model.actuator_forcerange[ids] = np.where(
+                np.isfinite(self._ranges), self._ranges, 0.0)
+            self._model.actuator_forcelimited[ids] = self._limited

@@ -1,0 +1,128 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Goals of GripperCommand and ParallelGripperCommand: reached, or stopped by what is held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from manip_sim.errors import CommandError
+from manip_sim.simulation.command_parser import check_names
+from manip_sim.simulation.commands import CommandHandle, GripperGrasp, Status
+from manip_sim.simulation.goals import Goal, GoalCode, GoalError
+from manip_sim.simulation.numbers import clamp
+from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.simulation import Simulation
+
+#: A goal is reached if the joint is nearer than this part of its range; 0.8 mm of a Panda's.
+_REACHED = 0.02
+#: The same for a joint without a range [rad or m].
+_REACHED_ENDLESS = 0.01
+#: A gripper has stalled when its fingers have stood still for so long, simulation time [ns].
+_STALL_NS = 250_000_000
+
+
+@dataclass(frozen=True)
+class GripperRequest:
+    """
+    What a client asks for.
+
+    :ivar position: of the joint [rad or m]
+    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 is their own limit
+    :ivar max_velocity: of the joint [rad/s or m/s]; 0 is its own limit
+    :ivar joint: whose position it is; empty is the first driven joint
+    """
+
+    position: float
+    max_effort: float = 0.0
+    max_velocity: float = 0.0
+    joint: str = ''
+
+
+@dataclass(frozen=True)
+class GripperView:
+    """
+    Where a gripper is.
+
+    :ivar time_ns: simulation time [ns]
+    :ivar joint: that is told of
+    :ivar position: [rad or m]
+    :ivar velocity: [rad/s or m/s]
+    :ivar effort: of the actuators at the joint [N or N m]
+    :ivar reached: whether the joint is where it shall be
+    :ivar stalled: whether the fingers were stopped on their way
+    """
+
+    time_ns: int
+    joint: str
+    position: float
+    velocity: float
+    effort: float
+    reached: bool = False
+    stalled: bool = False
+
+
+class GripperGoal(Goal):
+    """
+    A position of a gripper; what it holds may stop it before, and that is a success too.
+
+    :param robot: that has the gripper
+    :param part: the gripper
+    :param request: what the client asks for
+    :raises GoalError: if it cannot be met
+    """
+
+    view: GripperView | None
+
+    def __init__(self, robot: SimulatedRobot, part: str, request: GripperRequest) -> None:
+        gripper = robot.grippers[part]
+        joint = request.joint or gripper.commanded_joints[0]
+        try:
+            check_names([joint], gripper.commanded_joints, part)
+        except CommandError as error:
+            raise GoalError(GoalCode.INVALID_JOINTS, str(error)) from error
+        for name in ('position', 'max_effort', 'max_velocity'):
+            value = getattr(request, name)
+            if not math.isfinite(value) or (value < 0.0 and name != 'position'):
+                raise GoalError(GoalCode.INVALID_GOAL, f'{part}: {name} must be finite'
+                                f'{"" if name == "position" else " and not negative"}, got '
+                                f'{value:g}')
+        low, high = gripper.reach(joint)
+        values, clamped = clamp(np.array([request.position]), np.array([[low, high]]))
+        super().__init__(robot, GripperGrasp(
+            parts=frozenset([part]), indices=gripper.indices, joints=(joint,), values=values,
+            clamped=clamped, max_effort=request.max_effort, max_velocity=request.max_velocity))
+        self._gripper = gripper
+        self._joint, self._position = joint, float(values[0])
+        span = high - low
+        self._near = _REACHED * span if math.isfinite(span) else _REACHED_ENDLESS
+        self._still_since_ns: int | None = None
+
+    def _rival(self) -> CommandHandle | None:
+        owner = self._gripper.owner
+        return None if owner is self.command.handle else owner
+
+    def _look(self, simulation: Simulation) -> None:
+        joint, time_ns = simulation.data.joint(self._joint), simulation.time_ns
+        position = float(joint.qpos[0])
+        if not self._gripper.is_still(simulation.data):
+            self._still_since_ns = None
+        elif self._still_since_ns is None:
+            self._still_since_ns = time_ns
+        reached = abs(position - self._position) < self._near
+        stalled = (not reached and self.command.handle.status is Status.DONE
+                   and self._still_since_ns is not None
+                   and time_ns - self._still_since_ns >= _STALL_NS)
+        self.view = GripperView(time_ns, self._joint, position, float(joint.qvel[0]),
+                                float(joint.qfrc_actuator[0]), reached, stalled)
+
+    def _judge(self, simulation: Simulation) -> None:
+        assert self.view is not None
+        if self.view.reached:
+            self._succeed('the goal is reached')
+        elif self.view.stalled:
+            self._succeed('the fingers were stopped on their way')

@@ -1,0 +1,158 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Goals of actions in the simulation's thread: how they start and end, also in lock-step."""
+
+from queue import Empty, SimpleQueue
+import time
+
+import pytest
+
+from manip_sim.models import compose, World
+from manip_sim.models.robots import Panda, UR5e
+from manip_sim.runtime import SimulationThread
+from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Status
+from manip_sim.simulation.goals import Ending
+from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.simulation.tolerances import JointTolerance
+from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
+
+J1 = 'robot0_joint1'
+
+
+class Runner:
+    """A thread that runs a simulation, and a tracker whose ends are collected."""
+
+    def __init__(self, world, **arguments):
+        self.simulation = Simulation(world)
+        self.thread = SimulationThread(self.simulation, steps=5, **arguments)
+        self.ended = SimpleQueue()
+        self.tracker = GoalTracker(self.thread, self.ended.put)
+        self.thread.start()
+
+    def start(self, position=0.3, seconds=0.5, robot=None, joint=J1, **more):
+        robot = robot or self.simulation.robot
+        goal = TrajectoryGoal(robot, 'arm', TrajectoryRequest(
+            [joint], [seconds], [[position]], **more), self.thread.progress.time_ns)
+        self.tracker.start(goal)
+        return goal
+
+    def next_end(self):
+        return self.ended.get(timeout=20.0)
+
+
+@pytest.fixture
+def runner():
+    """Return a function that starts a runner, which is ended after the test."""
+    started = []
+
+    def start(world=None, **arguments):
+        started.append(Runner(world or compose('Panda'), **{'stepping': 'free', **arguments}))
+        return started[-1]
+    yield start
+    for running in started:
+        running.thread.stop()
+        assert running.thread.error is None
+
+
+def test_goal_runs_to_its_end_and_is_forgotten(runner):
+    running = runner()
+    goal = running.start()
+    assert running.next_end() is goal
+    assert goal.outcome.ending is Ending.SUCCEEDED
+    assert running.tracker.goals == ()
+
+
+def test_cancelled_goal_ends_at_once_also_while_paused_and_once_only(runner):
+    running = runner(paused=True)
+    goal = running.start()
+    assert running.tracker.goals == (goal,)
+    assert running.tracker.cancel(goal)
+    assert running.next_end() is goal and goal.outcome.ending is Ending.CANCELED
+    assert not running.tracker.cancel(goal)
+    # Its command still waits for the next control period, which must leave it out.
+    where = running.simulation.data.joint(J1).qpos[0]
+    for _ in range(30):
+        running.thread.step()
+    assert running.simulation.data.joint(J1).qpos[0] == pytest.approx(where, abs=1e-9)
+    assert goal.command.handle.status is Status.ABORTED
+
+
+def test_goal_whose_command_still_waits_is_ended_by_a_reset(runner):
+    running = runner(paused=True)
+    goal = running.start()
+    running.thread.reset()
+    assert running.next_end() is goal
+    assert (goal.outcome.ending, goal.outcome.reason) == (
+        Ending.ABORTED, 'the simulation was reset')
+
+
+def test_older_goal_is_told_before_the_newer_one_ends(runner):
+    running = runner()
+    older, newer = running.start(seconds=50.0), running.start()
+    assert [running.next_end(), running.next_end()] == [older, newer]
+    assert older.outcome.ending is Ending.ABORTED and newer.outcome.ending is Ending.SUCCEEDED
+
+
+def test_all_goals_can_be_aborted_with_a_reason(runner):
+    running = runner(paused=True)
+    goals = [running.start(), GripperGoal(running.simulation.robot, 'right/gripper',
+                                          GripperRequest(0.0))]
+    running.tracker.start(goals[1])
+    running.tracker.abort_all('the node is ending')
+    assert [running.next_end(), running.next_end()] == goals
+    assert {goal.outcome.reason for goal in goals} == {'the node is ending'}
+    assert running.tracker.goals == ()
+
+
+def test_cancel_after_the_end_of_the_simulation_is_refused(runner):
+    running = runner(paused=True)
+    goal = running.start()
+    running.thread.stop()
+    assert not running.tracker.cancel(goal)
+
+
+def test_lockstep_goes_on_until_a_goal_has_ended_though_its_trajectory_is_over(runner):
+    running = runner(stepping='lockstep', lockstep_parts={'robot0': ['arm']})
+
+    # A torque holds the joint away from its goal for a while after the trajectory.
+    simulation = running.simulation
+
+    def hold(_):
+        simulation.data.qfrc_applied[0] = -20.0 if simulation.time_s < 1.0 else 0.0
+    running.thread.observe(hold)
+    goal = running.start(goal_tolerance=[JointTolerance(J1, 1e-3)])
+    assert running.next_end() is goal and goal.outcome.ending is Ending.SUCCEEDED
+    end_ns = simulation.time_ns
+    assert end_ns > 1_000_000_000
+    # Now it waits for commands again.
+    with pytest.raises(Empty):
+        running.ended.get(timeout=0.3)
+    assert simulation.time_ns == end_ns == goal.view.time_ns
+
+
+def test_lockstep_gives_the_same_end_in_every_run(runner):
+    def end():
+        running = runner(stepping='lockstep', lockstep_parts={'robot0': ['arm']})
+        goal = running.start(position=0.7)
+        running.next_end()
+        return goal.view.time_ns, goal.view.position.tobytes()
+    assert len({end() for _ in range(3)}) == 1
+
+
+def test_goal_of_one_robot_does_not_answer_for_another(runner):
+    world = World([Panda(idn=0), UR5e(idn=1)])
+    running = runner(world, stepping='lockstep',
+                     lockstep_parts={'robot0': ['arm'], 'robot1': ['arm']})
+    first, second = running.simulation.robots.values()
+    goal = running.start(robot=first)
+    assert running.tracker.busy_parts('robot0') == {'arm'}
+    assert running.tracker.busy_parts('robot1') == frozenset()
+    time.sleep(0.2)
+    assert goal.outcome is None and goal.command.handle.status is Status.WAITING
+    joint = second.joints.names[0]
+    running.start(robot=second, joint=joint, position=0.1, seconds=5.0)
+    assert running.next_end() is goal
+    assert goal.outcome.ending is Ending.SUCCEEDED
