@@ -159,7 +159,7 @@ def holds(simulation: Simulation) -> tuple[bool, str]:
         moved = np.abs(simulation.robot.state().position - start)
         if moved.max(initial=0.0) > worst:
             worst = float(moved.max())
-            where = f'{simulation.joint_names[int(moved.argmax())]} moves {worst:.3g}'
+            where = f'{simulation.robot.joint_names[int(moved.argmax())]} moves {worst:.3g}'
     return worst < HELD and simulation.diverged is None, simulation.diverged or where
 
 
@@ -167,7 +167,7 @@ def follows(simulation: Simulation, part: str, mode: str) -> tuple[bool, str]:
     """Return whether the joints of a part follow a sine, and which one is worst."""
     simulation.reset()
     names = [joint for joint in simulation.robot.parts[part].driven_joints if joint]
-    index = [simulation.joint_names.index(name) for name in names]
+    index = [simulation.robot.joint_names.index(name) for name in names]
     start = simulation.robot.state().position[index]
     middle, swing = _room(simulation.model, names, start)
     run_to(simulation, part, names, start, middle)
@@ -315,7 +315,7 @@ def check(kind: str, file: Path) -> dict[str, Any]:
         row['reason'].append(str(error)[:160])
         return row
     row['loads'] = True
-    robot = simulation.robot
+    robot = simulation.robot.robot_model
     prefix = robot.naming_prefix if kind == 'robot' else 'gripper0_right_'
     changed = differences(original, simulation.model, prefix, robot.root_body)
     row['same'] = not changed

@@ -84,6 +84,7 @@ def _add_list(commands: Any) -> None:
         example='example: manip_sim list grippers')
     parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
                         help=f'{", ".join(KINDS[:-1])} or {KINDS[-1]} (default: all)')
+    parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
 
 
 def _add_describe(commands: Any) -> None:
