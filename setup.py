@@ -48,6 +48,7 @@ setup(
             f'sim_node = {PACKAGE}.__main__:main',
             f'manip_sim = {PACKAGE}.cli.main:run',
             f'pick_cube = {PACKAGE}.examples.pick_cube:main',
+            f'hand_over = {PACKAGE}.examples.hand_over:main',
         ],
     },
 )

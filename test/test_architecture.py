@@ -19,7 +19,7 @@ MAY_IMPORT = {
     'runtime': ({'models', 'simulation', 'runtime'}, PURE),
     'cli': ({'cli', 'interface', 'models', 'simulation'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models'}, PURE | {'PIL'}),
-    'interface.py': (set(), set()),
+    'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
 TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if ending not in ('.xml', *_ARCHIVES):
         raise ManipSimError(f'{file}: the name must end with .xml, .mjz or .zip')
     check_folder(file)
-    world = compose_from(options)
+    world = compose_from(options).composition.world
     if ending == '.xml':
         xml = world.to_xml()
         write_whole(file, lambda path: path.write_text(xml, encoding='utf-8'))

@@ -15,13 +15,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.interface.parameters import (
-    MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
+from manip_sim.interface.composition import compose_world, declare_parts
 from manip_sim.interface.scope import Scope
-from manip_sim.models import set_model_path, World
+from manip_sim.models import World
 from manip_sim.ros.actions import offer_actions
 from manip_sim.ros.commands import CommandSubscribers
-from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
@@ -63,20 +61,16 @@ class SimNode(Node):
         check_qos_values(self)
         self._declared = Parameters(self)
         value = self._declared.value
-        self._declared.declare([MODEL_PATH])
-        set_model_path(folder for folder in value(MODEL_PATH.name) if folder)
-        self._declared.declare(node_parameters())
-        steps = steps_per_period(value('publish_rate'), value('timestep'))
-        scopes, world = compose_world(self._declared)
+        composition = compose_world(self._declared)
+        world = composition.world
         self.simulation = Simulation(world)
-        self._robots = dict(zip(scopes, self.simulation.robots.values()))
-        for scope, robot in self._robots.items():
-            self._declare_parts(scope, robot)
+        self._robots = dict(zip(composition.scopes, self.simulation.robots.values()))
+        declare_parts(self._declared, [(scope, r.parts) for scope, r in self._robots.items()])
         self._declared.check_names()
         for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
         self.thread = SimulationThread(
-            self.simulation, steps, value('stepping'), value('real_time_factor'),
+            self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self._robots.items()},
             value('start_paused'), self._tell_failure)
@@ -115,11 +109,6 @@ class SimNode(Node):
     @staticmethod
     def _models(world: World) -> list[Any]:
         return [world.arena, *world.robots, *(m for robot in world.robots for m in robot.models)]
-
-    def _declare_parts(self, scope: Scope, robot: SimulatedRobot) -> None:
-        self._declared.declare(robot_parameters(scope, [
-            name for name, part in robot.parts.items()
-            if part.gripper is None and part.actuators]))
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
         value = self._declared.value

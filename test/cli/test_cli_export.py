@@ -64,7 +64,7 @@ def test_a_folder_that_cannot_be_written_to_is_told(refused, tmp_path):
 
 def test_a_wrong_name_leaves_an_older_file_as_it_is(refused, tmp_path):
     (tmp_path / 'out.xml').write_text('old')
-    assert 'unknown robot' in refused('export', tmp_path / 'out.xml', '--robot', 'Pnda')
+    assert "unknown value 'Pnda'" in refused('export', tmp_path / 'out.xml', '--robot', 'Pnda')
     assert (tmp_path / 'out.xml').read_text() == 'old'
 
 

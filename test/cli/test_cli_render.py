@@ -85,7 +85,7 @@ def test_a_camera_of_the_robot_sees_the_table_below_the_hand(rendered):
 @pytest.mark.parametrize(('arguments', 'what'), [
     (('picture.gif',), 'picture.gif: the name must end with .png or .jpg'),
     (('lost/picture.png',), 'no such folder: lost'),
-    (('picture.png', '--robot', 'Pnda'), "unknown robot 'Pnda'"),
+    (('picture.png', '--robot', 'Pnda'), "unknown value 'Pnda'"),
     (('picture.png', '--robot', 'none', '--gripper', 'Pnda'), "unknown gripper 'Pnda'"),
     (('picture.png', '--robot', 'none', '--gripper', 'none'), "unknown gripper 'none'"),
     (('picture.png', '--robot', 'none', '--base', 'NullMount'),
