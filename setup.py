@@ -34,8 +34,8 @@ setup(
     extras_require={
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
-        'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pydocstyle',
-                 'pytest', 'pytest-timeout', 'ruff'],
+        'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pin',
+                 'pydocstyle', 'pytest', 'pytest-timeout', 'ruff', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer='manip_sim maintainers',

@@ -112,6 +112,8 @@ def node_parameters() -> list[ParameterSpec]:
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
         ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
                       'links and grippers; it counts as effort and against the torque limits.'),
+        ParameterSpec('ros2_control_tag', False, 'Write into robot_description what lets '
+                      'ros2_control command this node: joint_state_topic_hardware_interface.'),
         ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
                       'domain but one.'),
     ]

@@ -90,6 +90,7 @@ TOPICS = (
           'a free body in world', 'object'),
     Topic('objects/<name>/twist', 'geometry_msgs/TwistStamped', PUBLISHED,
           'velocity of a free body, in the axes of world', 'object'),
+    Topic('robot_description', 'std_msgs/String', PUBLISHED, 'URDF of the robot, latched'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
