@@ -21,7 +21,11 @@ _ARCHIVES = ('.mjz', '.zip')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the file; tell its size, and what it cannot hold."""
+    """Write the file or the package; tell its size, and what it cannot hold."""
+    if options.moveit is not None:
+        from manip_sim.moveit import write_package
+        folder: Path = options.moveit
+        return '\n'.join([f'{folder}', *write_package(compose_from(options), folder)]), 0
     file: Path = options.file
     ending = file.suffix.lower()
     if ending not in ('.xml', '.urdf', *_ARCHIVES):

@@ -56,9 +56,11 @@ def _conflict(options: argparse.Namespace) -> str | None:
     if options.command == 'check' and options.file is not None and any(
             getattr(options, name) is not None for name in COMPOSITION):
         return 'check either a FILE or a composition, not both'
-    if (options.command == 'export' and options.ros2_control
-            and options.file.suffix.lower() != '.urdf'):
-        return '--ros2-control is for a .urdf'
+    if options.command == 'export':
+        if (options.file is None) == (options.moveit is None):
+            return 'give either a FILE or --moveit DIR'
+        if options.ros2_control and (options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--ros2-control is for a .urdf'
     if options.command != 'render':
         return None
     if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
@@ -103,11 +105,15 @@ def _add_export(commands: Any) -> None:
         commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
         'The name\nof the file tells the format: .xml is MJCF that refers to mesh files where '
         "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them, .urdf is the robot with "
-        'base and grippers.',
+        'base and grippers.\nWith --moveit it is a package for MoveIt 2: URDF, SRDF, limits, '
+        'controllers, launch file.',
         'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
-        '          manip_sim export panda.urdf --robot Panda --prefix left_')
-    parser.add_argument('file', type=Path, metavar='FILE',
+        '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
+        '          manip_sim export --moveit panda_moveit_config --robot Panda')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
                         help='out.xml, out.mjz, out.zip or out.urdf')
+    parser.add_argument('--moveit', type=Path, metavar='DIR',
+                        help='a new folder for the package, which has its name')
     parser.add_argument('--ros2-control', action='store_true',
                         help='in a .urdf: what lets ros2_control command the node, as '
                         'config/topic_based_ros2_control.yaml tells')

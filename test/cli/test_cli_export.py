@@ -66,9 +66,26 @@ def test_a_urdf_for_ros2_control_has_the_default_control_modes(here, tmp_path):
         assert f'<param name="{name}">{topic}</param>' in config
 
 
-def test_ros2_control_is_for_urdf(refused, tmp_path):
-    assert '--ros2-control is for a .urdf' in refused('export', tmp_path / 'out.xml',
-                                                      '--ros2-control', code=2)
+@pytest.mark.parametrize(('arguments', 'what'), [
+    (['out.xml', '--ros2-control'], '--ros2-control is for a .urdf'),
+    (['--moveit', 'config', '--ros2-control'], '--ros2-control is for a .urdf'),
+    (['out.xml', '--moveit', 'config'], 'give either a FILE or --moveit DIR'),
+    ([], 'give either a FILE or --moveit DIR')])
+def test_options_that_do_not_go_together_are_told(arguments, what, refused):
+    assert what in refused('export', *arguments, code=2)
+
+
+def test_a_package_for_moveit_is_that_of_the_composition(here, tmp_path):
+    code, text, errors = here('export', '--moveit', tmp_path / 'ur5e_moveit_config', '--robot',
+                              'UR5e', '--gripper', 'none', '--prefix', 'left_')
+    assert (code, errors, text) == (0, '', f'{tmp_path}/ur5e_moveit_config\n')
+    srdf = ElementTree.parse(tmp_path / 'ur5e_moveit_config' / 'config' / 'UR5e.srdf')
+    assert srdf.find('group/chain').get('tip_link') == 'left_right_hand'
+
+
+def test_a_package_with_a_wrong_name_is_told(refused, tmp_path):
+    assert 'cannot be the name of a ROS package' in refused('export', '--moveit',
+                                                            tmp_path / 'My-Robot')
 
 
 def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):

@@ -140,6 +140,7 @@ def test_linear_couplings_become_mimics_of_one_leader(equalities, actuators, exp
     position = random_position(model, scalar_joints(model, urdf.tree), np.random.default_rng(0),
                                urdf.mimics)
     data = data_at(model, position)
+    mujoco.mj_forward(model, data)
     rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
     assert len(data.efc_pos[rows]) == len(words)
     told = sum('follows two joints' in note for note in urdf.notes)
@@ -191,6 +192,20 @@ def test_sites_and_cameras_give_way_to_bodies_of_the_same_name(written):
     names = [link.name for link in urdf.tree.links]
     assert names == ['world', 'robot0_base', 'robot0_eye', 'robot0_eye_camera',
                      'robot0_eye_camera_optical_frame']
+
+
+def test_a_capsule_is_a_cylinder_and_two_spheres_at_its_ends(written):
+    _, urdf = written('<body name="base"><geom type="capsule" size=".1" '
+                      'fromto="1 0 .5 1 3 .5"/></body>')
+    shapes = {}
+    for shape in ElementTree.fromstring(urdf.xml).findall('link/collision'):
+        place = [float(v) for v in shape.find('origin').get('xyz').split()]
+        (solid,) = shape.find('geometry')
+        shapes.setdefault(solid.tag, []).append((place, {
+            key: float(value) for key, value in solid.items()}))
+    assert shapes['cylinder'] == [([1.0, 1.5, 0.5], {'radius': 0.1, 'length': 3.0})]
+    places = sorted(place for place, size in shapes['sphere'] if size == {'radius': 0.1})
+    np.testing.assert_allclose(places, [[1.0, 0.0, 0.5], [1.0, 3.0, 0.5]], atol=1e-12)
 
 
 def test_what_has_no_like_in_urdf_is_told(written):

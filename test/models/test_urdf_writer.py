@@ -33,13 +33,16 @@ def test_mujoco_reads_the_same_kinematics_and_inertia_from_it(robot):
     model, urdf = robot
     read, random = read_by_mujoco(urdf.xml), np.random.default_rng(1)
     joints = scalar_joints(model, urdf.tree)
+    ours, theirs = mujoco.MjData(model), mujoco.MjData(read)
     for number in range(100):
         position = random_position(model, joints, random)
-        ours, theirs = data_at(model, position), data_at(read, position)
-        for link, place, rotation in frames(model, ours, urdf.tree):
-            body = theirs.body(link)
-            np.testing.assert_allclose(body.xpos, place, rtol=0, atol=1e-12, err_msg=link)
-            np.testing.assert_allclose(body.xmat.reshape(3, 3), rotation, rtol=0, atol=1e-12)
+        data_at(model, position, ours)
+        data_at(read, position, theirs)
+        links, places, rotations = zip(*frames(model, ours, urdf.tree))
+        bodies = [read.body(link).id for link in links]
+        np.testing.assert_allclose(theirs.xpos[bodies], places, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(theirs.xmat[bodies].reshape(-1, 3, 3), rotations, rtol=0,
+                                   atol=1e-12)
         if number % 10 == 0:
             expected = mass_matrix(model, ours, position, armature=False)
             np.testing.assert_allclose(mass_matrix(read, theirs, position), expected, rtol=0,
@@ -77,20 +80,20 @@ def test_pinocchio_finds_the_same_frames_and_inertia_in_it(robot):
     model, urdf = robot
     read = pinocchio.buildModelFromXML(urdf.xml)
     data, random = read.createData(), np.random.default_rng(2)
-    joints = scalar_joints(model, urdf.tree)
+    joints, ours = scalar_joints(model, urdf.tree), mujoco.MjData(model)
     for number in range(100):
-        position = random_position(model, joints, random)
-        ours, q = data_at(model, position), pinocchio.neutral(read)
+        position, q = random_position(model, joints, random), pinocchio.neutral(read)
+        data_at(model, position, ours)
         for name, value in position.items():
             joint = read.joints[read.getJointId(name)]
             # A joint without limits has the cosine and the sine.
             q[joint.idx_q:joint.idx_q + joint.nq] = (
                 value if joint.nq == 1 else (np.cos(value), np.sin(value)))
         pinocchio.framesForwardKinematics(read, data, q)
-        for link, place, rotation in frames(model, ours, urdf.tree):
-            found = data.oMf[read.getFrameId(link, pinocchio.FrameType.BODY)]
-            np.testing.assert_allclose(found.translation, place, rtol=0, atol=1e-12, err_msg=link)
-            np.testing.assert_allclose(found.rotation, rotation, rtol=0, atol=1e-12)
+        links, places, rotations = zip(*frames(model, ours, urdf.tree))
+        found = [data.oMf[read.getFrameId(link, pinocchio.FrameType.BODY)] for link in links]
+        np.testing.assert_allclose([f.translation for f in found], places, rtol=0, atol=1e-12)
+        np.testing.assert_allclose([f.rotation for f in found], rotations, rtol=0, atol=1e-12)
         if number % 10 == 0:
             whole = pinocchio.crba(read, data, q)
             whole = np.triu(whole) + np.triu(whole, 1).T

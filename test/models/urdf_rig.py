@@ -48,12 +48,15 @@ def random_position(model, joints, random, mimics=()):
     return {model.joint(joint).name: value for joint, value in position.items()}
 
 
-def data_at(model, position, free=None):
-    """Return the data of a model with joints at positions by name."""
-    data = mujoco.MjData(model)
+def data_at(model, position, data=None):
+    """Return the data of a model with joints at positions by name: frames and inertia."""
+    data = mujoco.MjData(model) if data is None else data
     for name, value in position.items():
-        data.joint(name).qpos[0] = value
-    mujoco.mj_forward(model, data)
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+    mujoco.mj_crb(model, data)
     return data
 
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 import struct
@@ -19,6 +18,8 @@ from manip_sim.typing import FloatArray
 
 #: A sphere of radius 1 for ellipsoids.
 UNIT_SPHERE = f'package://{PACKAGE}/assets/meshes/unit_sphere.stl'
+#: In place of the name of a mesh, where another file of that sphere shall be used.
+ELLIPSOID = '<ellipsoid>'
 #: What RViz and MoveIt read too; MuJoCo's own .msh is for nobody else.
 _READABLE = ('.stl', '.obj', '.dae')
 
@@ -71,15 +72,6 @@ def files_of_meshes(spec: Any, model: Any) -> dict[str, MeshFile]:
         position = -back @ (scale * (turn @ np.asarray(mesh.refpos)) + model.mesh_pos[index])
         found[mesh.name] = MeshFile(uri_of(file), scale, position, back @ turn)
     return found
-
-
-def compiled_meshes(model: Any, wanted: Mapping[int, str]) -> dict[str, bytes]:
-    """
-    Return compiled meshes as binary STL, by name of the file.
-
-    :param wanted: names of files by id of the mesh
-    """
-    return {name: stl_of(model, mesh) for mesh, name in wanted.items()}
 
 
 def stl_of(model: Any, mesh: int) -> bytes:

@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.models.urdf_writer.meshes import MeshFile, UNIT_SPHERE
+from manip_sim.models.urdf_writer.meshes import ELLIPSOID, MeshFile, UNIT_SPHERE
 from manip_sim.models.urdf_writer.numbers import matrix_of, text_of
 from manip_sim.typing import FloatArray
 
@@ -65,7 +65,7 @@ def shapes_of(model: Any, geom: int, meshes: Mapping[str, MeshFile]) -> Iterator
     """
     Return the shapes that make up a geom; none where URDF has nothing like it.
 
-    :param meshes: files of meshes, by name
+    :param meshes: files of meshes by name, and of a sphere of radius 1 by :data:`ELLIPSOID`
     """
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     position, rotation = model.geom_pos[geom], matrix_of(model.geom_quat[geom])
@@ -86,7 +86,8 @@ def shapes_of(model: Any, geom: int, meshes: Mapping[str, MeshFile]) -> Iterator
             yield Shape('sphere', {'radius': text_of(size[0])},
                         position + rotation[:, 2] * end, rotation)
     elif kind == int(_GEOM.mjGEOM_ELLIPSOID):
-        yield Shape('mesh', {'filename': UNIT_SPHERE, 'scale': text_of(size)}, position, rotation)
+        sphere = meshes[ELLIPSOID].uri if ELLIPSOID in meshes else UNIT_SPHERE
+        yield Shape('mesh', {'filename': sphere, 'scale': text_of(size)}, position, rotation)
     elif kind == int(_GEOM.mjGEOM_MESH):
         file = meshes.get(model.mesh(int(model.geom_dataid[geom])).name)
         if file is not None:
