@@ -90,8 +90,10 @@ class _Finder:
         base, tip = self._chain(name, part)
         return Group(name, name, part.joints, self._active(part), driven, base, tip)
 
-    def _active(self, part: Part) -> tuple[str, ...]:
-        return tuple(joint for joint in part.joints
+    def _active(self, part: Part, first: tuple[str, ...] = ()) -> tuple[str, ...]:
+        """Return the joints that are planned for, those that take commands first."""
+        joints = dict.fromkeys([*(joint for joint in first if joint in part.joints), *part.joints])
+        return tuple(joint for joint in joints
                      if joint not in self.followers and joint in self.actuated)
 
     def _chain(self, name: str, part: Part) -> tuple[str, str]:
@@ -118,10 +120,11 @@ class _Finder:
             below = subtree(self._model, self._model.body(gripper.root_body).id)
             links = tuple(link for body in below
                           if (link := self._tree.link_of_body[body]) != eef)
+            commanded = self._robot.grippers[part.name].commanded_joints
             found.append(Group(
                 'gripper' if len(model.arms) == 1 else f'{arm}_gripper', part.name, part.joints,
-                self._active(part), self._robot.grippers[part.name].commanded_joints,
-                links=links, parent=parent if parent in groups else '', parent_link=eef))
+                self._active(part, commanded), commanded, links=links,
+                parent=parent if parent in groups else '', parent_link=eef))
         return [group for group in found if group.parent and group.links]
 
 

@@ -121,10 +121,13 @@ CHAIN = f'<body name="base">{CHAIN}</body>'
     (['r q 0 0.5', 'q p 0.3 2'], '', {'q': ('p', 2.0, 0.3), 'r': ('p', 1.0, 0.05)}),
     # Only q has an actuator: p = (q - 0.3) / 2
     (['q p 0.3 2'], 'q', {'p': ('q', 0.5, -0.15)}),
-    (['q p 0.3 2'], 'qp', {'q': ('p', 2.0, 0.3)}),
-    # The same one twice, and round in a circle.
+    (['q p 0.3 2'], 'pq', {'q': ('p', 2.0, 0.3)}),
+    # The joint with the first actuator leads.
+    (['q p 0.3 2'], 'qp', {'p': ('q', 0.5, -0.15)}),
+    (['r q 0 0.5', 'q p 0.3 2'], 'rp', {'q': ('r', 2.0, 0.2), 'p': ('r', 1.0, -0.05)}),
+    # The same one twice, and a circle that contradicts itself.
     (['q p 0.3 2', 'p q -0.15 0.5'], '', {'q': ('p', 2.0, 0.3)}),
-    (['q p 0.3 2', 'r q 0 1', 'p r 0 1'], '', {'q': ('p', 2.0, 0.3), 'r': ('p', 2.0, 0.1)})])
+    (['q p 0.3 2', 'r q 0 1', 'p r 0 1'], '', {'q': ('p', 2.0, 0.3), 'r': ('p', 1.0, -0.1)})])
 def test_linear_couplings_become_mimics_of_one_leader(equalities, actuators, expected, written):
     words = [equality.split() for equality in equalities]
     ties = ''.join(f'<joint joint1="{a}" joint2="{b}" polycoef="{c} {k} 0 0 0"/>'

@@ -190,8 +190,8 @@ def test_controllers_are_the_actions_of_the_node_and_move_each_joint_once(packag
     manager = config['moveit_simple_controller_manager']
     names = manager['controller_names']
     assert set(manager) == {'controller_names', *names}
-    parts = Simulation(package.world).robot.parts
-    commands = {topic.name for topic in topics_of(parts, False)}
+    robot = Simulation(package.world).robot
+    commands = {topic.name for topic in topics_of(robot.parts, False)}
     driven = []
     for name in names:
         controller = manager[name]
@@ -201,7 +201,10 @@ def test_controllers_are_the_actions_of_the_node_and_move_each_joint_once(packag
                 else ('FollowJointTrajectory', 'follow_joint_trajectory'))
         assert (controller['type'], controller['action_ns']) == kind
         driven += controller['joints']
-        assert controller.get('command_joint', controller['joints'][0]) in controller['joints']
+        if name in robot.grippers:
+            # The action means the first joint that takes positions.
+            assert controller['command_joint'] == robot.grippers[name].commanded_joints[0]
+            assert controller['command_joint'] in controller['joints']
     assert len(set(driven)) == len(driven)
     # MoveIt sends a trajectory only if controllers cover all of its joints.
     planned = {joint.get('name') for joint in package.srdf.findall('group_state/joint')}
