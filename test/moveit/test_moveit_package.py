@@ -398,3 +398,24 @@ def test_every_pair_of_links_with_shapes_is_either_disabled_or_looked_at_once(pa
     pairs = {frozenset(pair) for pair in combinations(shaped, 2)}
     assert package.disabled.keys() <= pairs
     assert len(package.srdf.findall('disable_collisions')) == len(package.disabled)
+
+
+def test_a_mesh_is_in_the_package_also_where_no_file_held_it(one_joint_arm, tmp_path):
+    from manip_sim.models import World
+    robot = one_joint_arm(worldbody="""
+        <body name="base"><geom size="0.05"/>
+          <body name="link1"><joint name="joint1" axis="0 1 0"/><geom type="mesh" mesh="wedge"/>
+            <body name="right_hand"/></body></body>""", sections="""
+        <asset><mesh name="wedge" vertex="0 0 0 0.3 0 0 0 0.1 0 0.02 0.03 0.2"/></asset>""")
+    folder = tmp_path / 'arm_moveit_config'
+    assert write_package(World([robot]), folder) == []
+    (urdf,) = folder.glob('config/*.urdf')
+    (mesh,) = ElementTree.parse(urdf).findall('link/collision/geometry/mesh')
+    assert mesh.get('filename') == 'package://arm_moveit_config/meshes/mesh_0.stl'
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name='m', file=str(folder / 'meshes' / 'mesh_0.stl'))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname='m')
+    size = np.sort(2.0 * spec.compile().geom_aabb[0, 3:])
+    compiled = World([robot]).compile()
+    geom = compiled.body('robot0_link1').geomadr[0]
+    np.testing.assert_allclose(size, np.sort(2.0 * compiled.geom_aabb[geom, 3:]), atol=1e-6)
