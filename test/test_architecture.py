@@ -17,7 +17,8 @@ MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
     'runtime': ({'models', 'simulation', 'runtime'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'simulation'}, PURE | {'PIL'}),
+    'moveit': ({'models', 'moveit', 'simulation'}, PURE),
+    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models'}, PURE | {'PIL'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }

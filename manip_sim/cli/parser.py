@@ -58,6 +58,13 @@ def _conflict(options: argparse.Namespace) -> str | None:
         return 'check either a FILE or a composition, not both'
     if 'params_file' in given and len(given) > 1:
         return f'--params-file tells all, do not give --{given[0].replace("_", "-")} too'
+    if options.command == 'export':
+        if (options.file is None) == (options.moveit is None):
+            return 'give either a FILE or --moveit DIR'
+        if options.ros2_control and (options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--ros2-control is for a .urdf'
+        if options.name and (options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--name is for a .urdf'
     if options.command != 'render':
         return None
     if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
@@ -100,11 +107,22 @@ def _add_describe(commands: Any) -> None:
 
 def _add_export(commands: Any) -> None:
     parser = _command(
-        commands, 'export', 'export', 'write a composition to a file for MuJoCo',
-        'The name of\nthe file tells the format: .xml is MJCF that refers to mesh files where '
-        "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them.",
-        'example: manip_sim export panda.mjz --robot Panda --arena table')
-    parser.add_argument('file', type=Path, metavar='FILE', help='out.xml, out.mjz or out.zip')
+        commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
+        'The name\nof the file tells the format: .xml is MJCF that refers to mesh files where '
+        "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them, .urdf is the robot with "
+        'base and grippers.\nWith --moveit it is a package for MoveIt 2: URDF, SRDF, limits, '
+        'controllers, launch file.',
+        'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
+        '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
+        '          manip_sim export --moveit panda_moveit_config --robot Panda')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
+                        help='out.xml, out.mjz, out.zip or out.urdf')
+    parser.add_argument('--moveit', type=Path, metavar='DIR',
+                        help='a new folder for the package, which has its name')
+    parser.add_argument('--name', metavar='ROBOT', help='which of several robots, for .urdf')
+    parser.add_argument('--ros2-control', action='store_true',
+                        help='in a .urdf: what lets ros2_control command the node, as '
+                        'config/topic_based_ros2_control.yaml tells')
     _add_composition(parser)
 
 

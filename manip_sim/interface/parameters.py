@@ -66,6 +66,8 @@ def node_parameters() -> list[ParameterSpec]:
                       minimum=0.1, maximum=10000.0),
         ParameterSpec('frame_prefix', '', 'Beginning of all names of frames in messages, as that '
                       'of robot_state_publisher, such as left/.'),
+        ParameterSpec('ros2_control_tag', False, 'Write into robot_description what lets '
+                      'ros2_control command this node: joint_state_topic_hardware_interface.'),
         ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
                       'domain but one.'),
     ]

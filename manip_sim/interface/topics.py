@@ -115,6 +115,7 @@ TOPICS = (
           'frames that do not, latched, where tf2_msgs is installed'),
     Topic('~/markers', 'visualization_msgs/MarkerArray', PUBLISHED,
           'contacts with their forces, and external wrenches, to look at'),
+    Topic('robot_description', 'std_msgs/String', PUBLISHED, 'URDF of the robot, latched'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),

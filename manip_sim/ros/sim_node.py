@@ -27,6 +27,7 @@ from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_s
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, publish_model, StatePublishers
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
+from manip_sim.ros.robot_description import publish_descriptions
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -95,6 +96,7 @@ class SimNode(Node):
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
         Diagnostics(self, self.simulation, self.thread, self.commands)
         publish_model(self, world)
+        publish_descriptions(self, world, self._robots, value('ros2_control_tag'))
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._introduce()

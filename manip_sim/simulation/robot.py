@@ -155,6 +155,13 @@ class SimulatedRobot:
         self._check_no_gripper(part)
         self.joints.set_mode(part, mode, self._data)
 
+    def command_interfaces(self) -> dict[str, str]:
+        """Return by driven joint what its commands are: ``position``, ``velocity``, ``effort``."""
+        fingers = [joint for gripper in self.grippers.values()
+                   for joint in gripper.commanded_joints]
+        return {**{name: self.joints.mode_of(name) for name in self.joints.names},
+                **dict.fromkeys(fingers, 'position')}
+
     def set_command_timeout(self, part: str, timeout_s: float) -> None:
         """
         Change after how long without a fresh command a part rests.
