@@ -24,6 +24,21 @@ def loaded(file):
         return mujoco.MjSpec.from_zip(archive).compile()
 
 
+def test_of_several_robots_one_is_named(here, refused, tmp_path):
+    world = SOURCE / 'config' / 'hand_over.yaml'
+    assert refused('export', tmp_path / 'out.urdf', '--params-file', world) == (
+        'a URDF is of one robot: name one of left, middle, right')
+    assert refused('export', tmp_path / 'out.urdf', '--params-file', world, '--name', 'lift'
+                   ).startswith("unknown robot 'lift': did you mean 'left'")
+    code, _, errors = here('export', tmp_path / 'out.urdf', '--params-file', world, '--name',
+                           'left', '--ros2-control')
+    assert (code, errors) == (0, '')
+    urdf = ElementTree.parse(tmp_path / 'out.urdf')
+    joints = {joint.get('name') for joint in urdf.findall('joint')}
+    assert 'left_joint1' in joints and not any(name.startswith('middle') for name in joints)
+    assert '/left/robot_joint_states' in (tmp_path / 'out.urdf').read_text()
+
+
 @pytest.mark.parametrize('name', ['out.xml', 'out.mjz', 'out.ZIP'])
 def test_a_file_makes_the_same_model(name, here, tmp_path):
     code, text, errors = here('export', tmp_path / name, '--robot', 'UR5e', '--arena', 'table',
@@ -69,6 +84,7 @@ def test_a_urdf_for_ros2_control_has_the_default_control_modes(here, tmp_path):
 @pytest.mark.parametrize(('arguments', 'what'), [
     (['out.xml', '--ros2-control'], '--ros2-control is for a .urdf'),
     (['--moveit', 'config', '--ros2-control'], '--ros2-control is for a .urdf'),
+    (['out.mjz', '--name', 'left'], '--name is for a .urdf'),
     (['out.xml', '--moveit', 'config'], 'give either a FILE or --moveit DIR'),
     ([], 'give either a FILE or --moveit DIR')])
 def test_options_that_do_not_go_together_are_told(arguments, what, refused):
