@@ -1,6 +1,6 @@
 # make run    set up and run a Panda at a table with a cube
 # make pick   in a second shell: pick the cube up
-# make test   set up and run all tests
+# make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
 #
@@ -14,19 +14,25 @@ PYTHON ?= python3
 VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
 PYTEST_ARGS ?=
+TEST_JOBS ?= 2
 SOAK_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 ifeq ($(ROS_DISTRO),jazzy)
+ROS_FROM = sourced
 VENV_ARGS = --system-site-packages
-EXTRAS = test
+RUN_EXTRAS =
+TEST_EXTRAS = [test]
 else
+ROS_FROM = wheels
 VENV_ARGS =
-EXTRAS = jazzy,jazzy-test,test
+RUN_EXTRAS = [jazzy]
+TEST_EXTRAS = [jazzy,jazzy-test,test]
 endif
 
 BIN = $(VENV)/bin
-READY = $(VENV)/.ready-$(EXTRAS)
+READY = $(VENV)/.ready-$(ROS_FROM)
+TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 
 .PHONY: run pick test lint soak clean
 
@@ -36,14 +42,15 @@ run: $(READY)
 pick: $(READY)
 	$(BIN)/pick_cube
 
-test: $(READY)
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test: $(TEST_READY)
+	$(BIN)/python -m pytest --numprocesses $(TEST_JOBS) --dist loadfile $(PYTEST_ARGS)
 
-lint: $(READY)
+lint: $(TEST_READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
 	$(BIN)/python -m mypy
+	$(BIN)/python -m mypy benchmark/*.py
 
-soak: $(READY)
+soak: $(TEST_READY)
 	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)
 
 $(READY): setup.py
@@ -51,7 +58,11 @@ $(READY): setup.py
 		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
 	$(PYTHON) -m venv --clear $(VENV_ARGS) $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
-	$(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	$(BIN)/python -m pip install --editable '.$(RUN_EXTRAS)'
+	touch $@
+
+$(TEST_READY): $(READY)
+	$(BIN)/python -m pip install --editable '.$(TEST_EXTRAS)'
 	touch $@
 
 clean:

@@ -35,8 +35,8 @@ setup(
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],
-        'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pydocstyle',
-                 'pytest', 'pytest-timeout', 'ruff'],
+        'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pin',
+                 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer='manip_sim maintainers',
@@ -48,6 +48,7 @@ setup(
             f'sim_node = {PACKAGE}.__main__:main',
             f'manip_sim = {PACKAGE}.cli.main:run',
             f'pick_cube = {PACKAGE}.examples.pick_cube:main',
+            f'hand_over = {PACKAGE}.examples.hand_over:main',
         ],
     },
 )

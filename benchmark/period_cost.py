@@ -43,7 +43,7 @@ def build(name: str) -> Simulation:
 def streaming(simulation: Simulation) -> Callable[[], object]:
     """Return a function that commands a goal for all joints of the arm, and advances."""
     robot = simulation.robot
-    names = list(robot.parts['arm'].driven_joints)
+    names = [name for name in robot.parts['arm'].driven_joints if name]
     start = robot.state().position[:len(names)]
 
     def period() -> None:

@@ -4,7 +4,10 @@
 """What all tests share: MJCF files of a few lines, small robots and the Panda in an arena."""
 
 import json
+import os
 from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -181,6 +184,17 @@ def hand_sim(one_joint_arm, hand_class, mjcf):
             before(gripper)
         return Simulation(World([robot]))
     return make
+
+
+@pytest.fixture(scope='session')
+def renderer():
+    """Skip where MuJoCo itself, in a process of its own, renders nothing without a screen."""
+    bare = ('import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"))'
+            '.render()')
+    done = subprocess.run([sys.executable, '-c', bare], capture_output=True, text=True,
+                          env={'MUJOCO_GL': 'egl', **os.environ}, check=False)
+    if done.returncode:
+        pytest.skip(f'MuJoCo cannot render here: {done.stderr.strip().splitlines()[-1]}')
 
 
 @pytest.fixture(scope='session')

@@ -17,9 +17,10 @@ MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
     'runtime': ({'models', 'simulation', 'runtime'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'simulation'}, PURE | {'PIL'}),
+    'moveit': ({'models', 'moveit', 'simulation'}, PURE),
+    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models'}, PURE | {'PIL'}),
-    'interface.py': (set(), set()),
+    'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
 TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}

@@ -82,8 +82,9 @@ def test_the_node_runs_from_the_place_that_ros2_run_looks_at(install):
     assert node.returncode == 0, errors
 
 
-def test_the_example_and_the_command_are_installed_beside_it(install):
+def test_the_examples_and_the_command_are_installed_beside_it(install):
     executable('pick_cube', install)
+    executable('hand_over', install)
     done = subprocess.run([executable('manip_sim', install), 'list', 'robots'], env=install,
                           capture_output=True, text=True, check=True, cwd='/')
     prefix = Path(install['AMENT_PREFIX_PATH'].split(':')[0])

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 import re
 
-from manip_sim.interface.parameters import parameters_of
+from manip_sim.interface.composition import declare_parts
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of
 
 README = (Path(__file__).resolve().parents[1] / 'README.md').read_text()
@@ -46,10 +48,11 @@ def test_only_what_a_part_has_gives_topics():
 
 
 def test_parameters_of_parts_that_are_commanded_are_filled_in():
-    found = {p.name: p.default for p in parameters_of(
-        {'arm': Part(), 'base': Part(), 'legs': Part(actuators=()),
-         'right/gripper': Part(gripper=1)})}
+    parameters = GivenParameters({})
+    declare_parts(parameters, [(Scope(), {
+        'arm': Part(), 'base': Part(), 'legs': Part(actuators=()),
+        'right/gripper': Part(gripper=1)})])
+    found = {name: spec.default for name, spec in parameters.specs.items()}
     modes = {name: value for name, value in found.items() if name.startswith('control_mode')}
     assert modes == {'control_mode.arm': 'position', 'control_mode.base': 'velocity'}
     assert found['command_timeout.base'] == 0.5 and found['command_timeout.arm'] == 0.0
-    assert found['robot'] == 'Panda'

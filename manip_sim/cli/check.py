@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         name, defects = str(options.file), _defects_of_file(options.file)
         note = ''
     else:
-        world = compose_from(options)
+        world = compose_from(options).composition.world
         name, defects = f'{world.name} in arena {world.arena.arena_name}', _defects_of(world)
         prefixes = [part.naming_prefix for robot in world.robots
                     for part in (robot, *robot.models)]

@@ -1,66 +1,95 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make a world of the options of a command line."""
+"""Make a world of the options of a command line, through the parameters of the node."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+from dataclasses import dataclass
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import arenas, compose, World
-from manip_sim.models.arenas import Arena, create_arena
-from manip_sim.models.composing import DEFAULT, NONE
-from manip_sim.models.robots import robot_names
+from manip_sim.interface.composition import (
+    compose_arena, compose_world, Composition, declare_node, declare_parts)
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.parameter_files import read_parameters
+from manip_sim.models import arenas
+from manip_sim.models.arenas import Arena
 from manip_sim.quoting import quoted
+from manip_sim.simulation.parts import find_parts
 
-#: The options, and what each is where it is not given.
-_DEFAULTS = {'robot': 'Panda', 'gripper': DEFAULT, 'base': DEFAULT, 'arena': 'empty', 'idn': '0',
-             'prefix': '', 'position': None, 'orientation': None, 'timestep': 0.002,
-             'arena_param': (), 'no_gravity_compensation': False}
+#: The options whose values are those of the parameters of the same name.
+_PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
+               'timestep')
 _BOOL = {'true': True, 'false': False}
 
 
-def value_of(options: argparse.Namespace, name: str) -> Any:
-    """Return the value of an option, or its default."""
-    value = getattr(options, name)
-    return _DEFAULTS[name] if value is None else value
+@dataclass(frozen=True)
+class Composed:
+    """
+    What the options ask for.
+
+    :ivar composition: the world, and where the node serves each robot
+    :ivar parameters: what the node has to be told for it
+    """
+
+    composition: Composition
+    parameters: GivenParameters
 
 
-def compose_from(options: argparse.Namespace) -> World:
+def compose_from(options: argparse.Namespace) -> Composed:
     """
     Return the world that the options ask for.
 
-    :raises UnknownNameError: if a name is not known
-    :raises ModelError: if a parameter has a wrong value, or the parts do not fit together
+    :raises ManipSimError: if a parameter cannot be used, or the parts do not fit together
     """
-    def value(name: str) -> Any:
-        return value_of(options, name)
-
-    if value('robot') == NONE:
-        raise UnknownNameError('robot', NONE, robot_names())
-    return compose(
-        value('robot'), value('gripper'), value('base'), arena_from(options), idn=value('idn'),
-        prefix=value('prefix'), position=value('position'), orientation=value('orientation'),
-        timestep_s=value('timestep'), gravity_compensation=not value('no_gravity_compensation'))
+    parameters = GivenParameters(_given(options))
+    composition = compose_world(parameters)
+    world = composition.world
+    # A world that cannot be controlled has no parts; what is wrong with it is told later.
+    with contextlib.suppress(ModelError):
+        model = world.compile()
+        parts = [find_parts(model, robot) for robot in world.robots]
+        declare_parts(parameters, zip(composition.scopes, parts))
+        parameters.check_names()
+    return Composed(composition, parameters)
 
 
 def arena_from(options: argparse.Namespace) -> Arena:
     """Return the arena that the options ask for; raises as :func:`compose_from`."""
-    name = value_of(options, 'arena')
-    return create_arena(name, **arena_values(options))
+    given = _given(options)
+    parameters = GivenParameters({name: value for name, value in given.items()
+                                  if name not in ('robot', 'gripper', 'base')})
+    declare_node(parameters)
+    return compose_arena(parameters)
 
 
-def arena_values(options: argparse.Namespace) -> dict[str, Any]:
+def _given(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters that the node would have to be given."""
+    if options.params_file is not None:
+        return read_parameters(options.params_file)
+    given = {name: getattr(options, name) for name in _PARAMETERS
+             if getattr(options, name) is not None}
+    if options.no_gravity_compensation:
+        given['gravity_compensation'] = False
+    if options.object is not None:
+        given['objects'] = options.object
+    # The node puts the cube on the table unless told not to, here it is the other way round.
+    of_arena = {'cube': False, **_arena_values(options)}
+    return {**given, **{name if name == 'cube' else f'arena.{name}': value
+                        for name, value in of_arena.items()}}
+
+
+def _arena_values(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters of the arena that are given; raises as :func:`compose_from`."""
-    given = value_of(options, 'arena_param')
-    if not given:
+    if options.arena_param is None:
         return {}
-    name = value_of(options, 'arena')
+    name = options.arena or 'empty'
     known = arena_parameters(name)
     values = {}
-    for parameter, text in given:
+    for parameter, text in options.arena_param:
         if parameter not in known:
             raise UnknownNameError(f"parameter of arena '{name}'", parameter, known)
         values[parameter] = _as(known[parameter], f'{name}: {parameter}', text)

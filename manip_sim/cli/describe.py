@@ -10,7 +10,7 @@ from collections.abc import Callable
 import json
 from typing import Any
 
-from manip_sim.cli.composition import arena_values, compose_from, value_of
+from manip_sim.cli.composition import compose_from
 from manip_sim.cli.description import describe
 from manip_sim.cli.tables import number, span, table, terminal_width
 
@@ -19,7 +19,7 @@ Row = dict[str, Any]
 _COLUMNS: dict[str, tuple[tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = {
     'models': (
         ('kind', 'class', 'prefix', 'mass kg', 'joints', 'actuators', 'from'),
-        lambda r: (r['kind'] + (f' ({r["arm"]})' if r['arm'] else ''), r['class'], r['prefix'],
+        lambda r: (_kind(r), r['class'], r['prefix'],
                    number(r['mass_kg']), str(r['joints']), str(r['actuators']), r['from'])),
     'parts': (
         ('part', 'consists of', 'joints', 'actuators', 'control mode'),
@@ -63,7 +63,7 @@ _TITLES = {
     'joints': 'Joints: limits per second of velocity, in N m or N of effort',
     'actuators': 'Actuators, as the files have them', 'sensors': 'Sensors',
     'frames': 'Frames, at the start in world', 'cameras': 'Cameras',
-    'objects': 'Objects of the arena', 'topics': 'Topics of the node',
+    'objects': 'Objects', 'topics': 'Topics of the node',
     'services': 'Services of the node',
     'actions': 'Actions of the node, where control_msgs is installed',
     'parameters': 'Parameters of the node'}
@@ -71,7 +71,7 @@ _TITLES = {
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
     """Return the description as text."""
-    description = describe(compose_from(options), _node_parameters(options))
+    description = describe(compose_from(options))
     if options.json:
         return json.dumps(description, indent=2, allow_nan=False), 0
     width = terminal_width()
@@ -90,17 +90,9 @@ def _summary(description: Row) -> str:
     return '\n'.join(lines)
 
 
-def _node_parameters(options: argparse.Namespace) -> Row:
-    """Return what the node has to be told for the same composition."""
-    idn = value_of(options, 'idn')
-    values = {name: value_of(options, name)
-              for name in ('robot', 'gripper', 'base', 'arena', 'prefix', 'timestep')}
-    values['idn'] = int(idn) if idn.isdecimal() else idn
-    values['gravity_compensation'] = not value_of(options, 'no_gravity_compensation')
-    # The node puts the cube on the table unless told not to, here it is the other way round.
-    of_arena = {'cube': False, **arena_values(options)}
-    return {**values, **{name if name == 'cube' else f'arena.{name}': value
-                         for name, value in of_arena.items()}}
+def _kind(model: Row) -> str:
+    robot = f'{model["robot"]}: ' if model['robot'] else ''
+    return f'{robot}{model["kind"]}{" (" + model["arm"] + ")" if model["arm"] else ""}'
 
 
 def _driver(joint: Row) -> str:

@@ -5,22 +5,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from manip_sim.cli.composition import Composed
 from manip_sim.cli.elements import actuator_rows, camera_rows, frame_rows, sensor_rows
-from manip_sim.cli.listing import free_bodies, origin
-from manip_sim.interface.parameters import parameters_of
-from manip_sim.interface.topics import actions_of, SERVICES, topics_of
+from manip_sim.cli.listing import origin
+from manip_sim.interface.composition import declare_parts
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import actions_of, SERVICES, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.world import World
-from manip_sim.simulation import Simulation
+from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import MODES
 from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.parts import Part
@@ -30,43 +32,58 @@ _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 Row = dict[str, Any]
 
 
-def describe(world: World, given: Mapping[str, Any]) -> Row:
+def describe(composed: Composed) -> Row:
     """
-    Return what a world with one robot is made of.
+    Return what a world is made of; names of parts begin with the robot where there are several.
 
-    :param world: the world
-    :param given: parameters of the node that differ from their defaults
+    :param composed: the world, and the parameters of the node
     :returns: of dictionaries, lists, strings and finite numbers
     :raises ModelError: if the world cannot be simulated
     """
-    robot, model = world.robots[0], world.compile()
-    simulation = Simulation(world)
-    parts = simulation.robot.parts
-    twist = simulation.robot.joints.twist_indices is not None
-    place = world.arena.robot_position(robot).tolist()
-    parameters = parameters_of(parts, world.arena.arena_name, place)
-    defaults = {parameter.name: parameter.default for parameter in parameters}
+    world, parameters = composed.composition.world, composed.parameters
+    model, simulation = world.compile(), Simulation(world)
+    served = list(zip(composed.composition.scopes, simulation.robots.values()))
+    declare_parts(parameters, [(scope, robot.parts) for scope, robot in served])
+    of_robots = [_of_robot(parameters, simulation, model, scope, robot) for scope, robot in served]
     return {
-        'name': robot.name,
+        'name': world.name,
         'arena': world.arena.arena_name,
-        'mass_kg': float(model.body(robot.root_body).subtreemass[0]),
-        'models': list(_models(robot, model)),
-        'parts': [_part(part, defaults) for part in parts.values()],
-        'joints': list(_joints(simulation, model)),
-        'actuators': actuator_rows(model, _of_parts(parts, 'actuators')),
-        'sensors': sensor_rows(model, robot),
-        'frames': frame_rows(simulation.model, simulation.data, robot),
+        'mass_kg': sum(float(model.body(robot.root_body).subtreemass[0])
+                       for robot in world.robots),
+        **{section: [row for sections in of_robots for row in sections[section]]
+           for section in of_robots[0]},
         'cameras': camera_rows(model),
-        'objects': [{'name': name, 'mass_kg': mass}
-                    for name, mass in free_bodies(world.arena.compile()).items()],
-        'topics': [asdict(topic) for topic in topics_of(parts, twist)],
+        'objects': [{'name': name, 'mass_kg': float(model.body(name).subtreemass[0])}
+                    for name in simulation.entities.free_names],
+        'topics': [asdict(topic) for topic in topics_of_world(
+            [(scope, robot.parts, robot.joints.twist_indices is not None)
+             for scope, robot in served], simulation.entities.free_names)],
         'services': [asdict(service) for service in SERVICES],
-        'actions': [asdict(action) for action in actions_of(parts)],
+        'actions': [{**asdict(action), 'name': scope.topic(action.name)}
+                    for scope, robot in served for action in actions_of(robot.parts)],
         'parameters': [
-            {'name': p.name, 'value': given.get(p.name, p.default), 'default': p.default,
-             'unit': p.unit, 'live': p.live, 'meaning': p.description} for p in parameters],
+            {'name': p.name, 'value': parameters.value(p.name), 'default': p.default,
+             'unit': p.unit, 'live': p.live, 'meaning': p.description}
+            for p in parameters.specs.values()],
         'start_defects': list(simulation.start_defects),
     }
+
+
+def _of_robot(parameters: GivenParameters, simulation: Simulation, model: Any, scope: Scope,
+              robot: SimulatedRobot) -> dict[str, list[Row]]:
+    """Return the sections that each robot has; its parts are named with the robot."""
+    def modes(part: str) -> Any:
+        return parameters.value(scope.parameter(f'control_mode.{part}'))
+
+    parts = {name: scope.topic(name) for name in robot.parts}
+    whole = robot.robot_model
+    return {
+        'models': [{'robot': scope.name, **row} for row in _models(whole, model)],
+        'parts': [_part(part, parts, modes) for part in robot.parts.values()],
+        'joints': list(_joints(simulation.model, robot, model, parts)),
+        'actuators': actuator_rows(model, _of_parts(robot, 'actuators', parts)),
+        'sensors': sensor_rows(model, whole),
+        'frames': frame_rows(simulation.model, simulation.data, whole)}
 
 
 def _models(robot: RobotModel, model: Any) -> Iterator[Row]:
@@ -89,29 +106,30 @@ def _models(robot: RobotModel, model: Any) -> Iterator[Row]:
             'file': file}
 
 
-def _part(part: Part, defaults: Mapping[str, Any]) -> Row:
+def _part(part: Part, names: Mapping[str, str], mode_of: Callable[[str], Any]) -> Row:
     commanded = part.gripper is None and part.actuators
-    return {'name': part.name, 'consists_of': list(part.atomic), 'joints': list(part.joints),
-            'actuators': list(part.actuators),
-            'control_mode': (defaults[f'control_mode.{part.name}'] if commanded
+    return {'name': names[part.name], 'consists_of': [names[name] for name in part.atomic],
+            'joints': list(part.joints), 'actuators': list(part.actuators),
+            'control_mode': (mode_of(part.name) if commanded
                              else 'position' if part.gripper is not None else None)}
 
 
-def _of_parts(parts: Mapping[str, Part], elements: str) -> dict[str, str]:
+def _of_parts(robot: SimulatedRobot, elements: str, names: Mapping[str, str]) -> dict[str, str]:
     """Return the part of each joint or actuator, of those that do not overlap."""
-    return {name: part.name for part in parts.values() if part.atomic == (part.name,)
+    return {name: names[part.name] for part in robot.parts.values() if part.atomic == (part.name,)
             for name in getattr(part, elements)}
 
 
-def _joints(simulation: Simulation, model: Any) -> Iterator[Row]:
-    part_of = _of_parts(simulation.robot.parts, 'joints')
-    limits = _limits_of_driven(simulation)
+def _joints(simulated: Any, robot: SimulatedRobot, model: Any, names: Mapping[str, str]
+            ) -> Iterator[Row]:
+    part_of = _of_parts(robot, 'joints', names)
+    limits = _limits_of_driven(simulated, robot)
     drivers: dict[int, list[int]] = {}
     for actuator in range(model.nu):
         for driven in actuated_joints(model, actuator):
             drivers.setdefault(driven, []).append(actuator)
     moved = moved_joints(model)
-    for name, start in zip(simulation.robot.joint_names, simulation.robot.state().position):
+    for name, start in zip(robot.joint_names, robot.state().position):
         joint = int(model.joint(name).id)
         hinge = int(model.jnt_type[joint]) == _HINGE
         row = {'name': name, 'part': part_of[name], 'type': 'hinge' if hinge else 'slide',
@@ -124,19 +142,19 @@ def _joints(simulation: Simulation, model: Any) -> Iterator[Row]:
         yield {**row, **limits.get(name, {})}
 
 
-def _limits_of_driven(simulation: Simulation) -> dict[str, Row]:
+def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
     """Return the velocity and effort limits that the controllers keep to, by joint."""
     limits: dict[str, Row] = {}
-    for name, part in simulation.robot.parts.items():
+    for name, part in robot.parts.items():
         if part.gripper is not None or part.atomic != (name,):
             continue
         of_mode = {}
         for mode in MODES:
-            simulation.robot.set_control_mode(name, mode)
-            of_mode[mode] = simulation.robot.limits(name)
+            robot.set_control_mode(name, mode)
+            of_mode[mode] = robot.limits(name)
         driven = [joint for joint in part.driven_joints if joint is not None]
         for joint, velocity, effort in zip(driven, of_mode['velocity'], of_mode['effort']):
-            is_limited = simulation.model.jnt_actfrclimited[simulation.model.joint(joint).id]
+            is_limited = simulated.jnt_actfrclimited[simulated.joint(joint).id]
             limits[joint] = {'velocity': float(velocity[1]),
                              'effort': _range(effort) if is_limited else None}
     return limits

@@ -1,36 +1,61 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim export``: a composition as a file for MuJoCo."""
+"""``manip_sim export``: a composition as a file for MuJoCo or ROS."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from manip_sim.cli.composition import compose_from
+from manip_sim.cli.composition import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
+from manip_sim.interface.parameters import commanded_parts
+from manip_sim.models.urdf_writer import choose_robot, Hardware, name_of, urdf_of
+from manip_sim.simulation import Simulation
 
 _ARCHIVES = ('.mjz', '.zip')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the file and tell its size."""
+    """Write the file or the package; tell its size, and what it cannot hold."""
+    if options.moveit is not None:
+        from manip_sim.moveit import write_package
+        folder: Path = options.moveit
+        return '\n'.join([f'{folder}', *write_package(
+            compose_from(options).composition.world, folder)]), 0
     file: Path = options.file
     ending = file.suffix.lower()
-    if ending == '.urdf':
-        raise ManipSimError(f'{file}: URDF cannot be written yet, only .xml, .mjz and .zip')
-    if ending not in ('.xml', *_ARCHIVES):
-        raise ManipSimError(f'{file}: the name must end with .xml, .mjz or .zip')
+    if ending not in ('.xml', '.urdf', *_ARCHIVES):
+        raise ManipSimError(f'{file}: the name must end with .xml, .mjz, .zip or .urdf')
     check_folder(file)
-    world = compose_from(options)
-    if ending == '.xml':
-        xml = world.to_xml()
-        write_whole(file, lambda path: path.write_text(xml, encoding='utf-8'))
+    composed = compose_from(options)
+    world = composed.composition.world
+    notes: tuple[str, ...] = ()
+    if ending in _ARCHIVES:
+        content = world.to_archive()
+    elif ending == '.xml':
+        content = world.to_xml().encode()
     else:
-        write_whole(file, lambda path: path.write_bytes(world.to_archive()))
-    return f'{file} ({_size(file)})', 0
+        name = name_of(choose_robot(world, options.name))
+        urdf = urdf_of(world, name, _hardware(composed, name) if options.ros2_control else None)
+        content, notes = urdf.xml.encode(), urdf.notes
+    write_whole(file, lambda path: path.write_bytes(content))
+    return '\n'.join([f'{file} ({_size(file)})', *notes]), 0
+
+
+def _hardware(composed: Composed, name: str) -> Hardware:
+    """Return what lets ros2_control command a robot in the control modes of its parameters."""
+    composition, value = composed.composition, composed.parameters.value
+    robots = Simulation(composition.world).robots
+    robot = robots[name]
+    scope = dict(zip(robots, composition.scopes))[name]
+    for part in commanded_parts(robot.parts):
+        if robot.parts[part].atomic == (part,):
+            robot.set_control_mode(part, value(scope.parameter(f'control_mode.{part}')))
+    return Hardware(robot.command_interfaces(), f'/{scope.topic("robot_joint_states")}',
+                    f'/{scope.topic("robot_joint_commands")}')
 
 
 def _size(file: Path) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
+import json
 from typing import Any
 
 import mujoco
@@ -20,21 +21,47 @@ from manip_sim.models import arena_names, create_arena
 from manip_sim.models.bases import base_names, create_base, MobileBaseModel
 from manip_sim.models.grippers import create_gripper, gripper_names
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.quoting import one_line
 from manip_sim.resources import PACKAGE, share_directory
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-Row = tuple[str, ...]
+#: What is told of one thing, by the name of the column; also ``error`` where it cannot be created.
+Row = dict[str, Any]
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Return tables of all kinds or one, and 1 if a part cannot be created."""
+    """Return tables of all kinds or one, or JSON, and 1 if a part cannot be created."""
     kinds = KINDS if options.kind is None else (options.kind,)
-    failed: list[str] = []
-    texts = [_ROWS[kind](kind, failed) for kind in kinds]
+    found = {title: rows for kind in kinds for title, rows in _SECTIONS[kind]().items()}
+    failed = any('error' in row for rows in found.values() for row in rows)
+    if options.json:
+        plain = {_key(title): [{_key(name): value for name, value in row.items()} for row in rows]
+                 for title, rows in found.items()}
+        return json.dumps(plain, indent=2, allow_nan=False), int(failed)
+    texts = [_table(title, rows) for title, rows in found.items()]
     where = f'Files of {PACKAGE} lie in {share_directory()}'
-    return '\n\n'.join([*texts, where]), int(bool(failed))
+    return '\n\n'.join([*filter(None, texts), where]), int(failed)
+
+
+def _key(name: str) -> str:
+    return name.replace(' ', '_')
+
+
+def _table(title: str, rows: list[Row]) -> str:
+    header = next((list(row) for row in rows if 'error' not in row), ['name', 'error'])
+    cells = [[row['name'], *['-'] * (len(header) - 2), row['error']] if 'error' in row else
+             [_cell(row[name]) for name in header] for row in rows]
+    return table(title.capitalize(), header, cells, terminal_width())
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, dict):
+        value = [f'{name}={str(default).lower()}' for name, default in value.items()]
+    if isinstance(value, list):
+        return ', '.join(value) or '-'
+    return number(value) if isinstance(value, float) else '-' if value is None else str(value)
 
 
 def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
@@ -58,72 +85,64 @@ def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
     return f'folder {part.file.parent}', part.file.name
 
 
-def _create(kind: str, names: list[str], create: Callable[[str], Any], failed: list[str]
-            ) -> Iterator[tuple[str, Any]]:
-    """Yield the parts by name; for one that cannot be created, the reason."""
-    for name in names:
+def _parts(kind: str, names: list[str], create: Callable[[str], Any],
+           tell: Callable[[str, Any], Row]) -> dict[str, list[Row]]:
+    """Tell the parts of a kind; for one that cannot be created, the reason."""
+    def row(name: str) -> Row:
         try:
-            yield name, create(name)
+            part = create(name)
         except Exception as error:  # A class of another package may raise anything.
-            failed.append(name)
-            yield name, one_line(f'cannot be created: {type(error).__name__}: {error}')
+            reason = f'cannot be created: {type(error).__name__}: {error}'
+            return {'name': name, 'error': one_line(reason)}
+        source, file = origin(part, kind)
+        return {'name': name, **tell(name, part), 'from': source, 'file': file}
+    return {kind: [row(name) for name in names]}
 
 
-def _parts(kind: str, failed: list[str], names: list[str], create: Callable[[str], Any],
-           header: Row, tell: Callable[[str, Any], Row]) -> str:
-    rows: list[Row] = []
-    for name, part in _create(kind, names, create, failed):
-        if isinstance(part, str):
-            rows.append((name, *['-'] * len(header), '-', part))
-        else:
-            rows.append((name, *tell(name, part), *origin(part, kind)))
-    return table(kind.capitalize(), ('name', *header, 'from', 'file'), rows, terminal_width())
-
-
-def _robots(kind: str, failed: list[str]) -> str:
+def _robots() -> dict[str, list[Row]]:
     def tell(_: str, robot: Any) -> Row:
         has_arms = isinstance(robot, ManipulatorModel)
-        grippers = dict.fromkeys(robot.default_gripper.values()) if has_arms else {}
-        arms = len(robot.arms) if has_arms else 0
-        return (str(arms), str(len(robot.joints)), ', '.join(grippers) or '-',
-                robot.default_base or '-')
-    return _parts(kind, failed, robot_names(), create_robot,
-                  ('arms', 'joints', 'default gripper', 'default base'), tell)
+        return {'arms': len(robot.arms) if has_arms else 0, 'joints': len(robot.joints),
+                'default gripper': list(dict.fromkeys(
+                    robot.default_gripper.values() if has_arms else ())),
+                'default base': robot.default_base}
+    return _parts('robots', robot_names(), create_robot, tell)
 
 
-def _grippers(kind: str, failed: list[str]) -> str:
-    def tell(_: str, gripper: Any) -> Row:
-        return str(len(gripper.joints)), str(len(gripper.actuators)), str(gripper.dof)
-    return _parts(kind, failed, gripper_names(), create_gripper,
-                  ('joints', 'actuators', 'length of actions'), tell)
+def _grippers() -> dict[str, list[Row]]:
+    return _parts('grippers', gripper_names(), create_gripper, lambda _, gripper: {
+        'joints': len(gripper.joints), 'actuators': len(gripper.actuators),
+        'length of actions': gripper.dof})
 
 
-def _bases(kind: str, failed: list[str]) -> str:
-    def tell(_: str, base: Any) -> Row:
-        kind_of_base = 'mobile' if isinstance(base, MobileBaseModel) else 'mount'
-        return kind_of_base, str(len(base.joints))
-    return _parts(kind, failed, base_names(), create_base, ('kind', 'joints'), tell)
+def _bases() -> dict[str, list[Row]]:
+    return _parts('bases', base_names(), create_base, lambda _, base: {
+        'kind': 'mobile' if isinstance(base, MobileBaseModel) else 'mount',
+        'joints': len(base.joints)})
 
 
-def _arenas(kind: str, failed: list[str]) -> str:
-    def tell(name: str, _: Any) -> Row:
-        return (', '.join(f'{parameter}={str(default).lower()}' for parameter, default
-                          in arena_parameters(name).items()) or '-',)
-    return _parts(kind, failed, arena_names(), create_arena, ('parameters and defaults',), tell)
+def _arenas() -> dict[str, list[Row]]:
+    return _parts('arenas', arena_names(), create_arena, lambda name, _: {
+        'parameters and defaults': arena_parameters(name)})
 
 
-def _objects(kind: str, failed: list[str]) -> str:
-    """Tell the free bodies of each arena, also those that a switch of the arena puts there."""
-    rows: list[Row] = []
+def _objects() -> dict[str, list[Row]]:
+    """Tell the shapes of objects, and the free bodies of arenas, also those behind a switch."""
+    return {'shapes of objects': [{'name': shape, 'size m': size}
+                                  for shape, (_, size) in SIZES.items()],
+            'objects': list(_free_bodies_of_arenas())}
+
+
+def _free_bodies_of_arenas() -> Iterator[Row]:
     for name in arena_names():
         switches = [key for key, default in arena_parameters(name).items() if default is False]
         present = free_bodies(create_arena(name).compile())
         everything = create_arena(name, **dict.fromkeys(switches, True))
+        source, file = origin(everything, 'arenas')
         for body, mass in free_bodies(everything.compile()).items():
-            how = '' if body in present else ', '.join(f'{switch}=true' for switch in switches)
-            rows.append((body, number(mass), name, how or '-', *origin(everything, 'arenas')))
-    return table(kind.capitalize(), ('name', 'mass kg', 'arena', 'parameters', 'from', 'file'),
-                 rows, terminal_width())
+            yield {'name': body, 'mass kg': mass, 'arena': name, 'parameters': (
+                {} if body in present else dict.fromkeys(switches, True)), 'from': source,
+                'file': file}
 
 
 def free_bodies(model: Any) -> dict[str, float]:
@@ -132,6 +151,6 @@ def free_bodies(model: Any) -> dict[str, float]:
     return {model.body(body).name: float(model.body_subtreemass[body]) for body in bodies}
 
 
-_ROWS: dict[str, Callable[[str, list[str]], str]] = {
+_SECTIONS: dict[str, Callable[[], dict[str, list[Row]]]] = {
     'robots': _robots, 'grippers': _grippers, 'bases': _bases, 'arenas': _arenas,
     'objects': _objects}

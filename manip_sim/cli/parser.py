@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 #: The options of a composition; None where they are not given.
-COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'idn', 'prefix', 'position',
-               'orientation', 'timestep', 'no_gravity_compensation')
+COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'idn', 'prefix',
+               'position', 'orientation', 'timestep', 'no_gravity_compensation', 'params_file')
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
 #: Of a picture: the least and the greatest edge [pixels].
 SMALLEST, LARGEST = 16, 8192
@@ -53,9 +53,18 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _conflict(options: argparse.Namespace) -> str | None:
     """Say which options do not go together."""
-    if options.command == 'check' and options.file is not None and any(
-            getattr(options, name) is not None for name in COMPOSITION):
+    given = [name for name in COMPOSITION if getattr(options, name, None) is not None]
+    if options.command == 'check' and options.file is not None and given:
         return 'check either a FILE or a composition, not both'
+    if 'params_file' in given and len(given) > 1:
+        return f'--params-file tells all, do not give --{given[0].replace("_", "-")} too'
+    if options.command == 'export':
+        if (options.file is None) == (options.moveit is None):
+            return 'give either a FILE or --moveit DIR'
+        if options.ros2_control and (options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--ros2-control is for a .urdf'
+        if options.name and (options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--name is for a .urdf'
     if options.command != 'render':
         return None
     if options.camera is not None and (options.azimuth, options.elevation) != (None, None):
@@ -82,6 +91,7 @@ def _add_list(commands: Any) -> None:
         example='example: manip_sim list grippers')
     parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
                         help=f'{", ".join(KINDS[:-1])} or {KINDS[-1]} (default: all)')
+    parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
 
 
 def _add_describe(commands: Any) -> None:
@@ -97,11 +107,22 @@ def _add_describe(commands: Any) -> None:
 
 def _add_export(commands: Any) -> None:
     parser = _command(
-        commands, 'export', 'export', 'write a composition to a file for MuJoCo',
-        'The name of\nthe file tells the format: .xml is MJCF that refers to mesh files where '
-        "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them.",
-        'example: manip_sim export panda.mjz --robot Panda --arena table')
-    parser.add_argument('file', type=Path, metavar='FILE', help='out.xml, out.mjz or out.zip')
+        commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
+        'The name\nof the file tells the format: .xml is MJCF that refers to mesh files where '
+        "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them, .urdf is the robot with "
+        'base and grippers.\nWith --moveit it is a package for MoveIt 2: URDF, SRDF, limits, '
+        'controllers, launch file.',
+        'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
+        '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
+        '          manip_sim export --moveit panda_moveit_config --robot Panda')
+    parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
+                        help='out.xml, out.mjz, out.zip or out.urdf')
+    parser.add_argument('--moveit', type=Path, metavar='DIR',
+                        help='a new folder for the package, which has its name')
+    parser.add_argument('--name', metavar='ROBOT', help='which of several robots, for .urdf')
+    parser.add_argument('--ros2-control', action='store_true',
+                        help='in a .urdf: what lets ros2_control command the node, as '
+                        'config/topic_based_ros2_control.yaml tells')
     _add_composition(parser)
 
 
@@ -141,16 +162,21 @@ def _add_composition(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         'composition', "Names are those of 'manip_sim list'.")
     group.add_argument('--robot', metavar='NAME', help='(default: Panda)')
-    group.add_argument('--gripper', metavar='NAME', help="on every arm; 'default' is the robot's "
-                       "own, 'none' is no gripper (default: default)")
+    group.add_argument('--gripper', metavar='NAME', help="on every arm, or by arm as in '{right: "
+                       "PandaGripper, left: none}'; 'default' is the robot's own, 'none' is no "
+                       'gripper (default: default)')
     group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
                        "robot's own, 'none' is the floor (default: default)")
     group.add_argument('--arena', metavar='NAME', help='what is around it (default: empty)')
     group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=_assignment,
-                       help="of the arena, such as table_height_m=0.9; 'manip_sim list arenas' "
+                       help="of the arena, such as table_height=0.9; 'manip_sim list arenas' "
                        'tells them; may be repeated')
-    group.add_argument('--idn', metavar='N', help='number or word in names, as in robot0_joint1 '
-                       '(default: 0)')
+    group.add_argument('--object', action='append', metavar='OBJECT', help='a free body: a YAML '
+                       "or MJCF file, or a description such as '{name: can, shape: cylinder, "
+                       "size: [0.03, 0.12], mass: 0.3, position: [0.5, 0, 0.06]}'; may be "
+                       'repeated')
+    group.add_argument('--idn', type=_whole, metavar='N', help='number in names, as in '
+                       'robot0_joint1 (default: 0)')
     group.add_argument('--prefix', metavar='TEXT', help='instead of that, the beginning of all '
                        'names, such as left_')
     group.add_argument('--position', nargs=3, type=_number, metavar=('X', 'Y', 'Z'),
@@ -162,6 +188,8 @@ def _add_composition(parser: argparse.ArgumentParser) -> None:
                        help='of the physics (default: 0.002)')
     group.add_argument('--no-gravity-compensation', action='store_true', default=None,
                        help='let the actuators get no help against the weight')
+    group.add_argument('--params-file', type=Path, metavar='FILE', help='instead of all these: a '
+                       "file of the node's parameters, also of several robots and objects")
 
 
 def _number(text: str) -> float:
@@ -172,6 +200,12 @@ def _number(text: str) -> float:
     if not math.isfinite(number):
         raise argparse.ArgumentTypeError(f'must be a finite number, got {text[:60]!r}')
     return number
+
+
+def _whole(text: str) -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise argparse.ArgumentTypeError(f'must be a whole number, got {text[:60]!r}')
+    return int(text[:9])
 
 
 def _size(text: str) -> tuple[int, int]:

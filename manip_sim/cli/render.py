@@ -52,7 +52,8 @@ def _picture(options: argparse.Namespace) -> Image:
         views = (View(views[0].azimuth if azimuth is None else azimuth,
                       views[0].elevation if elevation is None else elevation),)
     if options.robot != 'none':
-        return picture_of_world(compose_from(options), options.size, views)
+        world = compose_from(options).composition.world
+        return picture_of_world(world, options.size, views)
     if options.gripper is not None:
         return picture_of_part(create_gripper(options.gripper), options.size, views)
     if options.base is not None:

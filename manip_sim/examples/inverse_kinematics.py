@@ -43,6 +43,12 @@ class InverseKinematics:
             for joint in map(model.joint, joints)])
         self._site = model.site(site).id
 
+    @property
+    def ranges(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest positions of the joints, a turn either way without limits [rad]."""
+        low, high = np.clip(self._range, -np.pi, np.pi).T
+        return low, high
+
     def forward(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """
         Return where the site is.
@@ -77,7 +83,8 @@ class InverseKinematics:
             error /= max(1.0, np.abs(error).max() / _LARGEST_ERROR)
             step = arm.T @ np.linalg.solve(arm @ arm.T + _DAMPING * np.eye(6), error)
             joints = np.clip(joints + step, *self._range.T)
-        raise ValueError(f'no joint positions found that bring the hand to {position} m')
+        raise ValueError('no joint positions found that bring the hand to '
+                         f'({", ".join(f"{value:.3f}" for value in position)}) m')
 
 
 def _rotation_vector(rotation: FloatArray) -> FloatArray:

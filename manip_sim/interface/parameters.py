@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-import math
-from typing import Any
 
-from manip_sim.errors import describe_choices, ParameterError
+from manip_sim.errors import ParameterError
+from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models.arena_parameters import ArenaParameter
@@ -19,60 +17,9 @@ from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
-from manip_sim.models.sources import find_source, is_path
-from manip_sim.quoting import quoted
 from manip_sim.simulation.commands import MODES
 
 STEPPING = ('realtime', 'free', 'lockstep')
-
-
-@dataclass(frozen=True)
-class ParameterSpec:
-    """
-    One parameter.
-
-    :ivar default: also tells the type
-    :ivar live: whether it may change while the node runs
-    :ivar minimum: and ``maximum``: inclusive limits of a number
-    :ivar choices: the values that a string may have
-    :ivar length: of an array of finite numbers, where it is fixed
-    :ivar kind: of the models that it may name, such as ``robots``: also files, and what
-        ``manip_sim.models.sources`` knows
-    """
-
-    name: str
-    default: Any
-    description: str
-    unit: str = ''
-    live: bool = False
-    minimum: float | None = None
-    maximum: float | None = None
-    choices: tuple[str, ...] = ()
-    length: int | None = None
-    kind: str = ''
-
-    def within(self, scope: Scope) -> ParameterSpec:
-        """Return the same parameter for one of several robots."""
-        return replace(self, name=scope.parameter(self.name))
-
-    def problem_with(self, value: Any) -> str | None:
-        """Return what is wrong with a value that has the right type, or None."""
-        if self.kind and (is_path(value) or find_source(value, self.kind) is not None):
-            return None
-        if self.choices:
-            for item in value if isinstance(value, (list, tuple)) else [value]:
-                if item not in self.choices:
-                    return (f"parameter '{self.name}': unknown value {quoted(item)}: "
-                            f'{describe_choices(item, self.choices)}')
-        if self.length is not None and not (
-                len(value) == self.length and all(map(math.isfinite, value))):
-            return (f"parameter '{self.name}' must be {self.length} finite numbers, "
-                    f'got {list(value)}')
-        if (self.minimum is not None and self.maximum is not None
-                and not self.minimum <= value <= self.maximum):
-            return (f"parameter '{self.name}' must be from {self.minimum:g} to "
-                    f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
-        return None
 
 
 #: Is to be used before the names of models are known.
@@ -112,6 +59,15 @@ def node_parameters() -> list[ParameterSpec]:
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
         ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
                       'links and grippers; it counts as effort and against the torque limits.'),
+        ParameterSpec('publish_tf', True, 'Publish /tf and /tf_static, where tf2_msgs is '
+                      'installed; switch it off beside robot_state_publisher.'),
+        ParameterSpec('tf_rate', 50.0, 'Messages on /tf and ~/markers per second of simulation '
+                      'time: the nearest rate that comes every so many control periods.', 'Hz',
+                      minimum=0.1, maximum=10000.0),
+        ParameterSpec('frame_prefix', '', 'Beginning of all names of frames in messages, as that '
+                      'of robot_state_publisher, such as left/.'),
+        ParameterSpec('ros2_control_tag', False, 'Write into robot_description what lets '
+                      'ros2_control command this node: joint_state_topic_hardware_interface.'),
         ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
                       'domain but one.'),
     ]
@@ -139,7 +95,8 @@ def composition_parameters(scope: Scope) -> list[ParameterSpec]:
         ParameterSpec('robot', 'Panda', 'Robot of the catalogue, or a file: MJCF, URDF or YAML.',
                       choices=tuple(robot_names()), kind='robots'),
         ParameterSpec('gripper', 'default',
-                      "Gripper on every arm; 'default' is the robot's own, 'none' leaves it off.",
+                      "Gripper on every arm, or by arm as in '{right: PandaGripper, left: none}'; "
+                      "'default' is the robot's own, 'none' leaves it off.",
                       choices=('default', 'none', *gripper_names()), kind='grippers'),
         ParameterSpec('base', 'default',
                       "What the robot stands on; 'default' is the robot's own, 'none' is the "
@@ -172,7 +129,7 @@ def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
     """
     Return the parameters that depend on the parts of a robot.
 
-    :param parts: the parts with driven joints: subsystems and arms
+    :param parts: the parts with driven joints, see :func:`commanded_parts`
     """
     specs = []
     for part in parts:
@@ -208,16 +165,17 @@ def steps_per_period(publish_rate: float, timestep: float) -> int:
     return whole
 
 
-def parameters_of(parts: Mapping[str, PartLike], arena: str = 'empty',
-                  position: Sequence[float] = (0.0, 0.0, 0.0)) -> list[ParameterSpec]:
+def periods_per_message(publish_rate: float, rate: float) -> int:
     """
-    Return the parameters of a node with one robot.
+    Return after how many control periods a message comes, for the nearest rate there is.
 
-    :param parts: of the robot, by name
-    :param arena: name of the arena
-    :param position: where the robot stands in it [m], three numbers
+    :param publish_rate: control periods per second [Hz]
+    :param rate: messages per second that are asked for [Hz]
     """
-    scope = Scope()
-    driven = [name for name, part in parts.items() if part.gripper is None and part.actuators]
-    return [MODEL_PATH, *node_parameters(), *arena_specs(arena), *composition_parameters(scope),
-            *place_parameters(scope, position), *robot_parameters(scope, driven)]
+    fewer = max(1, int(publish_rate / rate))
+    return min((fewer, fewer + 1), key=lambda n: abs(publish_rate / n - rate))
+
+
+def commanded_parts(parts: Mapping[str, PartLike]) -> list[str]:
+    """Return the parts with driven joints, for :func:`robot_parameters`: all but grippers."""
+    return [name for name, part in parts.items() if part.gripper is None and part.actuators]

@@ -14,6 +14,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from manip_sim.interface.scope import Scope
+
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT = '<part>', '<arm>', '<name>'
 _GRIPPER = f'{ARM}/gripper'
@@ -105,6 +107,15 @@ TOPICS = (
           'a free body in world', 'object'),
     Topic('objects/<name>/twist', 'geometry_msgs/TwistStamped', PUBLISHED,
           'velocity of a free body, in the axes of world', 'object'),
+    Topic('odom', 'nav_msgs/Odometry', PUBLISHED,
+          'pose of a mobile base in the frame odom, and its velocity in its own axes', 'twist'),
+    Topic('/tf', 'tf2_msgs/TFMessage', PUBLISHED,
+          'frames that move, where tf2_msgs is installed'),
+    Topic('/tf_static', 'tf2_msgs/TFMessage', PUBLISHED,
+          'frames that do not, latched, where tf2_msgs is installed'),
+    Topic('~/markers', 'visualization_msgs/MarkerArray', PUBLISHED,
+          'contacts with their forces, and external wrenches, to look at'),
+    Topic('robot_description', 'std_msgs/String', PUBLISHED, 'URDF of the robot, latched'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
@@ -124,6 +135,8 @@ TOPICS = (
           'a spline through the points, in position mode', 'actuators'),
     Topic('base/cmd_vel', 'geometry_msgs/Twist', SUBSCRIBED,
           "velocity in the base's own frame, in velocity mode", 'twist'),
+    Topic('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped', SUBSCRIBED,
+          'the same with a stamp, which counts in lockstep', 'twist'),
 )
 
 SERVICES = (
@@ -154,19 +167,33 @@ def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
             if part.actuators and (part.gripper is not None) == (_GRIPPER in pattern.name)]
 
 
-def topics_of(parts: Mapping[str, PartLike], twist: bool, objects: Iterable[str] = ()
-              ) -> list[Topic]:
+def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
     """
-    Return the topics that the node has for a robot.
+    Return the topics that the node has for a robot, but for those of objects.
 
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
+    """
+    return [topic for pattern in TOPICS if pattern.needs != 'object'
+            for topic in _filled_in(pattern, parts, twist)]
+
+
+def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
+                    objects: Iterable[str] = ()) -> list[Topic]:
+    """
+    Return the topics that the node has for a world.
+
+    :param robots: where the topics of each are, its parts, and whether its base takes a twist
     :param objects: names of free bodies
     """
-    found = [topic for pattern in TOPICS if pattern.needs != 'object'
-             for topic in _filled_in(pattern, parts, twist)]
-    return found + [replace(pattern, name=pattern.name.replace(OBJECT, name))
-                    for pattern in TOPICS if pattern.needs == 'object' for name in objects]
+    found: dict[Topic, None] = {}
+    for scope, parts, twist in robots:
+        # A name that is absolute or private is the world's.
+        found.update(dict.fromkeys(
+            topic if topic.name[0] in '/~' else replace(topic, name=scope.topic(topic.name))
+            for topic in topics_of(parts, twist)))
+    return [*found, *(replace(pattern, name=pattern.name.replace(OBJECT, name))
+                      for pattern in TOPICS if pattern.needs == 'object' for name in objects)]
 
 
 def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> Iterator[Topic]:

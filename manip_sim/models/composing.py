@@ -17,7 +17,9 @@ from manip_sim.models.bases import create_base, RobotBaseModel
 from manip_sim.models.grippers import create_gripper, GripperModel
 from manip_sim.models.objects import Description
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
+from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.models.world import World
+from manip_sim.quoting import quoted, shown
 
 #: In place of a name: what the robot has by default, and nothing.
 DEFAULT, NONE = 'default', 'none'
@@ -34,7 +36,8 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
 
     :param robot: a name of the catalogue, a file, or a robot that has neither base nor gripper yet
     :param gripper: a name or file, ``default`` for the robot's own, ``none`` or None for no
-        gripper, a gripper, or one of these by arm
+        gripper, a gripper, or one of these by arm, also as for :func:`read_gripper`; an arm that
+        is not named has the robot's own
     :param base: a name or file, ``default`` for the robot's own, ``none`` or None for the floor,
         or a base
     :param idn: number or word in names, as in ``robot0_joint1``; also of grippers and base that
@@ -53,6 +56,24 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     return robot
 
 
+def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
+    """
+    Return the grippers by arm that a text such as ``{right: PandaGripper, left: none}`` tells.
+
+    :param text: YAML if it begins with a brace, else a name or file, which is returned as it is
+    :param where: what has the text, for messages
+    :raises ModelError: if it is not YAML of names by arm
+    """
+    if not text.lstrip().startswith('{'):
+        return text
+    by_arm = parse_yaml(text, where)
+    for arm, wanted in by_arm.items():
+        if not isinstance(wanted, str):
+            raise ModelError(f'{where}: the gripper of arm {quoted(arm)} must be a name or a '
+                             f'file, got {shown(wanted)}')
+    return by_arm
+
+
 def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
     wanted = robot.default_base if base == DEFAULT else base
     if wanted is None or wanted == NONE:
@@ -65,7 +86,13 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
     if isinstance(gripper, GripperModel):
         robot.add_gripper(gripper)
         return
-    by_arm = gripper if isinstance(gripper, Mapping) else dict.fromkeys(robot.arms, gripper)
+    if isinstance(gripper, str):
+        gripper = read_gripper(gripper)
+    by_arm: dict[str, Gripper] = dict.fromkeys(robot.arms, DEFAULT)
+    if isinstance(gripper, Mapping):
+        by_arm.update({robot.arm_of(name): wanted for name, wanted in gripper.items()})
+    else:
+        by_arm = dict.fromkeys(robot.arms, gripper)
     for arm, wanted in by_arm.items():
         if wanted == DEFAULT:
             if arm in robot.own_hands and arm not in robot.default_gripper:

@@ -9,7 +9,7 @@ import math
 from typing import Annotated, Any, Literal
 
 from manip_sim.errors import describe_choices
-from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG
+from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG, SIZES
 from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number)
 from manip_sim.quoting import shown
@@ -21,13 +21,6 @@ _MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
 _NORM_TOLERANCE = 1e-2
 #: Of water, as in MuJoCo [kg/m^3].
 _DEFAULT_DENSITY = 1000.0
-#: Numbers that are the size of each shape, for messages.
-_SIZES = {
-    'box': (3, '[x, y, z], its full extents'),
-    'sphere': (1, 'its radius'),
-    'cylinder': (2, '[radius, length]'),
-    'capsule': (2, '[radius, length without the caps]'),
-    'ellipsoid': (3, '[x, y, z], its radii')}
 #: Sliding, torsional [m] and rolling [m], as in MuJoCo.
 DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
 
@@ -38,8 +31,8 @@ def _listed(value: object) -> object:
 
 
 def _known_shape(value: object) -> object:
-    if value not in _SIZES:
-        raise ValueError(f'is unknown: {describe_choices(value, _SIZES)}')
+    if value not in SIZES:
+        raise ValueError(f'is unknown: {describe_choices(value, SIZES)}')
     return value
 
 
@@ -121,7 +114,7 @@ class ShapeDescription(PlacedDescription):
 
     @model_validator(mode='after')
     def _check_size_and_mass(self) -> ShapeDescription:
-        count, meaning = _SIZES[self.shape]
+        count, meaning = SIZES[self.shape]
         if len(self.size) != count:
             raise ValueError(f"'size' of a {self.shape} is {meaning} [m], got "
                              f'{len(self.size)} numbers: {shown(self.size)}')

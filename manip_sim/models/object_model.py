@@ -20,6 +20,13 @@ from manip_sim.quoting import quoted
 from manip_sim.typing import FloatArray
 
 MIN_MASS_KG, MAX_MASS_KG = 1e-5, 1e5
+#: By shape: how many numbers are its size, and what they are [m].
+SIZES = {
+    'box': (3, '[x, y, z], its full extents'),
+    'sphere': (1, 'its radius'),
+    'cylinder': (2, '[radius, length]'),
+    'capsule': (2, '[radius, length without the caps]'),
+    'ellipsoid': (3, '[x, y, z], its radii')}
 #: The geom of a shape, before it gets the name of the object.
 SHAPE_GEOM = 'shape'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')

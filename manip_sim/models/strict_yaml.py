@@ -17,7 +17,7 @@ from manip_sim.quoting import one_line, quoted, shown
 _MAX_BYTES = 1_000_000
 
 
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
     """PyYAML's safe loader, without what makes a small file large, and without equal keys."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
@@ -41,10 +41,12 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]
         return super().construct_mapping(node, deep=deep)
 
 
-def read_yaml(file: str | os.PathLike[str]) -> dict[str, Any]:
+def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictLoader
+              ) -> dict[str, Any]:
     """
     Return the mapping that a YAML file holds.
 
+    :param loader: says what plain scalars are
     :raises ModelError: if the file cannot be read, is larger than 1 MB, or holds something else:
         tags of objects, anchors, keys that are there twice
     """
@@ -56,20 +58,22 @@ def read_yaml(file: str | os.PathLike[str]) -> dict[str, Any]:
         raise ModelError(f'no such YAML file: {path}') from None
     except OSError as error:
         raise ModelError(f'{path} cannot be read: {error.strerror}') from error
-    return parse_yaml(content, str(path))
+    return parse_yaml(content, str(path), loader)
 
 
-def parse_yaml(content: str | bytes, where: str) -> dict[str, Any]:
+def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = StrictLoader
+               ) -> dict[str, Any]:
     """
     Return the mapping that a text holds.
 
     :param where: what it is, for messages
+    :param loader: says what plain scalars are
     :raises ModelError: as :func:`read_yaml` does
     """
     if len(content) > _MAX_BYTES:
         raise ModelError(f'{where} is larger than {_MAX_BYTES} bytes')
     try:
-        values = yaml.load(content, Loader=_Loader)  # noqa: S506, a kind of SafeLoader
+        values = yaml.load(content, Loader=loader)  # noqa: S506, a kind of SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ModelError(f'{where} is not YAML that is read here: {_on_one_line(error)}') from None
     if values is None:

@@ -160,6 +160,18 @@ class World:
         """
         return pack(self._compose_to_write())
 
+    def to_urdf(self, robot: str | None = None) -> str:
+        """
+        Return the URDF of a robot with its base and grippers, with the root link ``world``.
+
+        :param robot: what its names begin with, without the underscore that follows, such as
+            ``robot0``; None for the only one
+        :raises ModelError: if there are several robots and none is named, or with what MuJoCo says
+        :raises UnknownNameError: if there is no such robot
+        """
+        from manip_sim.models.urdf_writer import urdf_of  # It needs this module.
+        return urdf_of(self, robot).xml
+
     def _compose_to_write(self) -> mujoco.MjSpec:
         spec = self.compose()
         # Each part may have its own rules for masses that no file gives; the XML has one.

@@ -11,7 +11,7 @@ from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -89,6 +89,8 @@ class CommandSubscribers:
                                 partial(self._trajectory, name))
         if robot.joints.twist_indices is not None:
             self._subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
+            self._subscribe(TwistStamped, 'base/cmd_vel_stamped', 'base',
+                            lambda message: self._twist(message.twist))
         self._subscribe(JointState, 'joint_command', 'joint_command',
                         partial(self._joint_command, None))
 
@@ -102,7 +104,7 @@ class CommandSubscribers:
                 commands = parse(message)
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
-                           if isinstance(message, JointState) else 0)
+                           if isinstance(message, (JointState, TwistStamped)) else 0)
                 self._thread.submit(commands, answers, self.robot.name)
             except CommandError as error:
                 self.statistics[entry].refused += 1

@@ -59,22 +59,30 @@ def wrench_stamped(stamp: Time, frame_id: str, wrench: Wrench) -> WrenchStamped:
     return message
 
 
-def pose_stamped(stamp: Time, pose: Pose) -> PoseStamped:
-    """Return where a frame is in the world."""
+def pose_stamped(stamp: Time, pose: Pose, frame_id: str = WORLD) -> PoseStamped:
+    """
+    Return where a frame is in the world.
+
+    :param frame_id: name of the frame ``world``, which may have a prefix
+    """
     message = PoseStamped()
     message.header.stamp = stamp
-    message.header.frame_id = WORLD
+    message.header.frame_id = frame_id
     position, orientation = message.pose.position, message.pose.orientation
     position.x, position.y, position.z = pose.position.tolist()
     orientation.x, orientation.y, orientation.z, orientation.w = pose.quat_xyzw.tolist()
     return message
 
 
-def twist_stamped(stamp: Time, twist: Twist) -> TwistStamped:
-    """Return how fast a frame moves, in world axes."""
+def twist_stamped(stamp: Time, twist: Twist, frame_id: str = WORLD) -> TwistStamped:
+    """
+    Return how fast a frame moves, in world axes.
+
+    :param frame_id: name of the frame ``world``, which may have a prefix
+    """
     message = TwistStamped()
     message.header.stamp = stamp
-    message.header.frame_id = WORLD
+    message.header.frame_id = frame_id
     linear, angular = message.twist.linear, message.twist.angular
     linear.x, linear.y, linear.z = twist.linear.tolist()
     angular.x, angular.y, angular.z = twist.angular.tolist()

@@ -25,11 +25,13 @@ class ObjectPublishers:
 
     :param node: the node
     :param log: counts and tells what could not be published
+    :param frame_prefix: beginning of the names of frames
     """
 
-    def __init__(self, node: Node, log: RejectionLog) -> None:
+    def __init__(self, node: Node, log: RejectionLog, frame_prefix: str = '') -> None:
         self._node = node
         self._log = log
+        self._world = frame_prefix + messages.WORLD
         self._outputs: dict[str, tuple[Output, Output]] = {}
 
     def follow(self, simulation: Simulation) -> None:
@@ -54,13 +56,14 @@ class ObjectPublishers:
 
     def publish(self, simulation: Simulation) -> None:
         """Publish all poses and twists that somebody listens to."""
+        free_names = simulation.entities.free_names
         for name, (pose_output, twist_output) in self._outputs.items():
             pose_wanted, twist_wanted = pose_output.wanted, twist_output.wanted
-            if not (pose_wanted or twist_wanted) or name not in simulation.entities.free_names:
+            if not (pose_wanted or twist_wanted) or name not in free_names:
                 continue
             stamp = messages.stamp_of(simulation.time_ns)
             pose, twist = simulation.entities.frame(simulation.data, name)
             if pose_wanted:
-                pose_output.publish(messages.pose_stamped(stamp, pose))
+                pose_output.publish(messages.pose_stamped(stamp, pose, self._world))
             if twist_wanted:
-                twist_output.publish(messages.twist_stamped(stamp, twist))
+                twist_output.publish(messages.twist_stamped(stamp, twist, self._world))

@@ -17,6 +17,7 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 import yaml
 
 from manip_sim.errors import describe_choices, ParameterError
+from manip_sim.interface.parameter_files import matches, sections_of
 from manip_sim.quoting import quoted, quoted_names
 
 _QOS = 'qos_overrides.'
@@ -74,39 +75,24 @@ def for_other_nodes(arguments: Sequence[str], node_name: str) -> Iterator[str]:
     """
     for option, value in itertools.pairwise(arguments):
         if option == '--params-file':
-            nodes = list(_nodes_in(Path(value)))
-            if nodes and not any(_matches(node, node_name) for node in nodes):
+            nodes = _nodes_in(Path(value))
+            if nodes and not any(matches(node, node_name) for node in nodes):
                 yield (f'the parameters file {quoted(value, 200)} has no effect: it is for '
                        f'{quoted_names(nodes)}, this node is {node_name}')
         elif option in ('-p', '--param'):
             node, colon, _ = value.partition(':=')[0].rpartition(':')
-            if colon and not _matches(node, node_name):
+            if colon and not matches(node, node_name):
                 yield (f'the parameter {quoted(value)} has no effect: it is for {quoted(node)}, '
                        f'this node is {node_name}')
 
 
-def _nodes_in(file: Path) -> Iterator[str]:
-    """Yield the node names and patterns that a parameters file is for."""
-    def walk(content: Any, keys: tuple[str, ...]) -> Iterator[str]:
-        if isinstance(content, dict):
-            for key, below in content.items():
-                if key == 'ros__parameters':
-                    yield '/'.join(keys)
-                else:
-                    yield from walk(below, (*keys, str(key).strip('/')))
+def _nodes_in(file: Path) -> list[str]:
+    """Return the node names and patterns that a parameters file is for."""
     try:
-        yield from walk(yaml.safe_load(file.read_text()), ())
+        return [node for node, _ in sections_of(yaml.safe_load(file.read_text()))]
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
         # ROS has read it; only the warning is lost.
-        return
-
-
-def _matches(pattern: str, node_name: str) -> bool:
-    """Tell whether a node name, or a pattern with ``*`` and ``**``, stands for a node."""
-    tokens = [token for token in pattern.split('/') if token]
-    expression = ''.join('(/[^/]+)*' if token == '**'
-                         else '/' + re.escape(token).replace(r'\*', '[^/]*') for token in tokens)
-    return re.fullmatch(expression, node_name) is not None
+        return []
 
 
 def without_source(error: Exception) -> str:

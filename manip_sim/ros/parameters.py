@@ -14,14 +14,12 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from manip_sim.errors import describe_choices, ParameterError
-from manip_sim.interface.parameters import ParameterSpec
+from manip_sim.errors import ParameterError
+from manip_sim.interface.given_parameters import check_names
+from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.scope import Scope
-from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.simulation.parts import Part
 
-#: Parameters that every rclpy node knows.
-_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 #: Groups of parameters whose values for a part are those of the parts that it consists of.
 _COUPLED = ('control_mode', 'command_timeout')
 
@@ -52,7 +50,7 @@ class Parameters:
             self._specs[spec.name] = spec
             if spec.name in overrides:
                 given = overrides[spec.name] = self._as_declared(overrides[spec.name])
-                problem = self._type_problem(spec, given) or spec.problem_with(given.value)
+                problem = _problem(spec, given)
                 if problem:
                     raise ParameterError(problem)
             try:
@@ -60,26 +58,13 @@ class Parameters:
             except (InvalidParameterTypeException, InvalidParameterValueException) as error:
                 raise ParameterError(f"parameter '{spec.name}': {error}") from error
 
-    def _type_problem(self, spec: ParameterSpec, given: Parameter) -> str | None:
-        expected = Parameter.Type.from_parameter_value(spec.default)
-        if given.type_ is expected:
-            return None
-        return (f"parameter '{spec.name}' must be of type {expected.name.lower()}, "
-                f'got {given.value!r}')
-
     def check_names(self) -> None:
         """
         Refuse parameters that the user gave and nobody declared.
 
         :raises ParameterError: naming the nearest ones
         """
-        for name in self._node._parameter_overrides:
-            if not (name in self._specs or name in _OF_RCLPY or name.startswith('qos_overrides.')):
-                missing = [f'this robot has no {part}, ' for part in name.split('.')
-                           if part in SUBSYSTEMS and not any(
-                               spec.endswith(f'control_mode.{part}') for spec in self._specs)]
-                raise ParameterError(f"unknown parameter '{name}': {''.join(missing)}"
-                                     f'{describe_choices(name, self._specs)}')
+        check_names(self._node._parameter_overrides, self._specs)
 
     def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
         """
@@ -130,16 +115,10 @@ class Parameters:
 
     def _as_declared(self, parameter: Parameter) -> Parameter:
         spec = self._specs.get(parameter.name)
-        if (spec is not None and isinstance(spec.default, float)
-                and parameter.type_ is Parameter.Type.INTEGER):
-            return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
-        if (spec is not None and spec.length and parameter.type_ is Parameter.Type.INTEGER_ARRAY):
-            return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY,
-                             [float(value) for value in parameter.value])
-        if spec is not None and isinstance(spec.default, list) and not parameter.value:
-            # ROS reads [] as no value, and rclpy an empty list as one of bytes.
-            return Parameter(parameter.name, Parameter.Type.STRING_ARRAY, [''])
-        return parameter
+        value = parameter.value if spec is None else spec.as_declared(parameter.value)
+        if spec is None or value is parameter.value:
+            return parameter
+        return Parameter(parameter.name, Parameter.Type[spec.type.upper()], value)
 
     def _integers_to_doubles(self, parameters: list[Parameter]) -> list[Parameter]:
         return [self._as_declared(parameter) for parameter in parameters]
@@ -149,10 +128,15 @@ class Parameters:
             spec = self._specs.get(parameter.name)
             if spec is None or parameter.value is None:
                 continue
-            problem = self._type_problem(spec, parameter) or spec.problem_with(parameter.value)
+            problem = _problem(spec, parameter)
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
         return SetParametersResult(successful=True)
+
+
+def _problem(spec: ParameterSpec, given: Parameter) -> str | None:
+    return (spec.type_problem(given.type_.name.lower(), given.value)
+            or spec.problem_with(given.value))
 
 
 def _coupled_parts(parts: Mapping[str, Part], part: str) -> list[str]:

@@ -120,13 +120,16 @@ class StatePublishers:
     :param robot: tells the parts and their joints
     :param scope: where its topics are
     :param log: counts and tells what could not be published
+    :param frame_prefix: beginning of the names of frames
     """
 
-    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog) -> None:
+    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog,
+                 frame_prefix: str = '') -> None:
         self._node = node
         self._robot = robot
         self._scope = scope
         self._log = log
+        self._world = frame_prefix + messages.WORLD
         joints = list(robot.joint_names)
         self._joint_states: list[tuple[Output, list[str], Any]] = [
             (self._publisher(JointState, 'joint_states'), joints, slice(None))]
@@ -141,7 +144,7 @@ class StatePublishers:
         self._arms = []
         for arm, reader in robot.end_effectors.items():
             self._arms.append((
-                arm, reader.ft_frame,
+                arm, frame_prefix + reader.ft_frame,
                 self._publisher(WrenchStamped, f'{arm}/wrench'),
                 self._publisher(WrenchStamped, f'{arm}/external_wrench'),
                 self._publisher(PoseStamped, f'{arm}/eef_pose'),
@@ -167,9 +170,9 @@ class StatePublishers:
                 if publisher.wanted:
                     publisher.publish(messages.wrench_stamped(stamp, frame, measured))
             if pose.wanted:
-                pose.publish(messages.pose_stamped(stamp, end_effector.pose))
+                pose.publish(messages.pose_stamped(stamp, end_effector.pose, self._world))
             if twist.wanted:
-                twist.publish(messages.twist_stamped(stamp, end_effector.twist))
+                twist.publish(messages.twist_stamped(stamp, end_effector.twist, self._world))
 
 
 def publish_model(node: Node, world: World) -> None:

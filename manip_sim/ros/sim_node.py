@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 import contextlib
 from typing import Any
 
@@ -15,19 +15,19 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.interface.parameters import (
-    MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
+from manip_sim.interface.composition import compose_world, declare_parts
 from manip_sim.interface.scope import Scope
-from manip_sim.models import set_model_path, World
+from manip_sim.models import World
 from manip_sim.ros.actions import offer_actions
 from manip_sim.ros.commands import CommandSubscribers
-from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, publish_model, StatePublishers
+from manip_sim.ros.scene import check_frame_prefix, publish_scene
+from manip_sim.ros.robot_description import publish_descriptions
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -62,43 +62,44 @@ class SimNode(Node):
         check_qos_values(self)
         self._declared = Parameters(self)
         value = self._declared.value
-        self._declared.declare([MODEL_PATH])
-        set_model_path(folder for folder in value(MODEL_PATH.name) if folder)
-        self._declared.declare(node_parameters())
-        steps = steps_per_period(value('publish_rate'), value('timestep'))
-        self._scopes, world = compose_world(self._declared)
+        composition = compose_world(self._declared)
+        world = composition.world
         self.simulation = Simulation(world)
-        served = list(zip(self._scopes, self.simulation.robots.values()))
-        for scope, robot in served:
-            self._declare_parts(scope, robot)
+        self._robots = dict(zip(composition.scopes, self.simulation.robots.values()))
+        declare_parts(self._declared, [(scope, r.parts) for scope, r in self._robots.items()])
         self._declared.check_names()
-        for scope, robot in served:
+        for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
         self.thread = SimulationThread(
-            self.simulation, steps, value('stepping'), value('real_time_factor'),
-            {robot.name: self._lockstep_parts(scope, robot) for scope, robot in served},
+            self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
+            {robot.name: self._lockstep_parts(scope, robot)
+             for scope, robot in self._robots.items()},
             value('start_paused'), self._tell_failure)
         self._check_lockstep()
+        frame_prefix = check_frame_prefix(value('frame_prefix'))
         self.commands = []
-        for scope, robot in served:
+        for scope, robot in self._robots.items():
             self._control(scope, robot)
-            publishers = StatePublishers(self, robot, scope, self.rejections)
+            publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
             self.thread.observe(publishers.publish)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
-        self.objects = ObjectPublishers(self, self.rejections)
+        self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
+        self._followers = [self.objects.follow, *publish_scene(
+            self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.simulation, self.thread)
-        offer_simulation_interfaces(self, self.simulation, self.thread, self.objects.follow)
+        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
         Diagnostics(self, self.simulation, self.thread, self.commands)
         publish_model(self, world)
+        publish_descriptions(self, world, self._robots, value('ros2_control_tag'))
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
-        self._introduce(served)
+        self._introduce()
         for model in self._models(world):
             if getattr(model, 'inferred', None):
                 self.get_logger().info(f'{model.name}: inferred: {"; ".join(model.inferred)}')
@@ -110,11 +111,6 @@ class SimNode(Node):
     @staticmethod
     def _models(world: World) -> list[Any]:
         return [world.arena, *world.robots, *(m for robot in world.robots for m in robot.models)]
-
-    def _declare_parts(self, scope: Scope, robot: SimulatedRobot) -> None:
-        self._declared.declare(robot_parameters(scope, [
-            name for name, part in robot.parts.items()
-            if part.gripper is None and part.actuators]))
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
         value = self._declared.value
@@ -134,7 +130,7 @@ class SimNode(Node):
         return parts
 
     def _check_lockstep(self) -> None:
-        names = [scope.parameter('lockstep_parts') for scope in self._scopes]
+        names = [scope.parameter('lockstep_parts') for scope in self._robots]
         if self._declared.value('stepping') == 'lockstep' and not any(
                 part for name in names for part in self._declared.value(name)):
             raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
@@ -150,23 +146,27 @@ class SimNode(Node):
                     self._change_part(*found, parameter.value)
 
     def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
-        robot = list(self.simulation.robots.values())[self._scopes.index(scope)]
+        robot = self._robots[scope]
         change = robot.set_control_mode if group == 'control_mode' else robot.set_command_timeout
         self.thread.call(lambda: change(part, value))
+
+    def _objects_changed(self, simulation: Simulation) -> None:
+        for follow in self._followers:
+            follow(simulation)
 
     def _tell_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
 
-    def _introduce(self, served: Sequence[tuple[Scope, SimulatedRobot]]) -> None:
+    def _introduce(self) -> None:
         value = self._declared.value
         lines = []
-        for scope, robot in served:
+        for scope, robot in self._robots.items():
             name = f'{scope.name}: ' if scope.name else ''
             lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
                          f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
                          f'{self.simulation.timestep_s:g} s')
             lines += self._parts_in_words(scope, robot)
-        space = '<robot>/' if served[0][0].name else ''
+        space = '<robot>/' if any(scope.name for scope in self._robots) else ''
         lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '
                      f'on {space}<part>/command, {space}<part>/joint_command and '
                      f'{space}joint_command')

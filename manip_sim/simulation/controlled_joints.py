@@ -96,6 +96,10 @@ class ControlledJoints:
         """Return what an action of -1 to 1 spans in the present modes, shape (n, 2), a copy."""
         return np.array([self._servos.ranges[self._mode[i]][i] for i in indices]).reshape(-1, 2)
 
+    def acceleration_limits(self, indices: IntArray) -> FloatArray:
+        """Return how fast setpoints change their velocity [rad/s^2 or m/s^2], a copy."""
+        return np.array(self._servos.acceleration_limit[indices])
+
     def clamps(self, indices: IntArray) -> FloatArray:
         """Return the ranges of goals in the present modes, shape (n, 2), a copy."""
         clamps = self.ranges(indices)

@@ -96,6 +96,12 @@ class SimulatedRobot:
         return base.root_body if base is not None and base.joints else self.robot_model.root_body
 
     @property
+    def twist_joints(self) -> tuple[str, ...]:
+        """The joints x, y and yaw of a base that takes a twist, or none."""
+        indices = self.joints.twist_indices
+        return () if indices is None else tuple(self.joints.names[i] for i in indices)
+
+    @property
     def moving(self) -> bool:
         """Whether setpoints change, or may, in the next interval."""
         return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())
@@ -148,6 +154,13 @@ class SimulatedRobot:
         """
         self._check_no_gripper(part)
         self.joints.set_mode(part, mode, self._data)
+
+    def command_interfaces(self) -> dict[str, str]:
+        """Return by driven joint what its commands are: ``position``, ``velocity``, ``effort``."""
+        fingers = [joint for gripper in self.grippers.values()
+                   for joint in gripper.commanded_joints]
+        return {**{name: self.joints.mode_of(name) for name in self.joints.names},
+                **dict.fromkeys(fingers, 'position')}
 
     def set_command_timeout(self, part: str, timeout_s: float) -> None:
         """

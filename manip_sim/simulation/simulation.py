@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 
 import mujoco
 import numpy as np
@@ -25,6 +26,12 @@ _ABSURD_VELOCITY = 1e4
 _SETTLE_S = 0.5
 #: Setpoints that move are linear for at most so long [s].
 _INTERVAL_S = 0.004
+#: After mj_forward these make of mj_step2 what they make of mj_step, to the last bit.
+_RESUMABLE = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+#: What the first half of a step, which mj_step2 leaves out, depends on.
+_FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_QVEL)
+               | int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+               | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
 
 
 class Simulation:
@@ -32,7 +39,8 @@ class Simulation:
     The physics of a world, the robots and the objects in it.
 
     Time is a count of steps. Nothing here waits or looks at a clock; one thread at a time may use
-    it.
+    it. Whoever changes :attr:`model` calls ``mj_forward`` after it; changed positions and
+    velocities in :attr:`data` are noticed.
 
     :param world: an arena with robots
     :param visual: keep the shapes that cannot collide, to look at; they slow down each step
@@ -72,6 +80,11 @@ class Simulation:
 
     def _look_at_model(self) -> None:
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        self._first_half = np.empty(mujoco.mj_stateSize(self.model, _FIRST_HALF))
+        #: What :meth:`advance` last computed the rest of the data for.
+        self._computed_for = b''
+        #: A view: how often MuJoCo has warned, by kind.
+        self._warnings = self.data.warning.number
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
 
@@ -158,9 +171,13 @@ class Simulation:
         self._step(steps)
         # After mj_step the sensors are one step older than the positions.
         mujoco.mj_forward(self.model, self.data)
+        self._computed_for = self._first_half_state()
         self._check_divergence(warnings)
 
     def _step(self, steps: int) -> None:
+        resumes = (self._computed_for == self._first_half_state()
+                   and int(self.model.opt.integrator) in _RESUMABLE
+                   and not self.model.opt.enableflags)
         left = steps
         while left:
             moving = any(robot.moving for robot in self.robots.values())
@@ -168,20 +185,31 @@ class Simulation:
             chunk = -(-left // -(-left // self._interval_steps)) if moving else left
             for robot in self.robots.values():
                 robot.tick(chunk * self.timestep_s)
-            mujoco.mj_step(self.model, self.data, chunk)
+            if resumes:
+                # What depends on positions and velocities alone is there already.
+                mujoco.mj_step2(self.model, self.data)
+            if chunk > resumes:
+                mujoco.mj_step(self.model, self.data, chunk - resumes)
+            resumes = False
             self.step_count += chunk
             left -= chunk
 
+    def _first_half_state(self) -> bytes:
+        mujoco.mj_getState(self.model, self.data, self._first_half, _FIRST_HALF)
+        return self._first_half.tobytes()
+
     def _bad_numbers(self) -> int:
-        warning, kinds = self.data.warning, mujoco.mjtWarning
-        return sum(int(warning[int(kind)].number) for kind in (
-            kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC,
-            kinds.mjWARN_BADCTRL))
+        kinds = mujoco.mjtWarning
+        first, last = int(kinds.mjWARN_BADQPOS), int(kinds.mjWARN_BADCTRL)
+        return sum(self._warnings[first:last + 1].tolist())
 
     def _check_divergence(self, warnings_before: int) -> None:
-        velocity = self.data.qvel
-        if not (np.isfinite(self.data.qpos).all() and np.isfinite(velocity).all()
-                and np.isfinite(self.data.qacc).all()):
+        position, velocity, acceleration = self.data.qpos, self.data.qvel, self.data.qacc
+        if (velocity.dot(velocity) < _ABSURD_VELOCITY**2
+                and math.isfinite(position.dot(position) + acceleration.dot(acceleration))
+                and self._bad_numbers() == warnings_before):
+            return
+        if not all(np.isfinite(values).all() for values in (position, velocity, acceleration)):
             reason = 'a position, velocity or acceleration is not finite'
         elif np.abs(velocity).max(initial=0.0) > _ABSURD_VELOCITY:
             reason = f'a velocity is above {_ABSURD_VELOCITY:g}'

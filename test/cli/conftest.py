@@ -11,6 +11,10 @@ import sys
 import pytest
 
 from manip_sim.cli.main import main
+from manip_sim.interface.composition import Composition
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.scope import Scope
+from manip_sim.models.world import World
 
 SOURCE = Path(__file__).resolve().parents[2]
 
@@ -58,3 +62,24 @@ def refused(here):
         assert errors.startswith('manip_sim: ') and errors.count('\n') == 1, errors
         return errors.removeprefix('manip_sim: ').rstrip('\n')
     return run
+
+
+@pytest.fixture
+def composing(monkeypatch):
+    """Return a function that lets a command have a world of one robot, whatever is asked for."""
+    def compose(command, robot):
+        from manip_sim.cli.composition import Composed
+        composed = Composed(Composition([Scope()], World([robot]), 5), GivenParameters({}))
+        monkeypatch.setattr(f'manip_sim.cli.{command}.compose_from', lambda options: composed)
+    return compose
+
+
+@pytest.fixture
+def parameters_file(tmp_path):
+    """Return a function that writes a file of parameters of the node and returns its path."""
+    def write(parameters, node='/**'):
+        file = tmp_path / 'parameters.yaml'
+        lines = ''.join(f'    {line}\n' for line in parameters.strip().splitlines())
+        file.write_text(f'{node}:\n  ros__parameters:\n{lines}')
+        return file
+    return write

@@ -5,7 +5,6 @@
 
 import pytest
 
-from manip_sim.models.world import World
 from test_cli_list import NAMES
 
 LINK = """<body name="root"><geom size="0.05"/><body name="link" pos="0.3 0 0">
@@ -88,10 +87,9 @@ def test_several_robots_of_a_file_are_all_checked(here, mjcf):
 
 
 def test_what_cannot_be_controlled_is_a_defect_beside_the_others(
-        here, one_joint_arm, monkeypatch):
+        here, one_joint_arm, composing):
     two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
-    arm = one_joint_arm(two)
-    monkeypatch.setattr('manip_sim.cli.check.compose_from', lambda options: World([arm]))
+    composing('check', one_joint_arm(two))
     code, text, errors = here('check')
     assert (code, errors) == (1, '')
     assert 'this cannot be simulated: joint ' in text

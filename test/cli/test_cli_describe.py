@@ -116,10 +116,8 @@ def test_actuators_tell_what_they_are_in_the_files(described):
     ('<position name="a" joint="joint1" kp="50" forcerange="-7 9"/>', 'position servo',
      [-7.0, 9.0], np.pi)])
 def test_limits_follow_from_the_kind_of_the_actuator(
-        actuator, kind, effort, velocity, here, one_joint_arm, monkeypatch):
-    from manip_sim.models.world import World
-    arm = one_joint_arm(actuator)
-    monkeypatch.setattr('manip_sim.cli.describe.compose_from', lambda options: World([arm]))
+        actuator, kind, effort, velocity, here, one_joint_arm, composing):
+    composing('describe', one_joint_arm(actuator))
     found = json.loads(here('describe', '--json')[1])
     joint, = found['joints']
     assert found['actuators'][0]['type'] == kind
@@ -134,7 +132,7 @@ def test_passive_joints_of_a_linkage_are_told_as_coupled(described):
     assert passive['effort'] is None
 
 
-def test_a_tendon_drives_all_its_joints(here, hand_sim, monkeypatch):
+def test_a_tendon_drives_all_its_joints(hand_sim):
     made = []
     hand_sim('<position name="pull" tendon="t" kp="900" kv="9" ctrlrange="0 0.04"/>',
              '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '

@@ -4,6 +4,8 @@
 """``manip_sim export``: files that MuJoCo loads and that make the same model."""
 
 import os
+from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -12,12 +14,29 @@ import pytest
 from manip_sim.cli.output import write_whole
 from manip_sim.models import compose
 
+SOURCE = Path(__file__).resolve().parents[2]
+
 
 def loaded(file):
     if file.suffix == '.xml':
         return mujoco.MjModel.from_xml_path(str(file))
     with file.open('rb') as archive:
         return mujoco.MjSpec.from_zip(archive).compile()
+
+
+def test_of_several_robots_one_is_named(here, refused, tmp_path):
+    world = SOURCE / 'config' / 'hand_over.yaml'
+    assert refused('export', tmp_path / 'out.urdf', '--params-file', world) == (
+        'a URDF is of one robot: name one of left, middle, right')
+    assert refused('export', tmp_path / 'out.urdf', '--params-file', world, '--name', 'lift'
+                   ).startswith("unknown robot 'lift': did you mean 'left'")
+    code, _, errors = here('export', tmp_path / 'out.urdf', '--params-file', world, '--name',
+                           'left', '--ros2-control')
+    assert (code, errors) == (0, '')
+    urdf = ElementTree.parse(tmp_path / 'out.urdf')
+    joints = {joint.get('name') for joint in urdf.findall('joint')}
+    assert 'left_joint1' in joints and not any(name.startswith('middle') for name in joints)
+    assert '/left/robot_joint_states' in (tmp_path / 'out.urdf').read_text()
 
 
 @pytest.mark.parametrize('name', ['out.xml', 'out.mjz', 'out.ZIP'])
@@ -36,6 +55,55 @@ def test_a_file_makes_the_same_model(name, here, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
+def test_a_urdf_is_that_of_the_robot_and_what_it_cannot_say_is_told(here, tmp_path):
+    code, text, errors = here('export', tmp_path / 'out.urdf', '--robot', 'Jaco', '--arena',
+                              'table', '--prefix', 'left_')
+    assert (code, errors) == (0, '')
+    assert text.splitlines()[0].endswith(' kB)')
+    assert "'left_gripper_joint_thumb_distal' follows" in text
+    assert (tmp_path / 'out.urdf').read_text() == compose(
+        'Jaco', arena='table', prefix='left_').to_urdf()
+
+
+def test_a_urdf_for_ros2_control_has_the_default_control_modes(here, tmp_path):
+    here('export', tmp_path / 'out.urdf', '--robot', 'PandaOmron', '--ros2-control')
+    tag = ElementTree.parse(tmp_path / 'out.urdf').find('ros2_control')
+    commands = {joint.get('name'): [c.get('name') for c in joint.findall('command_interface')]
+                for joint in tag.findall('joint')}
+    assert commands['robot0_joint1'] == commands['mobilebase0_joint_torso_height'] == ['position']
+    assert commands['mobilebase0_joint_mobile_side'] == ['velocity']
+    assert commands['gripper0_right_finger_joint1'] == ['position']
+    assert commands['gripper0_right_finger_joint2'] == []
+    topics = {p.get('name'): p.text for p in tag.findall('hardware/param')}
+    # Those of the shipped configuration.
+    config = (SOURCE / 'config' / 'topic_based_ros2_control.yaml').read_text()
+    for name, topic in topics.items():
+        assert f'<param name="{name}">{topic}</param>' in config
+
+
+@pytest.mark.parametrize(('arguments', 'what'), [
+    (['out.xml', '--ros2-control'], '--ros2-control is for a .urdf'),
+    (['--moveit', 'config', '--ros2-control'], '--ros2-control is for a .urdf'),
+    (['out.mjz', '--name', 'left'], '--name is for a .urdf'),
+    (['out.xml', '--moveit', 'config'], 'give either a FILE or --moveit DIR'),
+    ([], 'give either a FILE or --moveit DIR')])
+def test_options_that_do_not_go_together_are_told(arguments, what, refused):
+    assert what in refused('export', *arguments, code=2)
+
+
+def test_a_package_for_moveit_is_that_of_the_composition(here, tmp_path):
+    code, text, errors = here('export', '--moveit', tmp_path / 'ur5e_moveit_config', '--robot',
+                              'UR5e', '--gripper', 'none', '--prefix', 'left_')
+    assert (code, errors, text) == (0, '', f'{tmp_path}/ur5e_moveit_config\n')
+    srdf = ElementTree.parse(tmp_path / 'ur5e_moveit_config' / 'config' / 'UR5e.srdf')
+    assert srdf.find('group/chain').get('tip_link') == 'left_right_hand'
+
+
+def test_a_package_with_a_wrong_name_is_told(refused, tmp_path):
+    assert 'cannot be the name of a ROS package' in refused('export', '--moveit',
+                                                            tmp_path / 'My-Robot')
+
+
 def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
     before = os.umask(0o027)
     try:
@@ -46,8 +114,7 @@ def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'what'), [
-    ('out.urdf', 'out.urdf: URDF cannot be written yet, only .xml, .mjz and .zip'),
-    ('out.sdf', 'out.sdf: the name must end with .xml, .mjz or .zip'),
+    ('out.sdf', 'out.sdf: the name must end with .xml, .mjz, .zip or .urdf'),
     ('out', 'the name must end with'), ('lost/out.xml', 'no such folder: '),
     ('folder.xml', 'is a folder, give the name of a file')])
 def test_what_cannot_be_written_is_told_and_leaves_nothing(name, what, refused, tmp_path):
@@ -64,7 +131,7 @@ def test_a_folder_that_cannot_be_written_to_is_told(refused, tmp_path):
 
 def test_a_wrong_name_leaves_an_older_file_as_it_is(refused, tmp_path):
     (tmp_path / 'out.xml').write_text('old')
-    assert 'unknown robot' in refused('export', tmp_path / 'out.xml', '--robot', 'Pnda')
+    assert "unknown value 'Pnda'" in refused('export', tmp_path / 'out.xml', '--robot', 'Pnda')
     assert (tmp_path / 'out.xml').read_text() == 'old'
 
 

@@ -3,6 +3,7 @@
 
 """``manip_sim list``."""
 
+import json
 import sys
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from manip_sim.models.arenas import arena_names
 from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
+from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.resources import share_directory
 
@@ -57,6 +59,33 @@ def test_arenas_tell_their_parameters(here):
     rows = {row['name']: row for row in rows_of(here('list', 'arenas')[1], 'Arenas')}
     assert rows['table']['parameters and defaults'] == (
         'table_length=0.8, table_width=0.8, table_height=0.8, friction=1.0, cube=false')
+
+
+def test_json_has_what_the_tables_have(here):
+    code, text, errors = here('list', '--json')
+    found = json.loads(text)
+    assert (code, errors) == (0, '')
+    assert list(found) == [*NAMES, 'shapes_of_objects', 'objects']
+    for kind, names in NAMES.items():
+        assert [row['name'] for row in found[kind]] == names()
+    panda = next(row for row in found['robots'] if row['name'] == 'Panda')
+    assert panda == {'name': 'Panda', 'arms': 1, 'joints': 7, 'default_gripper': ['PandaGripper'],
+                     'default_base': 'RethinkMount', 'from': 'manip_sim',
+                     'file': 'assets/robots/panda/panda.xml'}
+    table = next(row for row in found['arenas'] if row['name'] == 'table')
+    assert table['parameters_and_defaults']['table_height'] == 0.8
+    assert found['objects'][0]['mass_kg'] == pytest.approx(0.1)
+
+
+def test_shapes_of_objects_tell_what_their_size_is(here):
+    rows = {row['name']: row['size m'] for row in
+            rows_of(here('list', 'objects')[1], 'Shapes of objects')}
+    assert list(rows) == ['box', 'sphere', 'cylinder', 'capsule', 'ellipsoid']
+    assert rows['cylinder'] == '[radius, length]'
+    # What it says is what an object takes.
+    for shape, size in (('box', [1, 1, 1]), ('sphere', 1), ('cylinder', [1, 1]),
+                        ('capsule', [1, 1]), ('ellipsoid', [1, 1, 1])):
+        create_object({'name': 'o', 'shape': shape, 'size': size})
 
 
 def test_objects_tell_their_arena_and_what_brings_them(here):

@@ -249,8 +249,9 @@ def as_nobody(tmp_path):
     def switch():
         is_root = os.geteuid() == 0
         if is_root:
-            for folder in (tmp_path, *tmp_path.parents[:2]):
-                folder.chmod(0o755)
+            for folder in (tmp_path, *tmp_path.parents):
+                if 'pytest-of-' in str(folder):
+                    folder.chmod(0o755)
             os.seteuid(65534)
         try:
             yield

@@ -33,6 +33,33 @@ def test_grippers_may_differ_by_arm():
     assert isinstance(robot.grippers['right'], PandaGripper)
 
 
+def test_an_arm_that_is_not_named_has_its_own_gripper():
+    body = Baxter().eef_name['left']
+    robot = compose_robot('Baxter', {body: 'PandaGripper'})
+    assert {arm: type(g).__name__ for arm, g in robot.grippers.items()} == {
+        'right': 'RethinkGripper', 'left': 'PandaGripper'}
+
+
+@pytest.mark.parametrize('text', ['{right: none, left: PandaGripper}',
+                                  ' {"left": PandaGripper,\n "right": none}'])
+def test_a_text_tells_grippers_by_arm(text):
+    robot = compose_robot('Baxter', text)
+    assert {arm: type(g).__name__ for arm, g in robot.grippers.items()} == {'left': 'PandaGripper'}
+
+
+@pytest.mark.parametrize(('text', 'what'), [
+    ('{right: none, left: 3}', "the gripper of arm 'left' must be a name or a file, got 3"),
+    ('{right: null}', "the gripper of arm 'right' must be a name or a file, got None"),
+    ('{right: a, right: b}', "'right' is there twice"),
+    ('{right: !!python/name:os.system }', 'gripper is not YAML that is read here'),
+    ('{right: PandaGripper', 'gripper is not YAML that is read here'),
+    ('{right: PandaGriper}', "unknown gripper 'PandaGriper': did you mean 'PandaGripper'"),
+    ('{middle: PandaGripper}', "unknown arm of Baxter0 'middle': .*available: right, left")])
+def test_a_text_of_grippers_by_arm_is_read_strictly(text, what):
+    with pytest.raises(ModelError, match=what):
+        compose_robot('Baxter', text)
+
+
 def test_an_unknown_arm_is_told():
     with pytest.raises(UnknownNameError, match="unknown arm of Panda0 'left'"):
         compose_robot('Panda', {'left': 'PandaGripper'})

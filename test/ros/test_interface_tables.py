@@ -8,8 +8,10 @@ import re
 import pytest
 from rcl_interfaces.srv import ListParameters
 
-from manip_sim.interface.parameters import parameters_of
-from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, topics_of
+from manip_sim.interface.composition import compose_world, declare_parts
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, topics_of_world
+from manip_sim.ros import transforms
 
 OF_ROS = {'/rosout', '/parameter_events'}
 
@@ -23,18 +25,23 @@ def as_seen(name):
 
 @pytest.mark.parametrize('parameters', [
     {}, {'gripper': 'none'}, {'arena': 'table'}, {'robot': 'PandaOmron'}, {'robot': 'GR1'},
-    {'robot': 'UR5e', 'gripper': 'WipingGripper'}], ids=str)
+    {'robot': 'UR5e', 'gripper': 'WipingGripper'},
+    {'robots': ['a', 'b'], 'a.robot': 'PandaOmron', 'b.robot': 'Baxter', 'arena': 'table',
+     'b.gripper': '{right: PandaGripper, left: none}'}], ids=str)
 def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, client):
     node = serve(**parameters)
-    client.state()
-    simulation = node.simulation
-    robot = simulation.robot
-    expected = topics_of(robot.parts, robot.joints.twist_indices is not None,
-                         simulation.entities.free_names)
+    client.state('a/joint_states' if 'robots' in parameters else 'joint_states')
+    simulation, given = node.simulation, GivenParameters(parameters)
+    scopes, robots = compose_world(given).scopes, simulation.robots.values()
+    declare_parts(given, [(scope, robot.parts) for scope, robot in zip(scopes, robots)])
+    expected = topics_of_world(
+        [(scope, robot.parts, robot.joints.twist_indices is not None)
+         for scope, robot in zip(scopes, robots)], simulation.entities.free_names)
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):
-        wanted = {as_seen(t.name): t.type for t in expected if t.direction == direction}
+        wanted = {as_seen(t.name): t.type for t in expected if t.direction == direction
+                  and not (transforms.TFMessage is None and t.type == 'tf2_msgs/TFMessage')}
 
         def found(seen=seen):
             return {name: _either(kinds[0].replace('/msg/', '/'))
@@ -47,8 +54,7 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
         name: kinds[0].replace('/srv/', '/') for name, kinds in services.items()}.items()
     names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
     ours = {n for n in names if not re.match('qos_overrides|use_sim_time|start_type', n)}
-    assert ours == {parameter.name for parameter in parameters_of(
-        robot.parts, parameters.get('arena', 'empty'))}
+    assert ours == set(given.specs)
 
 
 def _either(kind):

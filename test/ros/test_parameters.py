@@ -90,12 +90,14 @@ def test_every_parameter_is_described(serve, client):
 
 
 @pytest.mark.parametrize(('file', 'joint'), [
-    ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1')])
+    ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1'),
+    ('hand_over.yaml', 'left_joint1')])
 def test_the_files_of_the_folder_config_start_a_node(file, joint, process, client):
     process('--ros-args', '--params-file', str(CONFIG / file))
-    assert client.state().name[0] == joint
+    topic = 'left/joint_states' if joint.startswith('left') else 'joint_states'
+    assert client.state(topic).name[0] == joint
     assert {path.name for path in CONFIG.glob('*.yaml')} == {
-        'panda.yaml', 'topic_based_ros2_control.yaml'}
+        'hand_over.yaml', 'panda.yaml', 'topic_based_ros2_control.yaml'}
 
 
 def values_of_all_parameters(client):

@@ -10,6 +10,7 @@ import sys
 
 from rclpy.qos import QoSDurabilityPolicy
 
+from manip_sim.ros import transforms
 from manip_sim.interface.topics import ACTIONS
 
 README = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
@@ -26,7 +27,7 @@ def documented(kinds):
 def general(name):
     """Turn the name of a topic into the form that the README has."""
     name = re.sub(r'^/manip_sim/', '~/', name)
-    if name not in ('/clock', '/diagnostics'):
+    if name not in ('/clock', '/diagnostics', '/tf', '/tf_static'):
         name = name.lstrip('/')
     name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
@@ -50,10 +51,16 @@ def test_topics_are_documented_with_their_types(serve, client):
                       for topic, kinds in topics
                       if topic not in OF_ROS and '/_action/' not in topic}
     table = documented({'sensor_msgs', 'geometry_msgs', 'std_msgs', 'rosgraph_msgs',
-                        'diagnostic_msgs', 'trajectory_msgs'})
+                        'diagnostic_msgs', 'trajectory_msgs', 'nav_msgs', 'visualization_msgs'})
+    frames = documented({'tf2_msgs'})
+    assert {name for name, _ in frames} == {'/tf', '/tf_static'}
+    if transforms.TFMessage is not None:
+        table |= frames
     assert found <= table
     # A Panda has no mobile base.
-    assert table - found == {('base/cmd_vel', 'geometry_msgs/Twist')}
+    assert table - found == {('base/cmd_vel', 'geometry_msgs/Twist'),
+                             ('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped'),
+                             ('odom', 'nav_msgs/Odometry')}
 
 
 def test_services_are_documented_with_their_types(serve, client):
@@ -80,9 +87,12 @@ def test_the_pasted_controller_moves_the_robot(serve, client):
     serve()
     example = next(block for block in re.findall(r'```python\n(.*?)```', README, re.DOTALL)
                    if 'rclpy.spin' in block)
-    assert len(example.strip().splitlines()) == 10
-    controller = subprocess.Popen([sys.executable, '-c', example])
+    assert len([line for line in example.splitlines() if line]) == 10
+    # A terminal ends a block at an empty line, and only there.
+    controller = subprocess.Popen([sys.executable, '-i'], stdin=subprocess.PIPE, text=True)
     try:
+        controller.stdin.write(example)
+        controller.stdin.close()
         client.spin_until(lambda: abs(client.state().position[0]) > 0.1)
     finally:
         controller.terminate()

@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from manip_sim.interface.topics import actions_of
 from manip_sim.resources import config_path
-from manip_sim.ros import simulation_interfaces
+from manip_sim.ros import simulation_interfaces, transforms
 
 #: Together they have all parts that there are.
 ROBOTS = ('PandaOmron', 'GR1')
@@ -21,6 +21,9 @@ STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
     'get_simulator_features', 'get_simulation_state', 'set_simulation_state', 'step_simulation',
     'reset_simulation', 'get_entities', 'get_entity_state', 'set_entity_state',
     'spawn_entity', 'delete_entity')}
+
+#: With or without tf2_msgs in this environment.
+FRAMES = {'/tf', '/tf_static'}
 
 
 def granted(enclave, kind, permission):
@@ -66,6 +69,10 @@ def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
         assert allowed >= STANDARD_SERVICES
         if not simulation_interfaces.AVAILABLE:
             allowed -= STANDARD_SERVICES
+    if permission == 'publish':
+        assert allowed >= FRAMES
+        if transforms.TFMessage is None:
+            allowed -= FRAMES
     assert allowed == graph[permission]
 
 

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from manip_sim.errors import ManipSimError
 
@@ -113,6 +115,8 @@ def test_names_that_cannot_be_are_refused(serve, robots, what):
 @pytest.mark.parametrize(('parameters', 'what'), [
     ({'robot': 'UR5e'}, "unknown parameter 'robot': did you mean"),
     ({'left__robt': 'UR5e'}, r"unknown parameter 'left\.robt': did you mean 'left\.robot'"),
+    ({'left__gripper': '{left: PandaGripper}'}, "unknown arm of Pandaleft 'left': .*right"),
+    ({'left__gripper': '{right: Pandagrip}'}, r"'left\.gripper': unknown value 'Pandagrip'"),
     ({'left__robot': 'Pandaa'}, r"parameter 'left\.robot': unknown value 'Pandaa'"),
     ({'left__position': [0.0, 1.0]}, r"'left\.position' must be 3 finite numbers"),
     ({'left__position': [0.0, 1.0, float('nan')]}, r"'left\.position' must be 3 finite numbers"),
@@ -120,3 +124,23 @@ def test_names_that_cannot_be_are_refused(serve, robots, what):
 def test_parameters_that_cannot_be_are_refused(serve, parameters, what):
     with pytest.raises(ManipSimError, match=what):
         serve(robots=['left', 'right'], **parameters)
+
+
+def test_the_command_line_exports_what_the_node_serves(process, client, tmp_path):
+    from manip_sim.cli.main import main
+    from manip_sim.resources import share_directory
+    file = str(share_directory() / 'config' / 'hand_over.yaml')
+    process('--ros-args', '--params-file', file)
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    served = client.listen(String, 'manip_sim/mjcf', latched)
+    client.spin_until(lambda: served)
+    assert main(['export', str(tmp_path / 'world.xml'), '--params-file', file]) == 0
+    assert (tmp_path / 'world.xml').read_text() == served[0].data
+
+
+def test_each_arm_may_have_its_own_gripper(serve, client):
+    node = serve(robots=['twin', 'other'], twin__robot='Baxter',
+                 twin__gripper='{left: PandaGripper, right: none}')
+    client.state('twin/left/gripper/joint_states')
+    assert [type(gripper).__name__ for gripper in
+            node.simulation.robots['twin'].robot_model.grippers.values()] == ['PandaGripper']

@@ -126,7 +126,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         :raises ModelError: if the arm has a gripper already, or the gripper is mounted already
         """
         if isinstance(gripper, GripperModel):
-            for arm in self.arms if arm_name is None else (self._arm(arm_name),):
+            for arm in self.arms if arm_name is None else (self.arm_of(arm_name),):
                 self.take_off_hand(arm)
         super().add_gripper(gripper, arm_name)
 

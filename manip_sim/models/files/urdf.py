@@ -18,6 +18,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
+from manip_sim.resources import PACKAGE, share_directory
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
@@ -146,6 +147,8 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
 
 
 def _package_folders(package: str, file: Path) -> Iterator[Path]:
+    if package == PACKAGE:  # A URDF that was written here.
+        return iter([share_directory()])
     found = [Path(prefix) / 'share' / package for prefix in
              os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
     for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep):

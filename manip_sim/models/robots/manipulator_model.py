@@ -170,7 +170,7 @@ class ManipulatorModel(RobotModel):
         """
         if not isinstance(gripper, GripperModel):
             raise TypeError(f'a gripper must be a GripperModel, not {type(gripper).__name__}')
-        arms = self.arms if arm_name is None else (self._arm(arm_name),)
+        arms = self.arms if arm_name is None else (self.arm_of(arm_name),)
         for arm in arms:
             if arm in self._grippers:
                 raise ModelError(f"{self.name}'s {arm} arm holds {self._grippers[arm].name} "
@@ -186,7 +186,12 @@ class ManipulatorModel(RobotModel):
             self._grippers[arm] = own
         self._was_mounted()
 
-    def _arm(self, arm_name: str) -> str:
+    def arm_of(self, arm_name: str) -> str:
+        """
+        Return an arm by its name or by that of its end effector body.
+
+        :raises UnknownNameError: if there is no such arm
+        """
         for arm, body in self.eef_name.items():
             if arm_name in (arm, body):
                 return arm

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from os import PathLike
 from typing import Any, Union
 
@@ -20,7 +20,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.naming import check_names_are_free
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
-from manip_sim.models.robots.subsystems import classify, driven_joint, SUBSYSTEMS, Subsystems
+from manip_sim.models.robots.subsystems import Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.models.validation import finite_numbers
 from manip_sim.typing import FloatArray
@@ -31,7 +31,7 @@ Position = tuple[float, float, float]
 Placement = Union[Position, Callable[[float], Position]]
 
 
-class RobotModel(Subsystems, MujocoXMLModel, ABC):
+class RobotModel(Subsystems, ABC):
     """
     A robot without hands, and the base it stands on. Prefix ``robot{idn}_``.
 
@@ -43,8 +43,6 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
     :raises ModelError: if the file has no root body or several
     """
 
-    #: Subsystem by raw joint name, for joints whose names do not tell.
-    _subsystem_of_joint: Mapping[str, str] = {}
     #: What the robot stands with on a base or the floor, seen from the root [m]; None: the
     #: file's root body hangs where it shall be above the floor.
     _foot_offset: tuple[float, float, float] | None = None
@@ -219,17 +217,7 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
                 is_array = np.ndim(getattr(joint, attrib)) > 0
                 setattr(joint, attrib, [value, 0.0, 0.0] if is_array else value)
 
-    # ------------------------------------------------------------------ subsystems
-
-    @property
-    def all_joints(self) -> list[str]:
-        """Joints of the robot, then of its base."""
-        return self.joints + (self._base.joints if self._base else [])
-
-    @property
-    def all_actuators(self) -> list[str]:
-        """Actuators of the robot, then of its base."""
-        return self.actuators + (self._base.actuators if self._base else [])
+    # ------------------------------------------------------------------ what is recorded
 
     def refresh(self) -> None:
         """
@@ -243,54 +231,8 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
         self.update_joints()
         self.update_actuators()
 
-    def update_joints(self) -> None:
-        """Sort all joints into subsystems again; done by every ``add_*`` too."""
-        self._joints_of = {part: [] for part in SUBSYSTEMS}
-        for part in self._own_parts():
-            for raw in part._joints:
-                self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
-
-    def update_actuators(self) -> None:
-        """Sort all actuators into subsystems again; done by every ``add_*`` too."""
-        self._actuators_of = {part: [] for part in SUBSYSTEMS}
-        for part in self._own_parts():
-            for raw in part._actuators:
-                driven = driven_joint(part._own_model, part._own_model.actuator(raw).id)
-                name = self._subsystem(part, driven or raw)
-                self._actuators_of[name].append(part.correct_naming(raw))
-
     def _own_parts(self) -> list[MujocoXMLModel]:
         return [self] if self._base is None else [self, self._base]
-
-    def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
-        if part is self and raw in self._subsystem_of_joint:
-            return self._subsystem_of_joint[raw]
-        return classify(raw)
-
-    def format_action(self, subsystem: str, action: ArrayLike,
-                      ctrlrange: ArrayLike | None = None) -> FloatArray:
-        """
-        Map an abstract action to commands of a subsystem's actuators, clamping it to [-1, 1].
-
-        :param subsystem: ``arm``, ``base``, ``torso``, ``head`` or ``legs``
-        :param action: where in the control ranges, in [-1, 1], shape (n,)
-        :param ctrlrange: other ranges than the files', shape (n, 2)
-        :returns: commands in the actuators' units, shape (n,)
-        :raises UnknownNameError: if there is no such subsystem
-        :raises CommandError: if the length is wrong or a number is not finite
-        """
-        names = self.actuators_of(subsystem)
-        checked = finite_numbers(action, len(names), f'an action of the {subsystem} of '
-                                 f'{self.name}', CommandError)
-        low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
-                               dtype=float).reshape(-1, 2).T
-        commands: FloatArray = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
-        return commands
-
-    def _ctrlrange(self, names: list[str]) -> FloatArray:
-        ranges = {part.correct_naming(raw): part._own_model.actuator(raw).ctrlrange
-                  for part in self._own_parts() for raw in part._actuators}
-        return np.array([ranges[name] for name in names])
 
     # ------------------------------------------------------------------ composing
 

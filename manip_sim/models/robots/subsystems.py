@@ -5,11 +5,18 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Mapping
 import re
 
 import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
 
-from manip_sim.errors import UnknownNameError
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.validation import finite_numbers
+from manip_sim.typing import FloatArray
 
 SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs')
 #: In the order in which names are looked at; what fits none is arm.
@@ -17,9 +24,11 @@ KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 
 
-class Subsystems:
-    """The joints and actuators of a robot by subsystem; every list is a copy."""
+class Subsystems(MujocoXMLModel):
+    """The joints and actuators of a robot and its base by subsystem; every list is a copy."""
 
+    #: Subsystem by raw joint name, for joints whose names do not tell.
+    _subsystem_of_joint: Mapping[str, str] = {}
     _joints_of: dict[str, list[str]]
     _actuators_of: dict[str, list[str]]
 
@@ -93,6 +102,66 @@ class Subsystems:
         if subsystem not in table:
             raise UnknownNameError('subsystem', subsystem, SUBSYSTEMS)
         return table[subsystem]
+
+    @abstractmethod
+    def _own_parts(self) -> list[MujocoXMLModel]:
+        """Return the robot, and its base if it has one."""
+
+    @property
+    def all_joints(self) -> list[str]:
+        """Joints of the robot, then of its base."""
+        return [joint for part in self._own_parts() for joint in part.joints]
+
+    @property
+    def all_actuators(self) -> list[str]:
+        """Actuators of the robot, then of its base."""
+        return [actuator for part in self._own_parts() for actuator in part.actuators]
+
+    def update_joints(self) -> None:
+        """Sort all joints into subsystems again; done by every ``add_*`` too."""
+        self._joints_of = {part: [] for part in SUBSYSTEMS}
+        for part in self._own_parts():
+            for raw in part._joints:
+                self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
+
+    def update_actuators(self) -> None:
+        """Sort all actuators into subsystems again; done by every ``add_*`` too."""
+        self._actuators_of = {part: [] for part in SUBSYSTEMS}
+        for part in self._own_parts():
+            for raw in part._actuators:
+                driven = driven_joint(part._own_model, part._own_model.actuator(raw).id)
+                name = self._subsystem(part, driven or raw)
+                self._actuators_of[name].append(part.correct_naming(raw))
+
+    def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
+        if part is self and raw in self._subsystem_of_joint:
+            return self._subsystem_of_joint[raw]
+        return classify(raw)
+
+    def format_action(self, subsystem: str, action: ArrayLike,
+                      ctrlrange: ArrayLike | None = None) -> FloatArray:
+        """
+        Map an abstract action to commands of a subsystem's actuators, clamping it to [-1, 1].
+
+        :param subsystem: ``arm``, ``base``, ``torso``, ``head`` or ``legs``
+        :param action: where in the control ranges, in [-1, 1], shape (n,)
+        :param ctrlrange: other ranges than the files', shape (n, 2)
+        :returns: commands in the actuators' units, shape (n,)
+        :raises UnknownNameError: if there is no such subsystem
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        names = self.actuators_of(subsystem)
+        checked = finite_numbers(action, len(names), f'an action of the {subsystem} of '
+                                 f'{self.name}', CommandError)
+        low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
+                               dtype=float).reshape(-1, 2).T
+        commands: FloatArray = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        return commands
+
+    def _ctrlrange(self, names: list[str]) -> FloatArray:
+        ranges = {part.correct_naming(raw): part._own_model.actuator(raw).ctrlrange
+                  for part in self._own_parts() for raw in part._actuators}
+        return np.array([ranges[name] for name in names])
 
 
 def classify(name: str) -> str:

@@ -5,20 +5,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 import re
 from typing import Any
 
 from manip_sim.errors import ParameterError
+from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
-    arena_specs, composition_parameters, place_parameters)
-from manip_sim.models import Arena, compose_robot, create_arena, World
+    arena_specs, commanded_parts, composition_parameters, MODEL_PATH, node_parameters,
+    place_parameters, robot_parameters, steps_per_period)
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import PartLike
+from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
-from manip_sim.ros.parameters import Parameters
-from manip_sim.interface.scope import Scope
 
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
@@ -28,15 +31,32 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 _RESERVED = ('arena', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
 
 
-def compose_world(parameters: Parameters) -> tuple[list[Scope], World]:
+@dataclass(frozen=True)
+class Composition:
     """
-    Declare what says which robots there are and where, and compose their world.
+    A world and what the node needs to serve it.
 
-    :returns: where each robot's topics and parameters are, and the world with the robots in this
-        order
+    :ivar scopes: where topics and parameters of each robot are, in the order of the world's robots
+    :ivar world: the world
+    :ivar steps: physics steps of a control period
+    """
+
+    scopes: list[Scope]
+    world: World
+    steps: int
+
+
+def compose_world(parameters: ParameterSource) -> Composition:
+    """
+    Declare the parameters that say what there is, and compose the world that they ask for.
+
+    What depends on the parts of the robots is left to :func:`declare_parts`.
+
     :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
     """
     value = parameters.value
+    declare_node(parameters)
+    steps = steps_per_period(value('publish_rate'), value('timestep'))
     scopes = [Scope(name) for name in _robot_names(value('robots'))] or [Scope()]
     robots = []
     for scope in scopes:
@@ -45,20 +65,49 @@ def compose_world(parameters: Parameters) -> tuple[list[Scope], World]:
             value(scope.parameter(name)) for name in ('robot', 'gripper', 'base', 'prefix'))
         robots.append(compose_robot(robot, gripper, base, prefix=prefix,
                                     idn=value('idn') if not scope.name else scope.name))
-    arena = _arena(parameters)
+    arena = compose_arena(parameters)
     for scope, robot, position in zip(scopes, robots, _side_by_side(arena, robots)):
         parameters.declare(place_parameters(scope, position))
         robot.set_base_xpos(value(scope.parameter('position')))
         if any(value(scope.parameter('orientation'))):
             robot.set_base_ori(value(scope.parameter('orientation')))
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
-    return scopes, World(robots, arena, timestep_s=value('timestep'),
-                         gravity_compensation=value('gravity_compensation'),
-                         objects=_objects(value('objects')), seed=value('seed'),
-                         initialization_noise=noise if noise['magnitude'] else None)
+    world = World(robots, arena, timestep_s=value('timestep'),
+                  gravity_compensation=value('gravity_compensation'),
+                  objects=_objects(value('objects')), seed=value('seed'),
+                  initialization_noise=noise if noise['magnitude'] else None)
+    return Composition(scopes, world, steps)
 
 
-def _arena(parameters: Parameters) -> Arena:
+def declare_node(parameters: ParameterSource) -> None:
+    """
+    Declare the parameters of every node, and let the folders of the user join the catalogue.
+
+    :raises ManipSimError: if a value cannot be used
+    """
+    parameters.declare([MODEL_PATH])
+    set_model_path(folder for folder in parameters.value(MODEL_PATH.name) if folder)
+    parameters.declare(node_parameters())
+
+
+def declare_parts(parameters: ParameterSource,
+                  served: Iterable[tuple[Scope, Mapping[str, PartLike]]]) -> None:
+    """
+    Declare the parameters that depend on the parts of each robot.
+
+    :raises ParameterError: if a value cannot be used
+    """
+    for scope, parts in served:
+        parameters.declare(robot_parameters(scope, commanded_parts(parts)))
+
+
+def compose_arena(parameters: ParameterSource) -> Arena:
+    """
+    Declare the parameters of the arena that is asked for, and return it.
+
+    :param parameters: with those of :func:`declare_node`
+    :raises ManipSimError: if a value cannot be used
+    """
     name = parameters.value('arena')
     specs = arena_specs(name)
     parameters.declare(specs)

@@ -1,0 +1,188 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One arm with a gripper, commanded and seen through its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import WrenchStamped
+import mujoco
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from manip_sim.examples.inverse_kinematics import InverseKinematics
+from manip_sim.examples.task import Task, TaskFailed
+from manip_sim.typing import FloatArray
+
+#: The fastest joint of a motion moves so fast on average [rad/s], and a motion takes so long [s].
+_SPEED, _SHORTEST_S = 0.9, 0.8
+#: A motion has ended when all joints are so near [rad]; later than planned by so much at most [s].
+_NEAR, _LATE_S = 0.01, 3.0
+#: Fingers that move less [rad or m] for so long [s] are still.
+_STILL, _STILL_S = 5e-4, 0.3
+#: Further postures to start from where the present one leads to none.
+_STARTS = 40
+
+
+class Arm:
+    """
+    An arm with a gripper.
+
+    :param task: the node that commands it
+    :param name: of the robot; empty where the simulation has one robot without a name
+    """
+
+    def __init__(self, task: Task, name: str = '') -> None:
+        self.name = name
+        self._task = task
+        self._all: JointState | None = None
+        self._arm: JointState | None = None
+        self._fingers: JointState | None = None
+        self._wrench: WrenchStamped | None = None
+        space = f'{name}/' if name else ''
+        task.create_subscription(JointState, f'{space}joint_states', self._take_all, 1)
+        task.create_subscription(JointState, f'{space}arm/joint_states', self._take_arm, 1)
+        task.create_subscription(
+            JointState, f'{space}right/gripper/joint_states', self._take_fingers, 1)
+        task.create_subscription(WrenchStamped, f'{space}right/wrench', self._take_wrench, 1)
+        self._trajectory = task.create_publisher(
+            JointTrajectory, f'{space}arm/joint_trajectory', 1)
+        self._gripper = task.create_publisher(
+            Float64MultiArray, f'{space}right/gripper/command', 1)
+
+    def _take_all(self, message: JointState) -> None:
+        self._all = message
+
+    def _take_arm(self, message: JointState) -> None:
+        self._arm = message
+        self._task.notice(message.header.stamp)
+
+    def _take_fingers(self, message: JointState) -> None:
+        self._fingers = message
+
+    def _take_wrench(self, message: WrenchStamped) -> None:
+        self._wrench = message
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether there is a state of everything."""
+        return None not in (self._all, self._arm, self._fingers, self._wrench)
+
+    def connect(self, model: mujoco.MjModel) -> None:
+        """
+        Wait until the simulation listens, and take its model; to be called when it is seen.
+
+        :raises TaskFailed: if it does not listen
+        """
+        self._task.wait_until(lambda: min(self._trajectory.get_subscription_count(),
+                                          self._gripper.get_subscription_count()) > 0,
+                              'the node does not listen to commands')
+        assert self._all is not None and self._arm is not None
+        # The sites of a gripper have the same prefix, whatever the robot's names begin with.
+        site = self.sensor_frame.removesuffix('ft_frame') + 'grip_site'
+        self._kinematics = InverseKinematics(
+            model, self._arm.name, site, dict(zip(self._all.name, self._all.position)))
+
+    # ------------------------------------------------------------------ what is seen
+
+    @property
+    def joints(self) -> FloatArray:
+        """Where the arm's joints are [rad]."""
+        assert self._arm is not None
+        return np.array(self._arm.position)
+
+    @property
+    def fingers(self) -> FloatArray:
+        """Where the gripper's joints are [rad or m]."""
+        assert self._fingers is not None
+        return np.array(self._fingers.position)
+
+    @property
+    def grip(self) -> tuple[FloatArray, FloatArray]:
+        """Where the grip site is in ``world``: position [m] and rotation matrix."""
+        return self._kinematics.forward(self.joints)
+
+    @property
+    def force(self) -> FloatArray:
+        """What the wrist exerts on the gripper [N], in :attr:`sensor_frame`."""
+        assert self._wrench is not None
+        force = self._wrench.wrench.force
+        return np.array([force.x, force.y, force.z])
+
+    @property
+    def sensor_frame(self) -> str:
+        """The name of the frame of the force sensor."""
+        assert self._wrench is not None
+        return str(self._wrench.header.frame_id)
+
+    # ------------------------------------------------------------------ motion
+
+    def posture(self, position: FloatArray, rotations: Sequence[FloatArray],
+                start: FloatArray | None = None) -> FloatArray:
+        """
+        Return joint positions that bring the grip site to a pose, by the shortest way.
+
+        :param position: of the grip site in ``world`` [m], shape (3,)
+        :param rotations: rotation matrices of the grip site that will do
+        :param start: from where the way is [rad]; by default where the joints are
+        :raises TaskFailed: if it is out of reach
+        """
+        start = self.joints if start is None else start
+        low, high = self._kinematics.ranges
+        random = np.random.default_rng(0)
+        found: list[FloatArray] = []
+        for number in range(1 + _STARTS):
+            begin = start if number == 0 else random.uniform(low, high)
+            for rotation in rotations:
+                try:
+                    found.append(self._kinematics.solve(begin, position, rotation))
+                except ValueError as error:
+                    problem = error
+            if number == 0 and found:
+                break
+        if not found:
+            raise TaskFailed(f'{self.name}: {problem}' if self.name else str(problem))
+        return min(found, key=lambda joints: float(np.abs(joints - start).max()))
+
+    def move(self, goal: FloatArray) -> None:
+        """
+        Move the joints on a quintic, and wait until they are there.
+
+        :param goal: joint positions [rad]
+        :raises TaskFailed: if they do not get there
+        """
+        assert self._arm is not None
+        way = float(np.abs(goal - self.joints).max())
+        duration_s = max(_SHORTEST_S, way / _SPEED)
+        at_rest = [0.0] * len(goal)
+        point = JointTrajectoryPoint(
+            positions=goal.tolist(), velocities=at_rest, accelerations=at_rest,
+            time_from_start=Duration(sec=int(duration_s), nanosec=int(duration_s % 1.0 * 1e9)))
+        self._trajectory.publish(JointTrajectory(joint_names=self._arm.name, points=[point]))
+        end_s = self._task.now_s + duration_s
+        while self._task.now_s < end_s or np.abs(self.joints - goal).max() > _NEAR:
+            if self._task.now_s > end_s + _LATE_S:
+                raise TaskFailed(f'{self.name or "the arm"} does not get where it shall: its '
+                                 f'joints are off by {np.abs(self.joints - goal).max():.3f} rad')
+            self._task.next_state()
+
+    def open(self) -> None:
+        """Open the gripper, without waiting."""
+        self._gripper.publish(Float64MultiArray(data=[-1.0]))
+
+    def close(self) -> None:
+        """Close the gripper, without waiting."""
+        self._gripper.publish(Float64MultiArray(data=[1.0]))
+
+    def wait_for_fingers(self) -> None:
+        """Wait until the fingers have not moved for a while."""
+        last, since = self.fingers, self._task.now_s
+        while self._task.now_s < since + _STILL_S:
+            self._task.next_state()
+            if np.abs(self.fingers - last).max() > _STILL:
+                last, since = self.fingers, self._task.now_s

@@ -1,0 +1,185 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Hand a cube from one arm to a second and a third one, through topics alone.
+
+Needs a node with ``config/hand_over.yaml``. The arms ``left`` and ``right`` hold the cube from
+above by its sides along y, the arm ``middle`` from below by its sides along x. After each grasp
+the cube's pose tells whether it moves with the hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import sys
+
+from geometry_msgs.msg import PoseStamped
+import mujoco
+import numpy as np
+
+from manip_sim.examples.arm import Arm
+from manip_sim.examples.task import run, Task, TaskFailed
+from manip_sim.typing import FloatArray
+
+#: Where ``left`` gives the cube to ``middle``, and that to ``right``, in ``world`` [m].
+LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
+#: Where the cube shall stand in the end [m], and how far from there it may [m].
+GOAL, NEAR_GOAL_M = np.array([-0.05, -0.5, 0.825]), 0.03
+#: How far from the cube a hand waits [m]; above or below its middle it grips so far away [m].
+_AWAY_M, _OFF_MIDDLE_M = 0.12, 0.008
+#: A cube that is held moves in the hand by less [m].
+_SLIP_M = 0.01
+#: Fingers that close move by more [rad or m].
+_CLOSES = 2e-3
+_SETTLE_S = 0.3
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class HandOver(Task):
+    """Lets ``left`` pick the cube up, ``middle`` take it, and ``right`` put it down."""
+
+    def __init__(self) -> None:
+        super().__init__('hand_over', 'sim_node --ros-args --params-file hand_over.yaml')
+        self._left, self._middle, self._right = (Arm(self, name)
+                                                 for name in ('left', 'middle', 'right'))
+        self._pose: PoseStamped | None = None
+        self.create_subscription(PoseStamped, 'objects/cube/pose', self._take_pose, 1)
+
+    def _take_pose(self, message: PoseStamped) -> None:
+        self._pose = message
+
+    @property
+    def _cube(self) -> FloatArray:
+        assert self._pose is not None
+        position = self._pose.pose.position
+        return np.array([position.x, position.y, position.z])
+
+    def _sides(self) -> list[FloatArray]:
+        """Return the horizontal directions from the cube's middle to its sides."""
+        assert self._pose is not None
+        turned, rotation = self._pose.pose.orientation, np.empty(9)
+        mujoco.mju_quat2Mat(rotation, np.array([turned.w, turned.x, turned.y, turned.z]))
+        axes = rotation.reshape(3, 3).T
+        return [sign * axis for axis in axes if abs(axis[2]) < 0.1 for sign in (1.0, -1.0)]
+
+    def perform(self) -> None:
+        """
+        Hand the cube over twice.
+
+        :raises TaskFailed: if there is no node, a hand does not hold the cube, or it is not at the
+            goal in the end
+        """
+        left, middle, right = arms = self._left, self._middle, self._right
+        model = self.connect(
+            lambda: self._pose is not None and all(arm.is_seen for arm in arms))
+        for arm in arms:
+            arm.connect(model)
+            arm.open()
+        self._take(left, -_UP, self._sides())
+        self._carry(left, LEFT_PLACE, -_UP)
+        self._give(left, middle, _UP)
+        self._carry(middle, RIGHT_PLACE, _UP)
+        self._give(middle, right, -_UP)
+        self._carry(right, GOAL + _AWAY_M * _UP, -_UP)
+        self._put_down(right)
+        self._check_goal()
+
+    # ------------------------------------------------------------------ steps
+
+    def _take(self, arm: Arm, approach: FloatArray, across: Sequence[FloatArray]) -> None:
+        """Let an arm grip the cube, moving along ``approach``, with its fingers ``across``."""
+        rotations = [_looking(approach, direction) for direction in across]
+        # Each of two hands leaves the other one some room.
+        grip = self._cube - _OFF_MIDDLE_M * approach
+        before = arm.posture(grip - _AWAY_M * approach, rotations)
+        at_cube = arm.posture(grip, rotations, start=before)
+        arm.move(before)
+        arm.move(at_cube)
+        fingers = arm.fingers
+        arm.close()
+        arm.wait_for_fingers()
+        if np.abs(arm.fingers - fingers).max() < _CLOSES:
+            raise TaskFailed(f'the gripper of {arm.name} does not close')
+        self.say(f'{arm.name} grips the cube at {_in_words(self._cube)}')
+
+    def _carry(self, arm: Arm, place: FloatArray, approach: FloatArray) -> None:
+        """Let an arm bring the cube to a place, and check that it comes along."""
+        inside = self._inside(arm)
+        rotations = [_looking(approach, direction) for direction in _directions(approach)]
+        arm.move(arm.posture(place - _OFF_MIDDLE_M * approach, rotations))
+        self.wait(_SETTLE_S)
+        self._check_held(arm, inside)
+
+    def _check_held(self, arm: Arm, inside: FloatArray) -> None:
+        slipped = float(np.linalg.norm(self._inside(arm) - inside))
+        if slipped > _SLIP_M:
+            raise TaskFailed(f'the cube is not held by {arm.name}: it is at '
+                             f'{_in_words(self._cube)}, {slipped:.3f} m from where it was in '
+                             'the hand')
+        self.say(f'{arm.name} holds the cube at {_in_words(self._cube)}: it moved by '
+                 f'{1000.0 * slipped:.1f} mm in the hand')
+
+    def _give(self, giver: Arm, taker: Arm, approach: FloatArray) -> None:
+        """Let an arm take the cube from another one, which lets go, and move both away."""
+        self._take(taker, approach, _directions(approach))
+        self._let_go(giver, approach)
+        self._carry(taker, self._cube - _AWAY_M * approach, approach)
+
+    def _let_go(self, arm: Arm, away: FloatArray) -> None:
+        arm.open()
+        arm.wait_for_fingers()
+        position, rotation = arm.grip
+        arm.move(arm.posture(position + _AWAY_M * away, [rotation]))
+
+    def _put_down(self, arm: Arm) -> None:
+        position, rotation = arm.grip
+        down = position + (GOAL - self._cube)
+        inside = self._inside(arm)
+        arm.move(arm.posture(down, [rotation]))
+        self._check_held(arm, inside)
+        self._let_go(arm, _UP)
+
+    def _check_goal(self) -> None:
+        self.wait(_SETTLE_S)
+        off = float(np.linalg.norm(self._cube - GOAL))
+        if off > NEAR_GOAL_M:
+            raise TaskFailed(f'the cube is at {_in_words(self._cube)}, {off:.3f} m from the goal')
+        self.say(f'done: the cube stands at {_in_words(self._cube)}, {1000.0 * off:.1f} mm from '
+                 'the goal')
+
+    def _inside(self, arm: Arm) -> FloatArray:
+        """Return where the cube is in the frame of an arm's grip site [m]."""
+        position, rotation = arm.grip
+        inside: FloatArray = (self._cube - position) @ rotation
+        return inside
+
+
+def _directions(approach: FloatArray) -> list[FloatArray]:
+    """Return where fingers may close: along y from above, across to that from below."""
+    axis = np.array([0.0, 1.0, 0.0] if approach[2] < 0.0 else [1.0, 0.0, 0.0])
+    return [axis, -axis]
+
+
+def _looking(approach: FloatArray, across: FloatArray) -> FloatArray:
+    """Return the rotation of a grip site: z is the way it approaches, fingers close along x."""
+    x = across - (across @ approach) * approach
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(approach, x), approach], axis=1)
+
+
+def _in_words(position: FloatArray) -> str:
+    return f'({", ".join(f"{value:.3f}" for value in position)}) m'
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """
+    Hand the cube over.
+
+    :returns: the exit code: 0 if the cube stands at the goal, else 1
+    """
+    return run(HandOver, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

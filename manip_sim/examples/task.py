@@ -1,0 +1,122 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node that does a task step by step: waits for conditions, tells what it does, and fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import sys
+import time
+
+from builtin_interfaces.msg import Time
+import mujoco
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+_PATIENCE_S = 10.0
+
+
+class TaskFailed(Exception):
+    """The task could not be done; the message says why."""
+
+
+class Task(Node):
+    """
+    A node that does one task and ends.
+
+    :param name: of the node
+    :param start: a command that starts the simulation that the task needs, for a message
+    """
+
+    def __init__(self, name: str, start: str) -> None:
+        super().__init__(name)
+        self._start = start
+        self._mjcf: str | None = None
+        self._time_s = 0.0
+        latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(String, 'manip_sim/mjcf', self._take_mjcf, latched)
+
+    def _take_mjcf(self, message: String) -> None:
+        self._mjcf = message.data
+
+    def perform(self) -> None:
+        """
+        Do the task.
+
+        :raises TaskFailed: if it could not be done
+        """
+        raise NotImplementedError
+
+    def notice(self, stamp: Time) -> None:
+        """Take the stamp of a state as the present time."""
+        self._time_s = stamp.sec + stamp.nanosec * 1e-9
+
+    @property
+    def now_s(self) -> float:
+        """Simulation time of the newest state [s]."""
+        return self._time_s
+
+    def connect(self, ready: Callable[[], bool]) -> mujoco.MjModel:
+        """
+        Wait for the simulation.
+
+        :param ready: tells whether there are states of all that the task needs
+        :returns: the simulation's model
+        :raises TaskFailed: if nothing comes, telling how to start the simulation
+        """
+        self.wait_until(lambda: self._mjcf is not None and ready(),
+                        f"no node answers: start one with '{self._start}'")
+        return mujoco.MjModel.from_xml_string(self._mjcf)
+
+    def wait_until(self, condition: Callable[[], bool], problem: str) -> None:
+        """
+        Wait for a condition.
+
+        :raises TaskFailed: with the problem, if it is not met for ten seconds of wall time
+        """
+        end = time.monotonic() + _PATIENCE_S
+        while not condition():
+            rclpy.spin_once(self, timeout_sec=0.1)
+            if time.monotonic() > end:
+                raise TaskFailed(problem)
+
+    def next_state(self) -> None:
+        """Wait for a newer state."""
+        last = self.now_s
+        self.wait_until(lambda: self.now_s > last, 'the simulation stands still')
+
+    def wait(self, duration_s: float) -> None:
+        """Wait for so long in simulation time [s]."""
+        end = self.now_s + duration_s
+        while self.now_s < end:
+            self.next_state()
+
+    def say(self, text: str) -> None:
+        """Print a line with the simulation time."""
+        print(f'{self.now_s:8.2f} s  {text}', flush=True)
+
+
+def run(create: Callable[[], Task], arguments: Sequence[str] | None) -> int:
+    """
+    Do a task as a process.
+
+    :param arguments: of the process, with ROS arguments
+    :returns: the exit code: 0 if it is done, else 1
+    """
+    rclpy.init(args=arguments)
+    task = create()
+    try:
+        task.perform()
+        return 0
+    except TaskFailed as error:
+        print(f'{task.get_name()}: {error}', file=sys.stderr)
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    finally:
+        task.destroy_node()
+        rclpy.try_shutdown()

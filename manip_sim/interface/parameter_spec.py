@@ -1,0 +1,118 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One parameter of the node: its type, its limits, and what is wrong with a value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import Any
+
+from manip_sim.errors import describe_choices, ModelError
+from manip_sim.interface.scope import Scope
+from manip_sim.models.composing import read_gripper
+from manip_sim.models.sources import find_source, is_path
+from manip_sim.quoting import quoted
+
+_TYPES = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
+
+
+def type_name(value: Any) -> str:
+    """Return the type of a value as ROS calls it, such as ``double`` or ``string_array``."""
+    if not isinstance(value, (list, tuple)):
+        return _TYPES.get(type(value), type(value).__name__)
+    names = {type_name(item) for item in value}
+    return f'{names.pop()}_array' if len(names) == 1 else 'array'
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """
+    One parameter.
+
+    :ivar default: also tells the type
+    :ivar live: whether it may change while the node runs
+    :ivar minimum: and ``maximum``: inclusive limits of a number
+    :ivar choices: the values that a string may have
+    :ivar length: of an array of finite numbers, where it is fixed
+    :ivar kind: of the models that it may name, such as ``robots``: also files, and what
+        ``manip_sim.models.sources`` knows
+    """
+
+    name: str
+    default: Any
+    description: str
+    unit: str = ''
+    live: bool = False
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    length: int | None = None
+    kind: str = ''
+
+    def within(self, scope: Scope) -> ParameterSpec:
+        """Return the same parameter for one of several robots."""
+        return replace(self, name=scope.parameter(self.name))
+
+    @property
+    def type(self) -> str:
+        """The type as ROS calls it, such as ``double``."""
+        return type_name(self.default)
+
+    def as_declared(self, value: Any) -> Any:
+        """
+        Return a value in the declared type where ROS reads what was meant as another one.
+
+        Integers are numbers too, and an empty array of strings is one with an empty string.
+        """
+        if isinstance(self.default, float) and type(value) is int:
+            return float(value)
+        if self.length:
+            whole = isinstance(value, Sequence) and not isinstance(value, str) and value and all(
+                type(item) is int for item in value)
+            return [float(item) for item in value] if whole else value
+        if isinstance(self.default, list) and not value:
+            return ['']
+        return value
+
+    def type_problem(self, found: str, value: Any) -> str | None:
+        """
+        Return what is wrong with the type of a value, or None.
+
+        :param found: the type, as ROS calls it
+        """
+        if found == self.type:
+            return None
+        return f"parameter '{self.name}' must be of type {self.type}, got {value!r}"
+
+    def problem_with(self, value: Any) -> str | None:
+        """Return what is wrong with a value that has the right type, or None."""
+        try:
+            return self._unknown(value) or self._out_of_range(value)
+        except ModelError as error:  # In the text that tells grippers by arm.
+            return str(error)
+
+    def _unknown(self, value: Any) -> str | None:
+        values = value if isinstance(value, (list, tuple)) else [value]
+        if self.kind == 'grippers':
+            by_arm = read_gripper(value, f"parameter '{self.name}'")
+            values = [by_arm] if isinstance(by_arm, str) else list(by_arm.values())
+        for item in values if self.choices else ():
+            if item not in self.choices and not (self.kind and (
+                    is_path(item) or find_source(item, self.kind) is not None)):
+                return (f"parameter '{self.name}': unknown value {quoted(item)}: "
+                        f'{describe_choices(item, self.choices)}')
+        return None
+
+    def _out_of_range(self, value: Any) -> str | None:
+        if self.length is not None and not (
+                len(value) == self.length and all(map(math.isfinite, value))):
+            return (f"parameter '{self.name}' must be {self.length} finite numbers, "
+                    f'got {list(value)}')
+        if (self.minimum is not None and self.maximum is not None
+                and not self.minimum <= value <= self.maximum):
+            return (f"parameter '{self.name}' must be from {self.minimum:g} to "
+                    f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
+        return None

@@ -1,0 +1,53 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Rotations as roll, pitch and yaw, and numbers as text, without loss."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.typing import FloatArray
+
+#: What the product of two rotations leaves of a zero.
+_NOTHING = 1e-16
+
+
+def matrix_of(quat_wxyz: ArrayLike) -> FloatArray:
+    """Return the rotation matrix of a quaternion w, x, y, z of unit length, shape (3, 3)."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quat_wxyz, dtype=float))
+    return matrix.reshape(3, 3)
+
+
+def rpy_of(rotation: FloatArray) -> FloatArray:
+    """
+    Return roll, pitch and yaw about fixed axes [rad], shape (3,).
+
+    Pitch and roll are those of the matrix with the yaw turned back, so that where the pitch is
+    90 degrees, and roll and yaw are about one axis, the three together are still exact.
+
+    :param rotation: matrix, shape (3, 3)
+    """
+    r = rotation
+    yaw = math.atan2(r[1, 0], r[0, 0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    pitch = math.atan2(-r[2, 0], c * r[0, 0] + s * r[1, 0])
+    roll = math.atan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1])
+    return np.array([roll, pitch, yaw])
+
+
+def text_of(values: ArrayLike) -> str:
+    """Return numbers as the shortest text that reads back as the same doubles."""
+    numbers = np.atleast_1d(np.asarray(values, dtype=float))
+    return ' '.join(_shortest(float(number)) for number in numbers)
+
+
+def _shortest(number: float) -> str:
+    if abs(number) < _NOTHING:
+        return '0'
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)

@@ -1,0 +1,224 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The links and joints of a robot as URDF has them: a tree with one joint between two links.
+
+A body with several joints becomes a chain of links without mass, and so does one whose joint is
+not at its origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.models.urdf_writer.numbers import matrix_of
+from manip_sim.typing import FloatArray
+
+ROOT_LINK = 'world'
+OPTICAL = '_optical_frame'
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+#: From a camera of MuJoCo, which looks along -z with y up, to one that looks along z, y down.
+_TO_OPTICAL = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Link:
+    """
+    A link.
+
+    :ivar body: id of the body whose mass and shapes it has, or None
+    """
+
+    name: str
+    body: int | None = None
+
+
+@dataclass(frozen=True)
+class Joint:
+    """
+    A joint.
+
+    :ivar kind: ``fixed``, ``revolute``, ``continuous``, ``prismatic`` or ``floating``
+    :ivar position: of the child in the parent where the joint is at zero [m], shape (3,)
+    :ivar rotation: of the child there, shape (3, 3)
+    :ivar id: of the joint in the model, or None
+    :ivar axis: in the child, of unit length, shape (3,); None where there is none
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    position: FloatArray
+    rotation: FloatArray
+    id: int | None = None
+    axis: FloatArray | None = None
+
+
+class KinematicTree:
+    """
+    Links and joints, each after what it hangs on.
+
+    :ivar links: the first one is the root
+    :ivar joints: one for each other link
+    :ivar link_of_body: names by id of the body
+    :ivar link_of_site: names by id of the site
+    :ivar link_of_camera: names by id of the camera; its optical frame is another link
+    """
+
+    def __init__(self, model: Any, joint_names: set[str]) -> None:
+        self._model = model
+        self.links: list[Link] = [Link(ROOT_LINK)]
+        self.joints: list[Joint] = []
+        self.link_of_body: dict[int, str] = {}
+        self.link_of_site: dict[int, str] = {}
+        self.link_of_camera: dict[int, str] = {}
+        self._link_names = {ROOT_LINK}
+        self._joint_names = set(joint_names)
+
+    def take_name(self, name: str, otherwise: str) -> str:
+        """Reserve a name for a link; ``otherwise`` goes to its end until it is free."""
+        while name in self._link_names:
+            name += otherwise
+        self._link_names.add(name)
+        return name
+
+    def add_link(self, link: Link, joint: Joint) -> None:
+        """Add a link and the joint that it hangs on."""
+        self.links.append(link)
+        self.joints.append(joint)
+
+    def add_fixed(self, link: Link, parent: str, position: FloatArray, rotation: FloatArray
+                  ) -> None:
+        """Add a link that does not move in its parent."""
+        name = f'{link.name}_fixed_joint'
+        while name in self._joint_names:
+            name += '_'
+        self._joint_names.add(name)
+        self.add_link(link, Joint(name, 'fixed', parent, link.name, position, rotation))
+
+    def parent_of(self, link: str) -> str | None:
+        """Return what a link hangs on; None for the root."""
+        return next((joint.parent for joint in self.joints if joint.child == link), None)
+
+
+def robot_tree(model: Any, robot: RobotModel) -> KinematicTree:
+    """
+    Return the tree of a robot with all that is mounted on it, in ``world``.
+
+    :param model: the compiled ``mujoco.MjModel`` of a world with the robot
+    """
+    sites = []
+    if isinstance(robot, ManipulatorModel):
+        for gripper in robot.grippers.values():
+            sensor = model.sensor(gripper.important_sensors['force_ee'])
+            sites += [int(sensor.objid[0]),
+                      int(model.site(gripper.important_sites['grip_site']).id)]
+    return build_tree(model, model.body(robot.root_body).id, sites)
+
+
+def build_tree(model: Any, root: int, sites: list[int]) -> KinematicTree:
+    """
+    Return the tree of a body and all below it.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param root: id of a child of the world body
+    :param sites: ids of sites below it that become links, as all fixed cameras do
+    """
+    bodies = subtree(model, root)
+    tree = KinematicTree(model, {_joint_name(model, j) for b in bodies
+                                 for j in joints_of_body(model, b)})
+    # Bodies keep their names, whatever sites and cameras are called.
+    for body in bodies:
+        tree.link_of_body[body] = tree.take_name(model.body(body).name or f'body_{body}', '_body')
+    for body in bodies:
+        _add_body(model, tree, body)
+        for site in sites:
+            if int(model.site_bodyid[site]) == body:
+                _add_site(model, tree, site)
+    for camera in range(model.ncam):
+        fixed = int(model.cam_mode[camera]) == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
+        if fixed and int(model.cam_bodyid[camera]) in tree.link_of_body:
+            _add_camera(model, tree, camera)
+    return tree
+
+
+def subtree(model: Any, root: int) -> list[int]:
+    """Return the ids of a body and of all below it, parents first."""
+    bodies = {root}
+    for body in range(root + 1, model.nbody):
+        if int(model.body_parentid[body]) in bodies:
+            bodies.add(body)
+    return sorted(bodies)
+
+
+def joints_of_body(model: Any, body: int) -> range:
+    """Return the ids of the joints of a body."""
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    return range(first, first + count)
+
+
+def _joint_name(model: Any, joint: int) -> str:
+    return model.joint(joint).name or f'joint_{joint}'
+
+
+def _add_site(model: Any, tree: KinematicTree, site: int) -> None:
+    name = tree.take_name(model.site(site).name or f'site_{site}', '_site')
+    tree.link_of_site[site] = name
+    tree.add_fixed(Link(name), tree.link_of_body[int(model.site_bodyid[site])],
+                   model.site_pos[site], matrix_of(model.site_quat[site]))
+
+
+def _add_camera(model: Any, tree: KinematicTree, camera: int) -> None:
+    name = tree.take_name(model.camera(camera).name or f'camera_{camera}', '_camera')
+    optical = tree.take_name(name + OPTICAL, '_')
+    tree.link_of_camera[camera] = name
+    tree.add_fixed(Link(name), tree.link_of_body[int(model.cam_bodyid[camera])],
+                   model.cam_pos[camera], matrix_of(model.cam_quat[camera]))
+    tree.add_fixed(Link(optical), name, np.zeros(3), _TO_OPTICAL)
+
+
+def _add_body(model: Any, tree: KinematicTree, body: int) -> None:
+    name = tree.link_of_body[body]
+    parent = tree.link_of_body.get(int(model.body_parentid[body]), ROOT_LINK)
+    position, rotation = model.body_pos[body], matrix_of(model.body_quat[body])
+    moves = list(_moves(model, body))
+    for number, (joint, kind, before, turn, after) in enumerate(moves, 1):
+        last = number == len(moves) and not after.any()
+        child = name if last else tree.take_name(f'{_joint_name(model, joint)}_link', '_')
+        axis = None if kind == 'floating' else model.jnt_axis[joint]
+        tree.add_link(Link(child, body if last else None), Joint(
+            _joint_name(model, joint), kind, parent, child, position + rotation @ before,
+            rotation @ turn, joint, axis))
+        parent, position, rotation = child, after, np.eye(3)
+        if last:
+            return
+    tree.add_fixed(Link(name, body), parent, position, rotation)
+
+
+def _moves(model: Any, body: int) -> Iterator[tuple[int, str, FloatArray, FloatArray, FloatArray]]:
+    """
+    Return the joints of a body one after the other.
+
+    :returns: id, kind, what lies between the frame so far and that of the joint at zero as
+        position and rotation, and the position of the next frame in that of the joint
+    """
+    for joint in joints_of_body(model, body):
+        kind, axis = int(model.jnt_type[joint]), model.jnt_axis[joint]
+        zero, limited = float(model.qpos0[model.jnt_qposadr[joint]]), model.jnt_limited[joint]
+        if kind == _HINGE:
+            anchor, quat = model.jnt_pos[joint], np.empty(4)
+            mujoco.mju_axisAngle2Quat(quat, axis, -zero)
+            yield (joint, 'revolute' if limited else 'continuous', anchor, matrix_of(quat),
+                   -anchor)
+        elif kind == _SLIDE:
+            yield joint, 'prismatic', -axis * zero, np.eye(3), np.zeros(3)
+        else:
+            yield joint, 'floating', np.zeros(3), np.eye(3), np.zeros(3)

@@ -1,0 +1,200 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Write the URDF of a robot from the compiled model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.robots import RobotModel
+from manip_sim.models.urdf_writer.hardware import add_hardware, Hardware
+from manip_sim.models.urdf_writer.limits import actuated_joints, effort_limit, velocity_limit
+from manip_sim.models.urdf_writer.meshes import MeshFile
+from manip_sim.models.urdf_writer.mimics import find_mimics, Mimic
+from manip_sim.models.urdf_writer.numbers import matrix_of, rpy_of, text_of
+from manip_sim.models.urdf_writer.shapes import (
+    collides, geoms_of_body, is_seen, rgba_of, shapes_of)
+from manip_sim.models.urdf_writer.tree import Joint, KinematicTree, Link, robot_tree
+from manip_sim.typing import FloatArray
+
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+#: URDF wants limits of every prismatic joint [m].
+_FAR_M = 1000.0
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """
+    What was written.
+
+    :ivar xml: the URDF
+    :ivar tree: its links and joints
+    :ivar mimics: what joints follow, by id of the joint
+    :ivar notes: what URDF cannot say and was left out, in sentences
+    """
+
+    xml: str
+    tree: KinematicTree
+    mimics: Mapping[int, Mimic]
+    notes: tuple[str, ...]
+
+
+def write_urdf(model: Any, robot: RobotModel, meshes: Mapping[str, MeshFile] | None = None,
+               hardware: Hardware | None = None) -> Urdf:
+    """
+    Return the URDF of a robot with its base and grippers, in ``world``.
+
+    :param model: the compiled ``mujoco.MjModel`` of a world with the robot
+    :param meshes: files of meshes by name; others are left out
+    :param hardware: with a ``<ros2_control>`` tag
+    """
+    name = robot.name.removesuffix(str(robot.idn))
+    return _Writer(model, robot_tree(model, robot), name, meshes or {}).write(hardware)
+
+
+class _Writer:
+    """
+    Writes one robot.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param tree: links and joints
+    :param name: of the robot
+    :param meshes: files of meshes by name
+    """
+
+    def __init__(self, model: Any, tree: KinematicTree, name: str,
+                 meshes: Mapping[str, MeshFile]) -> None:
+        self._model, self._tree, self._meshes = model, tree, meshes
+        self._robot = ElementTree.Element('robot', name=name)
+        self._materials: dict[str, str] = {}
+        self._actuators = actuated_joints(model)
+        self._scalar = [joint.id for joint in tree.joints
+                        if joint.id is not None and joint.axis is not None]
+        self._mimics, self._notes = find_mimics(model, self._scalar, self._actuators)
+        geoms = [g for body in tree.link_of_body for g in geoms_of_body(model, body)]
+        #: A file may have nothing to look at but what collides.
+        self._shows_all = not any(is_seen(model, geom) for geom in geoms)
+        self._notes += _loops(model, set(tree.link_of_body))
+
+    def write(self, hardware: Hardware | None) -> Urdf:
+        """Return all that is written."""
+        joint_of = {joint.child: joint for joint in self._tree.joints}
+        for link in self._tree.links:
+            if link.name in joint_of:
+                self._add_joint(joint_of[link.name])
+            self._add_link(link)
+        for place, (rgba, name) in enumerate(self._materials.items()):
+            material = ElementTree.Element('material', name=name)
+            ElementTree.SubElement(material, 'color', rgba=rgba)
+            self._robot.insert(place, material)
+        if hardware is not None:
+            names = [self._model.joint(joint).name for joint in self._scalar]
+            add_hardware(self._robot, hardware, names,
+                         [self._model.joint(joint).name for joint in self._mimics])
+        ElementTree.indent(self._robot)
+        xml = ElementTree.tostring(self._robot, encoding='unicode')
+        return Urdf(f'<?xml version="1.0"?>\n{xml}\n', self._tree, self._mimics,
+                    tuple(dict.fromkeys(self._notes)))
+
+    # ------------------------------------------------------------------ joints
+
+    def _add_joint(self, joint: Joint) -> None:
+        element = ElementTree.SubElement(self._robot, 'joint', name=joint.name, type=joint.kind)
+        ElementTree.SubElement(element, 'parent', link=joint.parent)
+        ElementTree.SubElement(element, 'child', link=joint.child)
+        _add_origin(element, joint.position, joint.rotation)
+        if joint.axis is None or joint.id is None:
+            return
+        ElementTree.SubElement(element, 'axis', xyz=text_of(joint.axis))
+        model, number = self._model, joint.id
+        limits = {
+            'effort': effort_limit(model, number, self._actuators.get(number, [])),
+            'velocity': velocity_limit(model, number, self._mimics)}
+        if model.jnt_limited[number]:
+            limits['lower'], limits['upper'] = model.jnt_range[number]
+        elif int(model.jnt_type[number]) != _HINGE:
+            limits['lower'], limits['upper'] = -_FAR_M, _FAR_M
+        ElementTree.SubElement(element, 'limit',
+                               {key: text_of(value) for key, value in limits.items()})
+        dof = int(model.jnt_dofadr[number])
+        # Newer versions of MuJoCo have damping that grows with powers of the velocity.
+        damping = np.atleast_1d(model.dof_damping[dof])[0]
+        ElementTree.SubElement(element, 'dynamics', damping=text_of(damping),
+                               friction=text_of(model.dof_frictionloss[dof]))
+        if number in self._mimics:
+            mimic = self._mimics[number]
+            ElementTree.SubElement(
+                element, 'mimic', joint=model.joint(mimic.leader).name,
+                multiplier=text_of(mimic.multiplier), offset=text_of(mimic.offset))
+
+    # ------------------------------------------------------------------ links
+
+    def _add_link(self, link: Link) -> None:
+        element = ElementTree.SubElement(self._robot, 'link', name=link.name)
+        if link.body is None:
+            return
+        _add_inertial(element, self._model, link.body)
+        for geom in geoms_of_body(self._model, link.body):
+            touches = collides(self._model, geom)
+            seen = is_seen(self._model, geom) or (touches and self._shows_all)
+            if seen:
+                self._add_shapes(element, 'visual', geom)
+            if touches:
+                self._add_shapes(element, 'collision', geom)
+
+    def _add_shapes(self, link: ElementTree.Element, tag: str, geom: int) -> None:
+        shapes = list(shapes_of(self._model, geom, self._meshes))
+        if not shapes:
+            kind = mujoco.mjtGeom(int(self._model.geom_type[geom])).name
+            self._notes.append(f"{link.get('name')}: a {kind.rpartition('_')[2].lower()} is left "
+                               'out')
+        for shape in shapes:
+            element = ElementTree.SubElement(link, tag)
+            _add_origin(element, shape.position, shape.rotation)
+            geometry = ElementTree.SubElement(element, 'geometry')
+            ElementTree.SubElement(geometry, shape.tag, dict(shape.attributes))
+            if tag == 'visual':
+                ElementTree.SubElement(element, 'material', name=self._material(geom))
+
+    def _material(self, geom: int) -> str:
+        rgba = [round(float(part), 4) for part in rgba_of(self._model, geom)]
+        return self._materials.setdefault(text_of(rgba), f'colour_{len(self._materials)}')
+
+
+def _loops(model: Any, bodies: set[int]) -> list[str]:
+    """Tell the constraints that close loops: a URDF is a tree."""
+    kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+    count = sum(1 for e in range(model.neq) if int(model.eq_type[e]) in kinds
+                and model.eq_active0[e] and _bodies_of(model, e) <= bodies)
+    return [f'{count} constraints between bodies close loops: a URDF is a tree'] if count else []
+
+
+def _bodies_of(model: Any, equality: int) -> set[int]:
+    ends = {int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])}
+    if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        return {int(model.site_bodyid[site]) for site in ends}
+    return ends
+
+
+def _add_origin(element: ElementTree.Element, position: FloatArray, rotation: FloatArray) -> None:
+    ElementTree.SubElement(element, 'origin', xyz=text_of(position), rpy=text_of(rpy_of(rotation)))
+
+
+def _add_inertial(link: ElementTree.Element, model: Any, body: int) -> None:
+    if not model.body_mass[body] > 0.0:
+        return
+    turn = matrix_of(model.body_iquat[body])
+    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+    element = ElementTree.SubElement(link, 'inertial')
+    _add_origin(element, model.body_ipos[body], np.eye(3))
+    ElementTree.SubElement(element, 'mass', value=text_of(model.body_mass[body]))
+    ElementTree.SubElement(element, 'inertia', {
+        f'i{"xyz"[row]}{"xyz"[column]}': text_of(inertia[row, column])
+        for row in range(3) for column in range(row, 3)})

@@ -1,0 +1,175 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which pairs of links MoveIt need not look at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models import World
+from manip_sim.models.loading import compile_spec
+from manip_sim.models.robots import RobotModel
+from manip_sim.models.urdf_writer.tree import subtree
+from manip_sim.moveit.postures import Posture
+from manip_sim.simulation.couplings import JointCouplings
+
+#: Of random configurations; the seed is fixed, so that the same robot has the same file.
+_SAMPLES, _SEED = 5000, 0
+#: Shapes that come nearer than about this are taken for some that might collide [m].
+_MARGIN_M = 0.01
+#: In a posture shapes may touch, as fingers do: who looks for collisions may find some there [m].
+_TOUCH_M = 1e-3
+#: Of joints without a range [rad or m].
+_ANYWHERE = (-np.pi, np.pi)
+Pair = frozenset[str]
+
+
+def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
+                   postures: Iterable[Posture]) -> dict[Pair, str]:
+    """
+    Return the pairs of links whose collisions need not be looked at, with the reason.
+
+    ``User``: the model excludes them. ``Adjacent``: nothing with a shape is between them, or they
+    cannot move against one another. ``Default``: they touch in a posture. ``Always`` and
+    ``Never``: so they do in random configurations, where near counts as colliding.
+
+    :param robot: in the world
+    :param links: names by id of the body
+    :param postures: in which nothing may collide
+    """
+    model, excluded = _without_filters(world, robot)
+    sampler = _Sampler(model, robot, links)
+    reasons: dict[Pair, str] = dict.fromkeys(sampler.names(excluded), 'User')
+    for pair in sampler.names(_adjacent(model, sampler.bodies)):
+        reasons.setdefault(pair, 'Adjacent')
+    for posture in postures:
+        for pair in sampler.touching(posture.position):
+            reasons.setdefault(pair, 'Default')
+    always, never = sampler.always_and_never()
+    for found, reason in ((always, 'Always'), (never, 'Never')):
+        for pair in found:
+            reasons.setdefault(pair, reason)
+    return reasons
+
+
+def _without_filters(world: World, robot: RobotModel) -> tuple[Any, list[tuple[int, int]]]:
+    """
+    Return a model where all shapes of the robot that collide do so.
+
+    :returns: the model, and the ids of the bodies whose collisions were excluded
+    """
+    spec = world.compose(objects=False)
+    root = spec.body(robot.root_body)
+    own = {body.name for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]}
+    for geom in spec.geoms:
+        collides = bool(geom.contype or geom.conaffinity) and geom.parent.name in own
+        geom.contype = geom.conaffinity = int(collides)
+        geom.margin = _MARGIN_M
+    excluded = [(exclude.bodyname1, exclude.bodyname2) for exclude in spec.excludes]
+    for exclude in list(spec.excludes):
+        spec.delete(exclude)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    model = compile_spec(spec, world.name)
+    return model, [(int(model.body(one).id), int(model.body(other).id))
+                   for one, other in excluded]
+
+
+def _adjacent(model: Any, bodies: list[int]) -> Iterator[tuple[int, int]]:
+    """Yield bodies with shapes that are next to each other, or fixed to each other."""
+    shaped = set(bodies)
+    for body in bodies:
+        above = int(model.body_parentid[body])
+        while above not in shaped and above:
+            above = int(model.body_parentid[above])
+        if above:
+            yield body, above
+    for place, body in enumerate(bodies):
+        for other in bodies[:place]:
+            if int(model.body_weldid[body]) == int(model.body_weldid[other]):
+                yield body, other
+
+
+class _Sampler:
+    """
+    Looks for collisions of a robot with itself.
+
+    :param model: as from :func:`_without_filters`
+    :param robot: the robot
+    :param links: names by id of the body
+    :ivar bodies: ids of those with shapes that collide, parents first
+    """
+
+    def __init__(self, model: Any, robot: RobotModel, links: Mapping[int, str]) -> None:
+        self._links = links
+        self._model, self._data = model, mujoco.MjData(model)
+        self._body_of_geom = np.asarray(model.geom_bodyid, dtype=np.int64)
+        with_shapes = set(self._body_of_geom[model.geom_contype != 0].tolist())
+        tree = subtree(model, model.body(robot.root_body).id)
+        self.bodies = [body for body in tree if body in with_shapes]
+        self._joints = [
+            joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in set(tree)
+            and int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE),
+                                               int(mujoco.mjtJoint.mjJNT_SLIDE))]
+        self._couplings = JointCouplings(model, self._joints)
+
+    def touching(self, position: Mapping[str, float]) -> set[Pair]:
+        """Return what touches with joints at positions by name."""
+        for name, value in position.items():
+            self._data.joint(name).qpos[0] = value
+        return self._of_numbers(self._contacts(_TOUCH_M))
+
+    def always_and_never(self) -> tuple[set[Pair], set[Pair]]:
+        """Return what collided in every random configuration, and what never came near."""
+        random, count = np.random.default_rng(_SEED), len(self.bodies)
+        always = near = None
+        for _ in range(_SAMPLES):
+            self._place_at_random(random)
+            contacts = self._contacts(np.inf)
+            inside = self._contacts(0.0, again=False)
+            always = inside if always is None else np.intersect1d(always, inside)
+            near = contacts if near is None else np.union1d(near, contacts)
+        assert always is not None and near is not None
+        every = self.names((self.bodies[i], self.bodies[j])
+                           for i in range(count) for j in range(i))
+        return self._of_numbers(always), every - self._of_numbers(near)
+
+    def _place_at_random(self, random: Any) -> None:
+        model, positions = self._model, {}
+        for joint in self._joints:
+            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else _ANYWHERE
+            positions[joint] = random.uniform(low, high)
+        done: set[int] = set()
+        for joint in self._joints:
+            if joint in done:
+                continue
+            # One joint of those that are coupled says where the others are.
+            group = self._couplings.group(joint)
+            done |= group
+            if len(group) > 1:
+                leader = random.choice(sorted(group))
+                positions.update(self._couplings.follow({leader: positions[leader]}))
+        for joint, value in positions.items():
+            self._data.qpos[model.jnt_qposadr[joint]] = value
+
+    def _contacts(self, below_m: float, again: bool = True) -> Any:
+        """Return pairs of bodies that are nearer than a distance, each as one number, sorted."""
+        if again:
+            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_collision(self._model, self._data)
+        contacts = self._data.contact
+        bodies = np.sort(self._body_of_geom[contacts.geom[contacts.dist < below_m]], axis=1)
+        return np.unique(bodies[:, 0] * self._model.nbody + bodies[:, 1])
+
+    def _of_numbers(self, numbers: Any) -> set[Pair]:
+        return self.names(divmod(int(number), self._model.nbody) for number in numbers)
+
+    def names(self, pairs: Iterable[tuple[int, int]]) -> set[Pair]:
+        """Return the links of pairs of bodies, where both have shapes that collide."""
+        shaped = set(self.bodies)
+        return {frozenset((self._links[a], self._links[b])) for a, b in pairs
+                if a in shaped and b in shaped}

@@ -1,0 +1,46 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publish the URDF of each robot, as robot_state_publisher, RViz and ros2_control take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+from manip_sim.interface.scope import Scope
+from manip_sim.models import World
+from manip_sim.models.urdf_writer import Hardware, urdfs_of
+from manip_sim.simulation import SimulatedRobot
+
+
+def publish_descriptions(node: Node, world: World,
+                         robots: Mapping[Scope, SimulatedRobot],
+                         ros2_control_tag: bool = False) -> None:
+    """
+    Publish ``robot_description`` of each robot once, for everyone who comes later too.
+
+    :param world: in which the robots are
+    :param robots: by where their topics are
+    :param ros2_control_tag: with a ``<ros2_control>`` tag for the present control modes, which
+        names the topics as they are called after remapping
+    """
+    hardware = {}
+    if ros2_control_tag:
+        hardware = {robot.name: Hardware(
+            robot.command_interfaces(),
+            node.resolve_topic_name(scope.topic('joint_states')),
+            node.resolve_topic_name(scope.topic('joint_command')))
+            for scope, robot in robots.items()}
+    urdfs = urdfs_of(world, hardware)
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    for scope, robot in robots.items():
+        urdf = urdfs[robot.name]
+        node.create_publisher(String, scope.topic('robot_description'), latched).publish(
+            String(data=urdf.xml))
+        if urdf.notes:
+            name = f'{scope.name}: ' if scope.name else ''
+            node.get_logger().info(f'{name}robot_description: {"; ".join(urdf.notes)}')

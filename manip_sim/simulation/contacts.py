@@ -1,0 +1,52 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where bodies touch, and with what force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.typing import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """
+    The contacts of one instant that carry a force, or may.
+
+    :ivar position: in ``world`` [m], shape (n, 3)
+    :ivar force: on :attr:`body`, in the axes of ``world`` [N], shape (n, 3)
+    :ivar body: of the two that touch, the one that can move; of two such, the one that comes
+        later in the model, which is the object and not the gripper, shape (n,)
+    """
+
+    position: FloatArray
+    force: FloatArray
+    body: IntArray
+
+
+def read_contacts(model: Any, data: Any) -> Contacts:
+    """
+    Return all contacts at the instant of the last ``mj_forward``, copies.
+
+    :param model: the ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
+    """
+    contact = data.contact
+    # Those of geoms, as opposed to flexes, that are in the constraints.
+    used = np.flatnonzero((contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1))
+    local = np.empty((len(used), 6))
+    for row, index in zip(local, used.tolist()):
+        mujoco.mj_contactForce(model, data, index, row)
+    # MuJoCo tells the force on the second body, in axes that are the rows of the frame.
+    force = np.einsum('nij,ni->nj', contact.frame[used].reshape(-1, 3, 3), local[:, :3])
+    body = model.geom_bodyid[contact.geom[used]].astype(np.int64).reshape(-1, 2)
+    first = (body[:, 0] > body[:, 1]) & (model.body_weldid[body[:, 0]] > 0)
+    first |= model.body_weldid[body[:, 1]] == 0
+    force[first] *= -1.0
+    return Contacts(contact.pos[used], force, np.where(first, body[:, 0], body[:, 1]))

@@ -1,0 +1,150 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Worlds of several robots and objects, from the node's own files of parameters."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.models import compose_robot, World
+from manip_sim.resources import share_directory
+
+HAND_OVER = share_directory() / 'config' / 'hand_over.yaml'
+TWO = """
+robots: [left, right]
+left: {robot: Baxter, gripper: '{right: PandaGripper, left: none}', position: [1, 2, 0]}
+right: {robot: PandaOmron, orientation: [0.0, 0.0, 0.5], control_mode: {torso: velocity}}
+objects: ['{name: can, shape: cylinder, size: [0.03, 0.12], mass: 0.3}']
+"""
+
+
+@pytest.fixture
+def described(here):
+    """Return a function that returns what ``describe --json`` tells."""
+    def describe(*arguments):
+        code, text, errors = here('describe', '--json', *arguments)
+        assert (code, errors) == (0, '')
+        return json.loads(text)
+    return describe
+
+
+def names(rows):
+    return [row['name'] for row in rows]
+
+
+def test_each_robot_is_described_under_its_name(described, parameters_file):
+    found = described('--params-file', parameters_file(TWO))
+    assert names(found['parts']) == [
+        'left/arm', 'left/right', 'left/left', 'left/right/gripper', 'right/arm', 'right/right',
+        'right/base', 'right/torso', 'right/right/gripper']
+    assert [(m['robot'], m['kind'], m['class'], m['arm']) for m in found['models']] == [
+        ('left', 'robot', 'Baxter', None), ('left', 'base', 'RethinkMinimalMount', None),
+        ('left', 'gripper', 'PandaGripper', 'right'), ('right', 'robot', 'PandaOmron', None),
+        ('right', 'base', 'OmronMobileBase', None), ('right', 'gripper', 'PandaGripper', 'right')]
+    joint = next(row for row in found['joints'] if row['name'] == 'right_joint1')
+    assert joint['part'] == 'right/arm'
+    torso = next(row for row in found['parts'] if row['name'] == 'right/torso')
+    assert torso['control_mode'] == 'velocity'
+    assert found['objects'] == [{'name': 'can', 'mass_kg': pytest.approx(0.3)}]
+    assert found['mass_kg'] == pytest.approx(sum(m['mass_kg'] for m in found['models']))
+
+
+def test_topics_and_parameters_are_those_of_robots_and_world(described, parameters_file):
+    found = described('--params-file', parameters_file(TWO))
+    topics = names(found['topics'])
+    assert {'left/right/wrench', 'right/base/cmd_vel', 'objects/can/pose'} <= set(topics)
+    assert topics.count('/clock') == topics.count('~/mjcf') == 1
+    assert not {'joint_states', 'left/base/cmd_vel', 'left/left/wrench'} & set(topics)
+    values = {row['name']: row['value'] for row in found['parameters']}
+    assert values['left.position'] == [1.0, 2.0, 0.0]
+    assert values['right.orientation'] == [0.0, 0.0, 0.5]
+    assert values['right.control_mode.base'] == 'velocity' and 'robot' not in values
+
+
+def test_tables_tell_the_robots_too(here, parameters_file):
+    text = here('describe', '--params-file', parameters_file(TWO))[1]
+    assert text.startswith('Baxterleft and PandaOmronright in arena empty, ')
+    assert '\n  left: gripper (right)' in text and '\n  right/torso' in text
+
+
+def test_a_place_that_is_given_is_told(described):
+    found = described('--arena', 'table', '--position', '1', '-2', '0.5',
+                      '--orientation', '0', '0', '1')
+    values = {row['name']: row['value'] for row in found['parameters']}
+    assert (values['position'], values['orientation']) == ([1.0, -2.0, 0.5], [0.0, 0.0, 1.0])
+    default = {row['name']: row['default'] for row in found['parameters']}
+    assert default['position'] == pytest.approx([-0.56, 0.0, 0.0])
+
+
+def test_an_export_is_the_world_that_the_file_asks_for(here, tmp_path, parameters_file):
+    file = parameters_file(TWO, node='manip_sim')
+    assert here('export', tmp_path / 'out.mjz', '--params-file', file)[0] == 0
+    with (tmp_path / 'out.mjz').open('rb') as archive:
+        model = mujoco.MjSpec.from_zip(archive).compile()
+    left = compose_robot('Baxter', {'right': 'PandaGripper', 'left': 'none'}, prefix='left_')
+    right = compose_robot('PandaOmron', prefix='right_')
+    left.set_base_xpos([1.0, 2.0, 0.0])
+    expected = World([left, right]).compile()
+    assert model.nbody == expected.nbody + 1 and model.nu == expected.nu
+    assert np.allclose(model.body('left_base').pos[:2], [1.0, 2.0])
+    assert model.body('can').mass[0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize('file', sorted(HAND_OVER.parent.glob('*.yaml')), ids=lambda f: f.name)
+def test_nothing_is_wrong_with_the_start_of_a_shipped_file(file, here):
+    code, text, errors = here('check', '--params-file', file)
+    assert (code, errors) == (0, '')
+    assert text.endswith(': nothing is wrong with the start\n')
+
+
+def test_several_robots_are_rendered(command, tmp_path):
+    Image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
+    done = command('render', tmp_path / 'out.png', '--params-file', HAND_OVER)
+    if done.returncode and 'cannot render' in done.stderr:
+        pytest.skip(done.stderr.strip())
+    assert (done.returncode, done.stderr) == (0, '')
+    with Image.open(tmp_path / 'out.png') as picture:
+        red, green, blue = np.moveaxis(np.asarray(picture.convert('RGB'), dtype=float), 2, 0)
+    # The cube is red, as nothing else.
+    assert np.count_nonzero((red > 80.0) & (np.maximum(green, blue) < 0.3 * red)) > 20
+
+
+def test_objects_and_grippers_by_arm_are_given_by_options(described, mjcf):
+    ball = mjcf('<body name="ball"><geom size="0.03" mass="0.2"/></body>', name='ball')
+    found = described('--robot', 'Baxter', '--gripper', '{left: PandaGripper}', '--object', ball,
+                      '--object', '{name: box, shape: box, size: [0.1, 0.1, 0.1], mass: 2}')
+    assert [(m['class'], m['arm']) for m in found['models'] if m['kind'] == 'gripper'] == [
+        ('RethinkGripper', 'right'), ('PandaGripper', 'left')]
+    assert {row['name']: round(row['mass_kg'], 6) for row in found['objects']} == {
+        'ball': 0.2, 'box': 2.0}
+    assert 'objects/ball/pose' in names(found['topics'])
+
+
+@pytest.mark.parametrize(('text', 'what'), [
+    ('robots: [left]\nleft: {robt: UR5e}', "unknown parameter 'left.robt': did you mean"),
+    ('robt: UR5e', "unknown parameter 'robt': did you mean 'robot'"),
+    ('robots: [left]\nrobot: UR5e', "unknown parameter 'robot'"),
+    ('control_mode: {legs: velocity}', "'control_mode.legs': this robot has no legs"),
+    ('control_mode: {arm: torque}', "'control_mode.arm': unknown value 'torque'"),
+    ('timestep: fast', "parameter 'timestep' must be of type double, got 'fast'"),
+    ('position: [1, 2]', "parameter 'position' must be 3 finite numbers, got [1.0, 2.0]"),
+    ('robots: [a, a]', "parameter 'robots': the names must differ"),
+    ('publish_rate: 300.0', "parameter 'publish_rate': a period of 300 Hz is not a whole number"),
+    ("gripper: '{right: PandaGriper}'", "'gripper': unknown value 'PandaGriper': did you mean"),
+    ("gripper: '{left: PandaGripper}'", "unknown arm of Panda0 'left'"),
+    ("gripper: '{right: 1}'", "parameter 'gripper': the gripper of arm 'right' must be a name"),
+    ('objects: ["{name: x}"]', "'x'")])
+def test_a_file_that_no_node_starts_with_is_one_line(text, what, refused, parameters_file):
+    assert what in refused('check', '--params-file', parameters_file(text))
+
+
+def test_a_file_and_options_do_not_mix(refused):
+    line = refused('describe', '--params-file', HAND_OVER, '--arena-param', 'cube=true', code=2)
+    assert '--params-file tells all, do not give --arena-param too' in line
+
+
+def test_a_number_in_names_is_whole(refused):
+    assert "must be a whole number, got 'left'" in refused('check', '--idn', 'left', code=2)

@@ -1,0 +1,100 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``robot_description``: latched, of every robot, in agreement with what the node publishes."""
+
+from xml.etree import ElementTree
+
+from geometry_msgs.msg import PoseStamped
+from harness import Client, Served
+import mujoco
+import numpy as np
+import pytest
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from test_model_files import write_arm
+
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture(scope='module')
+def node():
+    """Return a node with two robots that runs for all tests of this module."""
+    served = Served({'robots': ['left', 'right'], 'right.robot': 'UR5e', 'ros2_control_tag': True,
+                     'right.prefix': 'ur_', 'right.control_mode.arm': 'velocity'})
+    yield served.node
+    served.close()
+
+
+def description(client, topic):
+    """Return the only message that comes to one who joins now."""
+    messages = client.listen(String, topic, LATCHED)
+    client.spin_until(lambda: messages)
+    assert len(messages) == 1
+    return ElementTree.fromstring(messages[0].data)
+
+
+def scalar(urdf):
+    return {joint.get('name') for joint in urdf.findall('joint')
+            if joint.find('limit') is not None}
+
+
+def test_each_robot_has_its_own_and_who_joins_later_gets_it_too(node, client):
+    assert description(client, 'left/robot_description').get('name') == 'Panda'
+    later = Client()
+    try:
+        urdf = description(later, 'right/robot_description')
+    finally:
+        later.close()
+    assert urdf.get('name') == 'UR5e'
+    assert all(link.get('name').startswith('ur_') or link.get('name') == 'world'
+               for link in urdf.findall('link'))
+
+
+@pytest.mark.parametrize('robot', ['left', 'right'])
+def test_its_joints_are_those_of_the_joint_states(robot, node, client):
+    assert scalar(description(client, f'{robot}/robot_description')) == set(
+        client.state(f'{robot}/joint_states').name)
+
+
+def test_it_puts_the_tool_where_the_node_does(node, client):
+    urdf = description(client, 'right/robot_description')
+    compiler = ElementTree.SubElement(ElementTree.SubElement(urdf, 'mujoco'), 'compiler')
+    compiler.attrib.update(fusestatic='false', discardvisual='true', inertiafromgeom='false',
+                           boundmass='1e-9', boundinertia='1e-9')
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(urdf, encoding='unicode'))
+    data = mujoco.MjData(model)
+    poses = client.listen(PoseStamped, 'right/right/eef_pose')
+    states = client.listen(JointState, 'right/joint_states')
+
+    def pair():
+        stamps = {str(pose.header.stamp): pose for pose in poses}
+        return next(((state, stamps[str(state.header.stamp)]) for state in states
+                     if str(state.header.stamp) in stamps), None)
+    client.spin_until(lambda: pair() is not None)
+    state, pose = pair()
+    for name, position in zip(state.name, state.position):
+        data.joint(name).qpos[0] = position
+    mujoco.mj_kinematics(model, data)
+    place = pose.pose.position
+    np.testing.assert_allclose(data.body('ur_gripper_grip_site').xpos,
+                               [place.x, place.y, place.z], atol=1e-9)
+
+
+def test_the_tag_of_ros2_control_is_that_of_this_node(node, client):
+    for robot, kind in (('left', 'position'), ('right', 'velocity')):
+        tag = description(client, f'{robot}/robot_description').find('ros2_control')
+        first = tag.find('joint')
+        assert [c.get('name') for c in first.findall('command_interface')] == [kind]
+        assert {p.text for p in tag.findall('hardware/param')} == {
+            f'/{robot}/joint_states', f'/{robot}/joint_command'}
+
+
+def test_a_robot_of_a_file_has_one_without_the_tag_unless_it_is_asked_for(serve, client, tmp_path):
+    file = write_arm(tmp_path / 'arm')
+    serve(robot=str(file))
+    urdf = description(client, 'robot_description')
+    assert scalar(urdf) == {'robot0_swing'} and urdf.find('ros2_control') is None
+    meshes = {mesh.get('filename') for mesh in urdf.iter('mesh')}
+    assert meshes == {f'file://{file.resolve().parent}/link.stl'}
