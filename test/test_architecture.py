@@ -16,9 +16,10 @@ PURE = {'mujoco', 'numpy', 'pydantic', 'scipy', 'yaml'}
 MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
-    'runtime': ({'models', 'simulation', 'runtime'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'simulation'}, PURE | {'PIL'}),
-    'gallery.py': ({'cli', 'models'}, PURE | {'PIL'}),
+    'rendering': ({'rendering'}, PURE),
+    'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
+    'cli': ({'cli', 'interface', 'models', 'simulation', 'rendering'}, PURE | {'PIL'}),
+    'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
     'interface.py': (set(), set()),
 }
 TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}

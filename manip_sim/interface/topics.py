@@ -5,7 +5,8 @@
 What the node publishes, takes and offers, as tables.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
-has one topic for each, and ``<name>`` for each object; :func:`topics_of` fills them in.
+has one topic for each, ``<name>`` for each object and ``<camera>`` for each camera that is chosen;
+:func:`topics_of` fills them in.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
-PART, ARM, OBJECT = '<part>', '<arm>', '<name>'
+PART, ARM, OBJECT, CAMERA = '<part>', '<arm>', '<name>', '<camera>'
 _GRIPPER = f'{ARM}/gripper'
 
 
@@ -45,7 +46,8 @@ class Topic:
     :ivar direction: :data:`PUBLISHED` or :data:`SUBSCRIBED` by the node
     :ivar meaning: what the messages say
     :ivar needs: what a part must have: ``joints``, ``actuators`` or nothing; ``twist`` is a
-        mobile base that moves along x and y and turns
+        mobile base that moves along x and y and turns; ``object``, ``camera`` and ``depth`` are
+        no parts, but free bodies, cameras and cameras with depth
     """
 
     name: str
@@ -90,6 +92,16 @@ TOPICS = (
           'a free body in world', 'object'),
     Topic('objects/<name>/twist', 'geometry_msgs/TwistStamped', PUBLISHED,
           'velocity of a free body, in the axes of world', 'object'),
+    Topic('<camera>/color/image_raw', 'sensor_msgs/Image', PUBLISHED, 'what it sees, rgb8',
+          'camera'),
+    Topic('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage', PUBLISHED,
+          'the same as JPEG; needs pillow', 'camera'),
+    Topic('<camera>/color/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'its intrinsics',
+          'camera'),
+    Topic('<camera>/depth/image_raw', 'sensor_msgs/Image', PUBLISHED,
+          'depth along the view, 32FC1, +Inf where there is nothing', 'depth'),
+    Topic('<camera>/depth/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'the same intrinsics',
+          'depth'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
@@ -119,19 +131,26 @@ SERVICES = (
 )
 
 
-def topics_of(parts: Mapping[str, PartLike], twist: bool, objects: Iterable[str] = ()
-              ) -> list[Topic]:
+def topics_of(parts: Mapping[str, PartLike], twist: bool, objects: Iterable[str] = (),
+              cameras: Iterable[str] = ()) -> list[Topic]:
     """
     Return the topics that the node has for a robot.
 
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
     :param objects: names of free bodies
+    :param cameras: names of the cameras that are chosen, all with depth
     """
-    found = [topic for pattern in TOPICS if pattern.needs != 'object'
+    cameras = list(cameras)
+    others = {'object': (OBJECT, list(objects)), 'camera': (CAMERA, cameras),
+              'depth': (CAMERA, cameras)}
+    found = [topic for pattern in TOPICS if pattern.needs not in others
              for topic in _filled_in(pattern, parts, twist)]
-    return found + [replace(pattern, name=pattern.name.replace(OBJECT, name))
-                    for pattern in TOPICS if pattern.needs == 'object' for name in objects]
+    for pattern in TOPICS:
+        placeholder, names = others.get(pattern.needs, ('', []))
+        found += [replace(pattern, name=pattern.name.replace(placeholder, name))
+                  for name in names]
+    return found
 
 
 def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> Iterator[Topic]:

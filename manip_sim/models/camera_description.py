@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import StrictBool, StrictInt
-
 from manip_sim.models.image_settings import (
     MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)
 from manip_sim.models.object_descriptions import Coordinate, PlacedDescription
-from manip_sim.models.strict_descriptions import Field, model_validator, Number
+from manip_sim.models.strict_descriptions import (
+    Field, model_validator, Number, StrictBool, StrictInt)
 
 #: Nearer to the camera, a point does not say into which direction it lies [m].
 _MIN_DISTANCE_M = 1e-6

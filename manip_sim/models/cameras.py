@@ -85,8 +85,8 @@ def create_camera(description: Camera) -> CameraModel:
     where = 'camera without a name' if name is None else f'camera {quoted(name)}'
     found = checked(CameraDescription, description, where)
     check_object_name(found.name, 'camera', 'a camera and its topics')
-    given = {'width': found.width, 'height': found.height, 'rate_hz': found.rate,
-             'depth': found.depth}
+    given: dict[str, Any] = {'width': found.width, 'height': found.height, 'rate_hz': found.rate,
+                             'depth': found.depth}
     position = np.array(found.position or [0.0, 0.0, 0.0], dtype=float)
     quat_wxyz = np.empty(4)
     mujoco.mju_mulQuat(quat_wxyz, _looks_along(found, position), _TO_MUJOCO)

@@ -41,9 +41,9 @@ def check_object_name(name: str, where: str,
     :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
     """
     if not _NAME.fullmatch(name) or name == 'world':
-        raise ModelError(f'{where}: {quoted(name)} cannot be the name of {what}: it needs a letter, '
-                         'then at most 63 letters, digits and underscores, and must not be '
-                         "'world'")
+        raise ModelError(f'{where}: {quoted(name)} cannot be the name of {what}: it needs a '
+                         'letter, then at most 63 letters, digits and underscores, and must not '
+                         "be 'world'")
 
 
 class ObjectModel:

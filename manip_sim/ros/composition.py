@@ -19,13 +19,14 @@ from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.parameters import Parameters
 from manip_sim.interface.scope import Scope
+from manip_sim.simulation.camera_choice import described_cameras
 
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
 #: What a namespace, a parameter and the names of joints may all begin with.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: What else is in the node's namespace or begins names of parameters.
-_RESERVED = ('arena', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
+_RESERVED = ('arena', 'camera', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
 
 
 def compose_world(parameters: Parameters) -> tuple[list[Scope], World]:
@@ -55,7 +56,8 @@ def compose_world(parameters: Parameters) -> tuple[list[Scope], World]:
     return scopes, World(robots, arena, timestep_s=value('timestep'),
                          gravity_compensation=value('gravity_compensation'),
                          objects=_objects(value('objects')), seed=value('seed'),
-                         initialization_noise=noise if noise['magnitude'] else None)
+                         initialization_noise=noise if noise['magnitude'] else None,
+                         cameras=described_cameras(value('cameras')))
 
 
 def _arena(parameters: Parameters) -> Arena:

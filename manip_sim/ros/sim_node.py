@@ -19,6 +19,7 @@ from manip_sim.interface.parameters import (
     MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import set_model_path, World
+from manip_sim.ros.cameras import choose_cameras, offer_cameras
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
@@ -70,6 +71,7 @@ class SimNode(Node):
         self._robots = dict(zip(scopes, self.simulation.robots.values()))
         for scope, robot in self._robots.items():
             self._declare_parts(scope, robot)
+        cameras = choose_cameras(self._declared, world, self.simulation.model)
         self._declared.check_names()
         for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
@@ -91,9 +93,10 @@ class SimNode(Node):
         self.thread.observe(self.objects.publish)
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
+        self.cameras = offer_cameras(self, cameras, self.simulation, self.thread)
         SimulationServices(self, self.simulation, self.thread)
         offer_simulation_interfaces(self, self.simulation, self.thread, self.objects.follow)
-        Diagnostics(self, self.simulation, self.thread, self.commands)
+        Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
         publish_model(self, world)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
@@ -186,8 +189,10 @@ class SimNode(Node):
 
     def start(self) -> None:
         """Let the simulation run."""
+        self.cameras.start()
         self.thread.start()
 
     def stop(self) -> None:
         """End the simulation; the node can be destroyed then."""
         self.thread.stop()
+        self.cameras.stop()
