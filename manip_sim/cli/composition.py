@@ -14,11 +14,12 @@ from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.robots import robot_names
 from manip_sim.quoting import quoted
+from manip_sim.simulation.camera_choice import described_cameras
 
 #: The options, and what each is where it is not given.
 _DEFAULTS = {'robot': 'Panda', 'gripper': DEFAULT, 'base': DEFAULT, 'arena': 'empty', 'idn': '0',
              'prefix': '', 'position': None, 'orientation': None, 'timestep': 0.002,
-             'arena_param': (), 'no_gravity_compensation': False}
+             'arena_param': (), 'no_gravity_compensation': False, 'cameras': ()}
 _BOOL = {'true': True, 'false': False}
 
 
@@ -43,7 +44,8 @@ def compose_from(options: argparse.Namespace) -> World:
     return compose(
         value('robot'), value('gripper'), value('base'), arena_from(options), idn=value('idn'),
         prefix=value('prefix'), position=value('position'), orientation=value('orientation'),
-        timestep_s=value('timestep'), gravity_compensation=not value('no_gravity_compensation'))
+        timestep_s=value('timestep'), gravity_compensation=not value('no_gravity_compensation'),
+        cameras=described_cameras(value('cameras')))
 
 
 def arena_from(options: argparse.Namespace) -> Arena:

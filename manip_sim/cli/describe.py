@@ -92,6 +92,8 @@ def _node_parameters(options: argparse.Namespace) -> Row:
     values = {name: value_of(options, name)
               for name in ('robot', 'gripper', 'base', 'arena', 'prefix', 'timestep')}
     values['idn'] = int(idn) if idn.isdecimal() else idn
+    if options.cameras:
+        values['cameras'] = options.cameras
     values['gravity_compensation'] = not value_of(options, 'no_gravity_compensation')
     # The node puts the cube on the table unless told not to, here it is the other way round.
     of_arena = {'cube': False, **arena_values(options)}

@@ -21,6 +21,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.camera_choice import chosen_cameras
 from manip_sim.simulation.commands import MODES
 from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.parts import Part
@@ -37,14 +38,15 @@ def describe(world: World, given: Mapping[str, Any]) -> Row:
     :param world: the world
     :param given: parameters of the node that differ from their defaults
     :returns: of dictionaries, lists, strings and finite numbers
-    :raises ModelError: if the world cannot be simulated
+    :raises ModelError: if the world cannot be simulated, or a camera is not there
     """
     robot, model = world.robots[0], world.compile()
     simulation = Simulation(world)
     parts = simulation.robot.parts
     twist = simulation.robot.joints.twist_indices is not None
     place = world.arena.robot_position(robot).tolist()
-    parameters = parameters_of(parts, world.arena.arena_name, place)
+    cameras = chosen_cameras(given.get('cameras', ()), world, model)
+    parameters = parameters_of(parts, world.arena.arena_name, place, cameras)
     defaults = {parameter.name: parameter.default for parameter in parameters}
     return {
         'name': robot.name,
@@ -59,7 +61,8 @@ def describe(world: World, given: Mapping[str, Any]) -> Row:
         'cameras': camera_rows(model),
         'objects': [{'name': name, 'mass_kg': mass}
                     for name, mass in free_bodies(world.arena.compile()).items()],
-        'topics': [asdict(topic) for topic in topics_of(parts, twist)],
+        'topics': [asdict(topic) for topic in topics_of(
+            parts, twist, cameras={name: images.depth for name, images in cameras.items()})],
         'services': [asdict(service) for service in SERVICES],
         'parameters': [
             {'name': p.name, 'value': given.get(p.name, p.default), 'default': p.default,

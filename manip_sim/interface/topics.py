@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
@@ -132,18 +133,17 @@ SERVICES = (
 
 
 def topics_of(parts: Mapping[str, PartLike], twist: bool, objects: Iterable[str] = (),
-              cameras: Iterable[str] = ()) -> list[Topic]:
+              cameras: Mapping[str, bool] = MappingProxyType({})) -> list[Topic]:
     """
     Return the topics that the node has for a robot.
 
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
     :param objects: names of free bodies
-    :param cameras: names of the cameras that are chosen, all with depth
+    :param cameras: that are chosen, by name: whether with depth
     """
-    cameras = list(cameras)
-    others = {'object': (OBJECT, list(objects)), 'camera': (CAMERA, cameras),
-              'depth': (CAMERA, cameras)}
+    others = {'object': (OBJECT, list(objects)), 'camera': (CAMERA, list(cameras)),
+              'depth': (CAMERA, [name for name, depth in cameras.items() if depth])}
     found = [topic for pattern in TOPICS if pattern.needs not in others
              for topic in _filled_in(pattern, parts, twist)]
     for pattern in TOPICS:

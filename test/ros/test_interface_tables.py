@@ -10,8 +10,11 @@ from rcl_interfaces.srv import ListParameters
 
 from manip_sim.interface.parameters import parameters_of
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, topics_of
+from manip_sim.models.image_settings import ImageSettings
 
 OF_ROS = {'/rosout', '/parameter_events'}
+#: With depth or without.
+CAMERAS = {'birdview': True, 'agentview': False}
 
 
 def as_seen(name):
@@ -23,14 +26,15 @@ def as_seen(name):
 
 @pytest.mark.parametrize('parameters', [
     {}, {'gripper': 'none'}, {'arena': 'table'}, {'robot': 'PandaOmron'}, {'robot': 'GR1'},
-    {'robot': 'UR5e', 'gripper': 'WipingGripper'}], ids=str)
+    {'robot': 'UR5e', 'gripper': 'WipingGripper'},
+    {'cameras': ['birdview', 'agentview'], 'camera__agentview__depth': False}], ids=str)
 def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, client):
     node = serve(**parameters)
     client.state()
     simulation = node.simulation
     robot = simulation.robot
     expected = topics_of(robot.parts, robot.joints.twist_indices is not None,
-                         simulation.entities.free_names)
+                         simulation.entities.free_names, CAMERAS if 'cameras' in parameters else {})
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):
@@ -47,7 +51,8 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
     names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
     ours = {n for n in names if not re.match('qos_overrides|use_sim_time|start_type', n)}
     assert ours == {parameter.name for parameter in parameters_of(
-        robot.parts, parameters.get('arena', 'empty'))}
+        robot.parts, parameters.get('arena', 'empty'),
+        cameras=dict.fromkeys(parameters.get('cameras', ()), ImageSettings()))}
 
 
 def _either(kind):
