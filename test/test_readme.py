@@ -9,8 +9,8 @@ import subprocess
 import sys
 
 from manip_sim.interface.parameters import (
-    arena_specs, camera_parameters, composition_parameters, MODEL_PATH, node_parameters, place_parameters,
-    robot_parameters)
+    arena_specs, camera_parameters, composition_parameters, MODEL_PATH, node_parameters,
+    place_parameters, robot_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 

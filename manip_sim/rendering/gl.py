@@ -10,14 +10,18 @@ rendered learns why.
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 import importlib
 import os
 import sys
+import threading
 from typing import Any
 
 from manip_sim.errors import ManipSimError
 
 _VARIABLE = 'MUJOCO_GL'
+#: How nice rendering is to the physics: on few processors it takes what is left.
+_NICENESS = 10
 _OFF = ('disable', 'disabled', 'off', 'false', '0')
 _DEFAULT = ('', 'enable', 'enabled', 'on', 'true', '1')
 #: The modules of MuJoCo that make contexts, by what ``MUJOCO_GL`` may be on a platform.
@@ -57,13 +61,27 @@ def create_context(way: str, width: int, height: int) -> Any:
     """
     Return an OpenGL context, current in this thread, with methods ``make_current`` and ``free``.
 
+    Where there is no graphics card, the driver renders in threads that it starts with the context.
+    On Linux they get a lower priority, this thread does not: it would hold Python's lock while it
+    waits for a processor.
+
     :param way: as :func:`choose_gl` returns it
     :param width: of the largest image [pixels], as ``height``
     :raises ManipSimError: with what is missing
     """
     module = _MODULES.get(sys.platform, {}).get(way, way)
+    made: Future[Any] = Future()
+
+    def make() -> None:
+        try:
+            if sys.platform == 'linux':  # There threads inherit a niceness of their own.
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+            made.set_result(importlib.import_module(f'mujoco.{module}').GLContext(width, height))
+        except BaseException as error:  # The thread that waits has to learn of it.
+            made.set_exception(error)
+    threading.Thread(target=make, name='OpenGL', daemon=True).start()
     try:
-        context = importlib.import_module(f'mujoco.{module}').GLContext(width, height)
+        context = made.result()
         context.make_current()
     except Exception as error:  # Each way has exceptions of its own.
         raise cannot_render(error) from error

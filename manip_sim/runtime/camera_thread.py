@@ -7,10 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-import contextlib
 from dataclasses import dataclass
-import os
-import sys
 import threading
 import time
 from typing import Any
@@ -21,8 +18,6 @@ from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
 from manip_sim.simulation.appearance import Snapshot, VisibleWorld
 
 THREAD_NAME = 'cameras'
-#: How nice rendering is to the physics: on few cores it takes what is left.
-_NICENESS = 10
 #: What a rendering may still take when the thread is to end [s].
 _LAST_S = 2.0
 
@@ -148,7 +143,6 @@ class CameraThread:
     def _run(self) -> None:
         context = None
         try:
-            _be_nice()
             context = create_context(self._way, *self._size)
             self._serve()
         except Exception as error:  # OpenGL, MuJoCo and drivers raise what they like.
@@ -200,9 +194,3 @@ class CameraThread:
         shot = Shot(view, order.snapshot, picture, time.perf_counter() - begin_s)
         self._shots[view.camera] = shot
         self._deliver(shot)
-
-
-def _be_nice() -> None:
-    if sys.platform == 'linux':  # There each thread has a niceness, which those it starts inherit.
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

@@ -93,7 +93,7 @@ def test_the_mjcf_of_a_world_has_its_cameras():
     ({'name': 'a', 'position': [0, 0, float('nan')]}, r"'position'\[2\] must be .* got nan"),
     ({'name': 'a', 'look_at': ['x', 0, 0]}, r"'look_at'\[0\] must be a number, got 'x'"),
     ({'name': 'a', 'look_at': [0, 0, 0]}, "'look_at' must not be where the camera is"),
-    ({'name': 'a', 'look_at': [1, 0, 0], 'rpy': [0, 0, 0]}, "give 'look_at', 'rpy' or 'quat_xyzw'"),
+    ({'name': 'a', 'look_at': [1, 0, 0], 'rpy': [0, 0, 0]}, "give 'look_at', 'rpy' or 'quat"),
     ({'name': 'a', 'quat_xyzw': [0, 0, 0, 2]}, 'of length 1, got'),
     ({'name': 'a', 'fovy': 0.8}, "'fovy' must be at least 1, got 0.8"),
     ({'name': 'a', 'fovy': 180}, "'fovy' must be at most 170, got 180"),

@@ -3,6 +3,10 @@
 
 """Images against geometry: where points are seen, how far planes are, and nothing at all."""
 
+import os
+from pathlib import Path
+import threading
+
 import mujoco
 import numpy as np
 import pytest
@@ -148,6 +152,15 @@ def test_the_default_is_a_way_that_needs_no_screen(monkeypatch):
     assert choose_gl() == 'egl'
     monkeypatch.setenv('MUJOCO_GL', 'OSMesa')
     assert choose_gl() == 'osmesa'
+
+
+@pytest.mark.skipif(not Path('/proc/self/task').is_dir(), reason='needs the /proc of Linux')
+def test_threads_of_the_driver_are_nice_and_the_one_that_renders_is_not(gl):
+    nice = {Path(f'/proc/self/task/{task}/comm').read_text().strip():
+            os.getpriority(os.PRIO_PROCESS, int(task)) for task in os.listdir('/proc/self/task')}
+    for name, niceness in nice.items():
+        assert not name.startswith('llvmpipe') or niceness == 10
+    assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == 0
 
 
 def test_what_a_driver_says_is_told(monkeypatch):

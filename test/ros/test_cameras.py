@@ -103,7 +103,8 @@ def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serv
     client.node.destroy_subscription(subscription)
     color = listen(client, 'front/color/image_raw')
     client.spin_until(lambda: ('front', True, False) in renderings)
-    client.spin_until(lambda n=len(color): len(color) > n)
+    count = len(color)
+    client.spin_until(lambda: len(color) > count)
 
 
 def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen, client):
@@ -205,7 +206,7 @@ def test_diagnostics_tell_rate_and_cost(serve_seen, client):
     ({'cameras': ['{name: front']}, "one of 'cameras' is not YAML that is read here"),
     ({'cameras': ['{name: front, fovi: 45}']}, "unknown key 'fovi': did you mean 'fovy'"),
     ({'cameras': ['{name: front, body: hand}']}, "unknown body of the camera 'front' 'hand'"),
-    ({'cameras': ['{name: birdview}']}, "there is a camera of this name already"),
+    ({'cameras': ['{name: birdview}']}, 'there is a camera of this name already'),
     ({'cameras': ['birdview'], 'camera__birdview__width': 0},
      r"'camera\.birdview\.width' must be from 1 to 4096 pixels, got 0"),
     ({'cameras': ['birdview'], 'camera__birdview__height': 5000}, 'to 4096 pixels, got 5000'),

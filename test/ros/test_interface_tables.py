@@ -34,7 +34,8 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
     simulation = node.simulation
     robot = simulation.robot
     expected = topics_of(robot.parts, robot.joints.twist_indices is not None,
-                         simulation.entities.free_names, CAMERAS if 'cameras' in parameters else {})
+                         simulation.entities.free_names,
+                         CAMERAS if 'cameras' in parameters else {})
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):

@@ -133,12 +133,12 @@ def test_a_camera_that_has_gone_with_its_object_is_left_out(cameras, simulation)
 
 
 def test_shapes_that_cannot_collide_are_seen(one_joint_arm):
-    simulation = Simulation(World([one_joint_arm(worldbody="""
+    arm = one_joint_arm(worldbody="""
         <body name="base"><geom size="0.05" mass="1"/>
           <geom name="painted" size="0.2" contype="0" conaffinity="0" group="1"/>
           <body name="link1"><joint name="joint1" axis="0 1 0" range="-2 2"/>
-            <geom size="0.02" mass="1"/><body name="right_hand"/></body></body>""")],
-        cameras=[EYE]))
+            <geom size="0.02" mass="1"/><body name="right_hand"/></body></body>""")
+    simulation = Simulation(World([arm], cameras=[EYE]))
     visible = VisibleWorld(simulation.plan)
     names = [visible.model.geom(index).name for index in range(visible.model.ngeom)]
     assert any('painted' in name for name in names)
