@@ -74,8 +74,8 @@ def create_context(way: str, width: int, height: int) -> Any:
 
     def make() -> None:
         try:
-            if sys.platform == 'linux':  # There threads inherit a niceness of their own.
-                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+            if sys.platform == 'linux':  # There each thread has a niceness, and hands it on.
+                os.nice(_NICENESS)
             made.set_result(importlib.import_module(f'mujoco.{module}').GLContext(width, height))
         except BaseException as error:  # The thread that waits has to learn of it.
             made.set_exception(error)

@@ -246,9 +246,10 @@ def test_a_node_that_cannot_render_says_so_once_and_does_all_else(value, sim_pro
     assert told[0].endswith('; all else works')
 
 
-#: The node, with renderings that never end.
+#: The node, with renderings that never end, and a driver whose end waits for them.
 HANGS = """
-import sys, threading
+import atexit, sys, threading
+atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering.offscreen import OffscreenRenderer
 OffscreenRenderer.render = lambda *_, **__: threading.Event().wait()
 from manip_sim.ros import main
