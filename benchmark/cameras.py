@@ -12,6 +12,7 @@ usage: python3 benchmark/cameras.py [seconds of a round] [rounds]
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import statistics
 import subprocess
@@ -22,6 +23,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from node_rate import cpu_s
 import numpy as np
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import Image, JointState
 
@@ -35,7 +37,8 @@ def listen() -> None:
     node = rclpy.create_node('listener')
     for topic in ('color', 'depth'):
         node.create_subscription(Image, f'{CAMERA}/{topic}/image_raw', lambda _: None, 2)
-    rclpy.spin(node)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 class Rounds:
@@ -109,9 +112,10 @@ def main() -> None:
             listener = subprocess.Popen([sys.executable, __file__, LISTEN])
             rounds.spin(3.0)
             with_camera.append(rounds.measure(duration_s))
-            listener.kill()
-            listener.wait()
-            rounds.spin(1.0)
+            # One that is killed would seem to listen for a while.
+            listener.send_signal(signal.SIGINT)
+            listener.wait(timeout=20.0)
+            rounds.spin(3.0)
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(timeout=20.0)
