@@ -32,6 +32,7 @@ setup(
     python_requires='>=3.10',
     install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pydantic>=2', 'pyyaml', 'scipy'],
     extras_require={
+        'cameras': ['pillow'],
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],

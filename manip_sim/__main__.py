@@ -40,10 +40,8 @@ def main() -> int:
         return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
-    # The node draws nothing. MuJoCo would look for libraries to draw with when it is imported, in
-    # a process of its own, which takes long and outlives a signal.
-    os.environ.setdefault('MUJOCO_GL', 'disable')
     try:
+        _import_mujoco()
         from manip_sim.ros.main import run
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith('manip_sim'):
@@ -52,6 +50,23 @@ def main() -> int:
               "with pip install 'manip_sim[jazzy]'", file=sys.stderr)
         return 1
     return run(arguments)
+
+
+def _import_mujoco() -> None:
+    """
+    Import MuJoCo without OpenGL, which cameras look for later.
+
+    MuJoCo would look for it in processes of their own, which takes long and outlives a signal, and
+    could not be imported where ``MUJOCO_GL`` asks for something that is not there.
+    """
+    asked = os.environ.get('MUJOCO_GL')
+    os.environ['MUJOCO_GL'] = 'disable'
+    try:
+        import mujoco  # noqa: F401
+    finally:
+        del os.environ['MUJOCO_GL']
+        if asked is not None:
+            os.environ['MUJOCO_GL'] = asked
 
 
 if __name__ == '__main__':

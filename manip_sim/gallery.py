@@ -13,9 +13,9 @@ import sys
 from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import write_whole
-from manip_sim.cli.rendering import (
-    cannot_render, check_pillow, picture_of_part, picture_of_world)
+from manip_sim.cli.rendering import check_pillow, picture_of_part, picture_of_world
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
+from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -20,6 +20,7 @@ from manip_sim.models.grippers.gripper_model import GRIPPERS
 from manip_sim.models.robots import ManipulatorModel, Panda, RobotModel
 from manip_sim.models.robots.robot_model import ROBOTS
 from manip_sim.models.world import World
+from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.simulation import Simulation
 
 ARM_WORLDBODY = """
@@ -195,6 +196,16 @@ def renderer():
                           env={'MUJOCO_GL': 'egl', **os.environ}, check=False)
     if done.returncode:
         pytest.skip(f'MuJoCo cannot render here: {done.stderr.strip().splitlines()[-1]}')
+
+
+@pytest.fixture(scope='session')
+def gl(renderer):
+    """Let this thread render; other threads make contexts of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('MUJOCO_GL', os.environ.get('MUJOCO_GL', 'egl'))
+        context = create_context(choose_gl(), 640, 480)
+        yield
+        context.free()
 
 
 @pytest.fixture(scope='session')

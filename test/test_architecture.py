@@ -16,10 +16,11 @@ PURE = {'mujoco', 'numpy', 'pydantic', 'scipy', 'yaml'}
 MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
-    'runtime': ({'models', 'simulation', 'runtime'}, PURE),
+    'rendering': ({'rendering'}, PURE),
+    'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation'}, PURE | {'PIL'}),
-    'gallery.py': ({'cli', 'models'}, PURE | {'PIL'}),
+    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering'}, PURE | {'PIL'}),
+    'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
 TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}

@@ -9,9 +9,10 @@ import subprocess
 import sys
 
 from manip_sim.interface.parameters import (
-    arena_specs, composition_parameters, MODEL_PATH, node_parameters, place_parameters,
-    robot_parameters)
+    arena_specs, camera_parameters, composition_parameters, MODEL_PATH, node_parameters,
+    place_parameters, robot_parameters)
 from manip_sim.interface.scope import Scope
+from manip_sim.models.image_settings import ImageSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / 'README.md').read_text()
@@ -53,7 +54,8 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
     specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *composition_parameters(scope),
-             *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base'])]
+             *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base']),
+             *camera_parameters('<camera>', ImageSettings())]
     rows = {row[0].strip('`'): row for row in table_rows('Parameters')}
     expected = set()
     for spec in specs:

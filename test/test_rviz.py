@@ -5,7 +5,8 @@
 
 import yaml
 
-from manip_sim.interface.topics import PUBLISHED, topics_of
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import PUBLISHED, topics_of_world
 from manip_sim.models import compose
 from manip_sim.resources import config_path
 from manip_sim.simulation import Simulation
@@ -43,11 +44,11 @@ def test_displays_and_tools_are_those_of_rviz():
 
 
 def test_each_topic_is_one_that_the_node_publishes_with_that_type():
-    published = {'/robot_description': 'std_msgs/String'}
+    published = {}
     for robot in ('PandaOmron', 'Baxter'):
         sim = Simulation(compose(robot))
-        published |= {as_seen(topic.name): topic.type for topic in topics_of(
-            sim.robot.parts, bool(sim.robot.twist_joints), ['cube'])
+        published |= {as_seen(topic.name): topic.type for topic in topics_of_world(
+            [(Scope(), sim.robot.parts, bool(sim.robot.twist_joints))], ['cube'])
             if topic.direction == PUBLISHED}
     shown = [(name, display.get('Topic') or display.get('Description Topic'))
              for name, display in displays()]

@@ -22,7 +22,7 @@ from manip_sim.simulation.parts import find_parts
 
 #: The options whose values are those of the parameters of the same name.
 _PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
-               'timestep')
+               'timestep', 'cameras')
 _BOOL = {'true': True, 'false': False}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.cli.composition import Composed
 from manip_sim.cli.elements import actuator_rows, camera_rows, frame_rows, sensor_rows
 from manip_sim.cli.listing import origin
-from manip_sim.interface.composition import declare_parts
+from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import actions_of, SERVICES, topics_of_world
@@ -38,12 +38,13 @@ def describe(composed: Composed) -> Row:
 
     :param composed: the world, and the parameters of the node
     :returns: of dictionaries, lists, strings and finite numbers
-    :raises ModelError: if the world cannot be simulated
+    :raises ModelError: if the world cannot be simulated, or a camera is not there
     """
     world, parameters = composed.composition.world, composed.parameters
     model, simulation = world.compile(), Simulation(world)
     served = list(zip(composed.composition.scopes, simulation.robots.values()))
     declare_parts(parameters, [(scope, robot.parts) for scope, robot in served])
+    cameras = declare_cameras(parameters, world, model)
     of_robots = [_of_robot(parameters, simulation, model, scope, robot) for scope, robot in served]
     return {
         'name': world.name,
@@ -57,7 +58,8 @@ def describe(composed: Composed) -> Row:
                     for name in simulation.entities.free_names],
         'topics': [asdict(topic) for topic in topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)
-             for scope, robot in served], simulation.entities.free_names)],
+             for scope, robot in served], simulation.entities.free_names,
+            {name: images.depth for name, images in cameras.items()})],
         'services': [asdict(service) for service in SERVICES],
         'actions': [{**asdict(action), 'name': scope.topic(action.name)}
                     for scope, robot in served for action in actions_of(robot.parts)],

@@ -13,7 +13,8 @@ from typing import Any, NoReturn
 
 #: The options of a composition; None where they are not given.
 COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'idn', 'prefix',
-               'position', 'orientation', 'timestep', 'no_gravity_compensation', 'params_file')
+               'position', 'orientation', 'timestep', 'no_gravity_compensation', 'cameras',
+               'params_file')
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
 #: Of a picture: the least and the greatest edge [pixels].
 SMALLEST, LARGEST = 16, 8192
@@ -190,6 +191,10 @@ def _add_composition(parser: argparse.ArgumentParser) -> None:
                        help='let the actuators get no help against the weight')
     group.add_argument('--params-file', type=Path, metavar='FILE', help='instead of all these: a '
                        "file of the node's parameters, also of several robots and objects")
+    group.add_argument('--cameras', action='append', metavar='NAME', help='a camera of the model '
+                       'whose images the node publishes, or a description of a further one, as '
+                       "for the node: '{name: front, position: [2, 0, 1], look_at: [0, 0, 1]}'; "
+                       'may be repeated')
 
 
 def _number(text: str) -> float:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.cli.rendering import (
-    cannot_render, check_pillow, picture_of_part, picture_of_world, TWO_SIDES,
-    TWO_SIDES_OF_ARENAS, View)
+    check_pillow, picture_of_part, picture_of_world, TWO_SIDES, TWO_SIDES_OF_ARENAS, View)
 from manip_sim.errors import ManipSimError
+from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
     from PIL.Image import Image

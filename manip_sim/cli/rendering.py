@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass
-import os
 from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
+from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -138,12 +138,6 @@ def _picture(model: Any, data: Any, size: tuple[int, int], views: Sequence[View]
     except Exception as error:  # Each way to render has exceptions of its own.
         raise cannot_render(error) from error
     return picture
-
-
-def cannot_render(error: Exception) -> ManipSimError:
-    """Return the error to raise for one of MuJoCo's renderer."""
-    way = os.environ.get('MUJOCO_GL', 'the default')
-    return ManipSimError(f'cannot render with MUJOCO_GL={way}: {error}')
 
 
 def _start_of(world: World) -> tuple[Any, Any]:

@@ -13,22 +13,24 @@ from typing import Any
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
-    arena_specs, commanded_parts, composition_parameters, MODEL_PATH, node_parameters,
-    place_parameters, robot_parameters, steps_per_period)
+    arena_specs, camera_parameters, commanded_parts, composition_parameters, MODEL_PATH,
+    node_parameters, periods_per_image, place_parameters, robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
+from manip_sim.models.image_settings import ImageSettings
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
+from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
 
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
 #: What a namespace, a parameter and the names of joints may all begin with.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: What else is in the node's namespace or begins names of parameters.
-_RESERVED = ('arena', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
+_RESERVED = ('arena', 'camera', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ def compose_world(parameters: ParameterSource) -> Composition:
     world = World(robots, arena, timestep_s=value('timestep'),
                   gravity_compensation=value('gravity_compensation'),
                   objects=_objects(value('objects')), seed=value('seed'),
-                  initialization_noise=noise if noise['magnitude'] else None)
+                  initialization_noise=noise if noise['magnitude'] else None,
+                  cameras=described_cameras(value('cameras')))
     return Composition(scopes, world, steps)
 
 
@@ -99,6 +102,26 @@ def declare_parts(parameters: ParameterSource,
     """
     for scope, parts in served:
         parameters.declare(robot_parameters(scope, commanded_parts(parts)))
+
+
+def declare_cameras(parameters: ParameterSource, world: World, model: Any
+                    ) -> dict[str, ImageSettings]:
+    """
+    Declare the parameters of the cameras that are chosen, and return what they say, by camera.
+
+    :param world: the world
+    :param model: its ``mujoco.MjModel``
+    :raises ManipSimError: if a camera cannot be chosen, or a value cannot be used
+    """
+    chosen = chosen_cameras(parameters.value('cameras'), world, model)
+    for name, images in chosen.items():
+        parameters.declare(camera_parameters(name, images))
+        width, height, rate_hz, depth = (
+            parameters.value(f'camera.{name}.{key}') for key in (
+                'width', 'height', 'rate', 'depth'))
+        chosen[name] = ImageSettings(width, height, rate_hz, depth)
+        periods_per_image(parameters.value('publish_rate'), rate_hz, f'camera.{name}.rate')
+    return chosen
 
 
 def compose_arena(parameters: ParameterSource) -> Arena:

@@ -15,6 +15,8 @@ from manip_sim.models.arena_parameters import ArenaParameter
 from manip_sim.models.arenas import arena_names, arena_parameters
 from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
+from manip_sim.models.image_settings import (
+    ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ)
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation.commands import MODES
@@ -41,6 +43,9 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('objects', [''], 'Free bodies: YAML files that list objects, MJCF files, or '
                       'descriptions such as {name: box, shape: box, size: [0.1, 0.1, 0.1], '
                       'mass: 0.5, position: [0.5, 0.0, 0.05]}.'),
+        ParameterSpec('cameras', [''], "Cameras whose images are published: names of the model's "
+                      'cameras, such as birdview, or descriptions such as {name: front, '
+                      'position: [1.5, 0.0, 1.5], look_at: [0.0, 0.0, 0.8], fovy: 45}.'),
         ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of what is added to "
                       "the start of the robots' own joints.", choices=TYPES),
         ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation, or the largest '
@@ -143,6 +148,39 @@ def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
                           'position holds, velocity goes to zero, effort to gravity compensation; '
                           '0 is never.', 's', live=True, minimum=0.0, maximum=3600.0)]
     return [spec.within(scope) for spec in specs]
+
+
+def camera_parameters(camera: str, default: ImageSettings) -> list[ParameterSpec]:
+    """
+    Return the parameters of a camera that is chosen.
+
+    :param camera: its name
+    :param default: what its images are unless the user says more
+    """
+    return [
+        ParameterSpec(f'camera.{camera}.width', default.width, 'Width of the images.', 'pixels',
+                      minimum=1, maximum=MAX_PIXELS),
+        ParameterSpec(f'camera.{camera}.height', default.height, 'Height of the images.', 'pixels',
+                      minimum=1, maximum=MAX_PIXELS),
+        ParameterSpec(f'camera.{camera}.rate', default.rate_hz, 'Images per second of simulation '
+                      'time, at most publish_rate: the nearest rate that comes every so many '
+                      'control periods.', 'Hz', minimum=MIN_RATE_HZ, maximum=MAX_RATE_HZ),
+        ParameterSpec(f'camera.{camera}.depth', default.depth, 'Also publish depth.')]
+
+
+def periods_per_image(publish_rate: float, rate: float, name: str) -> int:
+    """
+    Return after how many control periods an image comes, for the nearest rate there is.
+
+    :param publish_rate: control periods per second [Hz]
+    :param rate: images per second that are asked for [Hz]
+    :param name: of the parameter that asks for it
+    :raises ParameterError: if there are more images than control periods
+    """
+    if rate > publish_rate * (1.0 + 1e-9):
+        raise ParameterError(f"parameter '{name}': {rate:g} Hz is not possible, because "
+                             f'publish_rate is {publish_rate:g} Hz')
+    return periods_per_message(publish_rate, rate)
 
 
 def steps_per_period(publish_rate: float, timestep: float) -> int:

@@ -5,19 +5,21 @@
 What the node publishes, takes and offers, as tables.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
-has one topic for each, and ``<name>`` for each object; :func:`topics_of` fills them in.
+has one topic for each, ``<name>`` for each object and ``<camera>`` for each camera that is chosen;
+:func:`topics_of` fills them in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from manip_sim.interface.scope import Scope
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
-PART, ARM, OBJECT = '<part>', '<arm>', '<name>'
+PART, ARM, OBJECT, CAMERA = '<part>', '<arm>', '<name>', '<camera>'
 _GRIPPER = f'{ARM}/gripper'
 
 
@@ -47,7 +49,8 @@ class Topic:
     :ivar direction: :data:`PUBLISHED` or :data:`SUBSCRIBED` by the node
     :ivar meaning: what the messages say
     :ivar needs: what a part must have: ``joints``, ``actuators`` or nothing; ``twist`` is a
-        mobile base that moves along x and y and turns
+        mobile base that moves along x and y and turns; ``object``, ``camera`` and ``depth`` are
+        no parts, but free bodies, cameras and cameras with depth
     """
 
     name: str
@@ -116,6 +119,16 @@ TOPICS = (
     Topic('~/markers', 'visualization_msgs/MarkerArray', PUBLISHED,
           'contacts with their forces, and external wrenches, to look at'),
     Topic('robot_description', 'std_msgs/String', PUBLISHED, 'URDF of the robot, latched'),
+    Topic('<camera>/color/image_raw', 'sensor_msgs/Image', PUBLISHED, 'what it sees, rgb8',
+          'camera'),
+    Topic('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage', PUBLISHED,
+          'the same as JPEG; needs pillow', 'camera'),
+    Topic('<camera>/color/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'its intrinsics',
+          'camera'),
+    Topic('<camera>/depth/image_raw', 'sensor_msgs/Image', PUBLISHED,
+          'depth along the view, 32FC1, +Inf where there is nothing', 'depth'),
+    Topic('<camera>/depth/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'the same intrinsics',
+          'depth'),
     Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
     Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
           'real-time factor, missed deadlines, what became of commands'),
@@ -169,22 +182,24 @@ def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
 
 def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
     """
-    Return the topics that the node has for a robot, but for those of objects.
+    Return the topics that the node has for a robot, but for those of objects and cameras.
 
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
     """
-    return [topic for pattern in TOPICS if pattern.needs != 'object'
+    return [topic for pattern in TOPICS if pattern.needs not in ('object', 'camera', 'depth')
             for topic in _filled_in(pattern, parts, twist)]
 
 
 def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
-                    objects: Iterable[str] = ()) -> list[Topic]:
+                    objects: Iterable[str] = (),
+                    cameras: Mapping[str, bool] = MappingProxyType({})) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
     :param robots: where the topics of each are, its parts, and whether its base takes a twist
     :param objects: names of free bodies
+    :param cameras: that are chosen, by name: whether with depth
     """
     found: dict[Topic, None] = {}
     for scope, parts, twist in robots:
@@ -192,8 +207,13 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
         found.update(dict.fromkeys(
             topic if topic.name[0] in '/~' else replace(topic, name=scope.topic(topic.name))
             for topic in topics_of(parts, twist)))
-    return [*found, *(replace(pattern, name=pattern.name.replace(OBJECT, name))
-                      for pattern in TOPICS if pattern.needs == 'object' for name in objects)]
+    others = {'object': (OBJECT, list(objects)), 'camera': (CAMERA, list(cameras)),
+              'depth': (CAMERA, [name for name, depth in cameras.items() if depth])}
+    for pattern in TOPICS:
+        placeholder, names = others.get(pattern.needs, ('', []))
+        found.update(dict.fromkeys(
+            replace(pattern, name=pattern.name.replace(placeholder, name)) for name in names))
+    return list(found)
 
 
 def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> Iterator[Topic]:

@@ -30,6 +30,8 @@ CUBE_MASS_KG = 0.1
 _LEG_INSET_M = 0.1
 #: Of the bins' floors in their file [m].
 _BIN_HEIGHT_M = 0.82
+#: Of the table that the cameras look at in their file [m].
+_TABLE_HEIGHT_M = 0.8
 
 
 class Arena(MujocoXMLModel):
@@ -76,6 +78,11 @@ class Arena(MujocoXMLModel):
     def table_length_m(self) -> float:
         """Edge of the table along x [m], zero where there is none."""
         return 0.0
+
+    def _lift_cameras(self, higher_m: float) -> None:
+        """Let the cameras look at furniture that is higher than in their file."""
+        for camera in self.spec.cameras:
+            camera.pos[2] += higher_m
 
     def compose(self) -> mujoco.MjSpec:
         """Return a new spec of the arena with its objects."""
@@ -126,6 +133,7 @@ class TableArena(Arena):
         super().__init__(asset_path('arenas', 'table'))
         self._length_m = table_length_m
         self._fit_table(np.array([table_length_m, table_width_m]), table_height_m)
+        self._lift_cameras(table_height_m - _TABLE_HEIGHT_M)
         self.spec.geom('table_collision').friction[0] = friction
         if cube:
             self._objects.append(_cube(table_height_m))
@@ -176,6 +184,7 @@ class BinsArena(Arena):
                         friction=friction)
         super().__init__()
         higher = bin_height_m - _BIN_HEIGHT_M
+        self._lift_cameras(higher)
         for bin_ in (self.spec.body('bin1'), self.spec.body('bin2')):
             bin_.pos[2] += higher
             for geom in bin_.geoms:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.bases import create_base, RobotBaseModel
+from manip_sim.models.cameras import Camera
 from manip_sim.models.grippers import create_gripper, GripperModel
 from manip_sim.models.objects import Description
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
@@ -112,7 +113,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             orientation: ArrayLike | None = None, timestep_s: float = 0.002,
             gravity_compensation: bool = True, objects: Iterable[Description] = (),
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
-            **arena_parameters: Any) -> World:
+            cameras: Iterable[Camera] = (), **arena_parameters: Any) -> World:
     """
     Return a world with one robot; the other parameters are those of :func:`compose_robot`.
 
@@ -124,6 +125,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param gravity_compensation: let the joints' actuators carry the weight, see :class:`World`
     :param objects: free bodies: objects, mappings, MJCF files or YAML files, see :class:`World`
     :param initialization_noise: of the start, with its ``seed``, see :class:`World`
+    :param cameras: beside those of robot and arena, see :class:`World`
     :param arena_parameters: of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
@@ -139,4 +141,4 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
         raise ModelError('parameters are for an arena that is given by name, '
                          f'got {", ".join(arena_parameters)}')
     return World([whole], arena, timestep_s, gravity_compensation, objects=objects,
-                 initialization_noise=initialization_noise, seed=seed)
+                 initialization_noise=initialization_noise, seed=seed, cameras=cameras)

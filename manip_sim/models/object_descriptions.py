@@ -36,8 +36,9 @@ def _known_shape(value: object) -> object:
     return value
 
 
-_Coordinate = Annotated[Number, Field(ge=-_MAX_DISTANCE_M, le=_MAX_DISTANCE_M,
-                                      allow_inf_nan=False)]
+#: A position along an axis [m].
+Coordinate = Annotated[Number, Field(ge=-_MAX_DISTANCE_M, le=_MAX_DISTANCE_M,
+                                     allow_inf_nan=False)]
 _Finite = Annotated[Number, Field(allow_inf_nan=False)]
 _Size = Annotated[Number, Field(ge=_MIN_SIZE_M, le=_MAX_SIZE_M, allow_inf_nan=False)]
 _Friction = Annotated[Number, Field(ge=0.0, le=100.0, allow_inf_nan=False)]
@@ -59,7 +60,7 @@ class PlacedDescription(BaseModel):
     model_config = ConfigDict(extra='forbid', frozen=True)
 
     name: str | None = None
-    position: Annotated[list[_Coordinate], Field(min_length=3, max_length=3)] | None = None
+    position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
     rpy: Annotated[list[_Finite], Field(min_length=3, max_length=3)] | None = None
     quat_xyzw: Annotated[list[_Finite], Field(min_length=4, max_length=4)] | None = None
 

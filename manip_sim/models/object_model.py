@@ -38,17 +38,19 @@ _NOT_IN_OBJECTS = {
     'nhistory': 'delays', 'nplastic': 'plastic joints'}
 
 
-def check_object_name(name: str, where: str) -> None:
+def check_object_name(name: str, where: str,
+                      what: str = 'an object, its body and its topics') -> None:
     """
     Refuse a name that a body and topics cannot have.
 
     :param where: what has the name, for the message
+    :param what: what it is a name of, for the message
     :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
     """
     if not _NAME.fullmatch(name) or name == 'world':
-        raise ModelError(f'{where}: {quoted(name)} cannot be the name of an object, its body and '
-                         'its topics: it needs a letter, then at most 63 letters, digits and '
-                         "underscores, and must not be 'world'")
+        raise ModelError(f'{where}: {quoted(name)} cannot be the name of {what}: it needs a '
+                         'letter, then at most 63 letters, digits and underscores, and must not '
+                         "be 'world'")
 
 
 class ObjectModel:

@@ -13,14 +13,14 @@ from manip_sim.quoting import one_line, quoted, shown
 
 try:
     from pydantic import (
-        AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator,
-        ValidationError)
+        AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator, StrictBool,
+        StrictInt, ValidationError)
 except ImportError as error:  # Ubuntu 24.04 has version 1, and all else works without it.
     raise ModelError('models and objects from files and descriptions need pydantic 2: '
                      f"pip install 'pydantic>=2' ({error})") from error
 
 __all__ = ['AfterValidator', 'BaseModel', 'BeforeValidator', 'checked', 'ConfigDict', 'Field',
-           'model_validator', 'Number', 'ValidationError']
+           'model_validator', 'Number', 'StrictBool', 'StrictInt', 'ValidationError']
 
 M = TypeVar('M', bound=BaseModel)
 
@@ -96,6 +96,8 @@ _MESSAGES: dict[str, Callable[[Any], str]] = {
     'finite_number': lambda e: 'must be finite',
     'literal_error': lambda e: f'must be {e["ctx"]["expected"]}',
     'list_type': lambda e: 'must be a list',
+    'int_type': lambda e: 'must be a whole number',
+    'bool_type': lambda e: 'must be true or false',
     'string_type': lambda e: 'must be a text',
     'too_short': _length,
     'too_long': _length,

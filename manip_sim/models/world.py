@@ -14,6 +14,7 @@ import mujoco
 from manip_sim.errors import ModelError
 from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
+from manip_sim.models.cameras import Camera, create_camera
 from manip_sim.models.initialization_noise import InitializationNoise
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -44,6 +45,8 @@ class World:
     :param initialization_noise: added to the start of the robots' own joints, see
         :class:`InitializationNoise`; None for none
     :param seed: of that noise; None draws one
+    :param cameras: beside those of robots and arena, as for :func:`create_camera`
+    :ivar cameras: those
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
     """
@@ -52,7 +55,7 @@ class World:
                  timestep_s: float = 0.002, gravity_compensation: bool = True, *,
                  objects: Iterable[Description] = (),
                  initialization_noise: Mapping[str, Any] | None = None,
-                 seed: int | None = None) -> None:
+                 seed: int | None = None, cameras: Iterable[Camera] = ()) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = whole_nanoseconds(timestep_s)
@@ -63,6 +66,7 @@ class World:
                              + ', '.join(prefixes))
         self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
         check_object_names(self.objects)
+        self.cameras = [create_camera(camera) for camera in cameras]
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
 
@@ -89,7 +93,7 @@ class World:
         :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
             a step costs less and gives the same states
         :param objects: with :attr:`objects`
-        :raises ModelError: if two parts have a name in common
+        :raises ModelError: if two parts have a name in common, or a camera cannot be added
         """
         spec = begin_like(self.arena.spec)
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
@@ -104,6 +108,8 @@ class World:
         spec = spec.copy()  # That leaves behind what MuJoCo warns of when names have no prefix.
         if self.gravity_compensation:
             self._compensate_gravity(spec)
+        for camera in self.cameras:
+            camera.attach(spec)
         spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
         if objects:
             self._attach_objects(spec)

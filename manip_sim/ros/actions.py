@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import contextlib
 import queue
 import threading
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -108,20 +109,20 @@ def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], 
                 yield ParallelGripperMessages(types.parallel_gripper_command, robot, name, now_ns)
 
 
-def offer_actions(node: Node, commands: Sequence[CommandSubscribers], thread: SimulationThread,
+def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: SimulationThread,
                   log: RejectionLog) -> Actions | None:
     """
     Offer the actions if the package control_msgs is installed, else say that they are missing.
 
-    :param node: the node
+    :param node: the node, with its ``notes``
     :param commands: of each robot
     :param thread: runs the simulation
     :param log: counts and tells what is rejected
     """
     types = load_action_types()
     if types is None:
-        node.get_logger().info('no actions: the package control_msgs is not installed '
-                               '(ros-jazzy-control-msgs)')
+        node.notes.append('no actions: the package control_msgs is not installed '
+                          '(ros-jazzy-control-msgs)')
         return None
 
     def now_ns() -> int:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import math
 import time
 
@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from manip_sim.quoting import one_line
+from manip_sim.ros.cameras import Cameras
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
@@ -90,14 +91,16 @@ class Diagnostics:
     :param simulation: only looked at
     :param thread: tells how far the simulation has come
     :param commands: tells what came in for each robot
+    :param cameras: tell how many images there were
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 commands: Sequence[CommandSubscribers]) -> None:
+                 commands: Sequence[CommandSubscribers], cameras: Cameras) -> None:
         self._node = node
         self._simulation = simulation
         self._thread = thread
         self._commands = commands
+        self._cameras = cameras
         self._pace = Pace(thread)
         self._neighbours = Neighbours(node, [c.scope for c in commands])
         self._last_accepted: dict[str, int] = {}
@@ -115,6 +118,7 @@ class Diagnostics:
             self._physics(f'{name}: simulation'),
             *(self._part(f'{name}: {commands.scope.topic(part)}', commands, part, now_s, elapsed_s)
               for commands in self._commands for part in commands.statistics),
+            *self._images(f'{name}: cameras', elapsed_s),
             self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._thread.progress.time_ns)
         self._publisher.publish(message)
@@ -139,6 +143,16 @@ class Diagnostics:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)
         return status
+
+    def _images(self, name: str, elapsed_s: float) -> Iterator[DiagnosticStatus]:
+        if not self._cameras.names:
+            return
+        failed = self._cameras.failed
+        status = _status(name, one_line(str(failed or 'images')),
+                         self._cameras.statistics(elapsed_s))
+        if failed is not None:
+            status.level = DiagnosticStatus.WARN
+        yield status
 
     def _others(self, name: str) -> DiagnosticStatus:
         conflicts = self._neighbours.conflicts()

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import os
 import select
 import signal
 import socket
@@ -22,6 +23,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.overrides import for_other_nodes, without_source
 from manip_sim.ros.sim_node import SimNode
+from manip_sim.runtime.camera_thread import THREAD_NAME
 
 #: How often the main thread looks whether the other threads are well [s].
 _WATCH_S = 0.5
@@ -77,12 +79,23 @@ def run(arguments: Sequence[str]) -> int:
         return _fail(f'bad ROS arguments: {what}')
     set_logger_level('rcl', LoggingSeverity.UNSET)
     try:
-        return _serve(asked_to_end, arguments)
+        code = _serve(asked_to_end, arguments)
     except ManipSimError as error:
-        return _fail(str(error))
+        code = _fail(str(error))
     finally:
         rclpy.try_shutdown()
         asked_to_end.ignore_more()
+    return _leave(code)
+
+
+def _leave(code: int) -> int:
+    """Return an exit code, or end the process at once if a rendering hangs in it."""
+    if any(thread.name == THREAD_NAME for thread in threading.enumerate()):
+        # Python's end would close OpenGL under it.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
-from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
@@ -17,7 +17,7 @@ from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.simulation import SimulatedRobot
 
 
-def publish_descriptions(node: Node, world: World,
+def publish_descriptions(node: Any, world: World,
                          robots: Mapping[Scope, SimulatedRobot],
                          ros2_control_tag: bool = False) -> None:
     """
@@ -43,4 +43,4 @@ def publish_descriptions(node: Node, world: World,
             String(data=urdf.xml))
         if urdf.notes:
             name = f'{scope.name}: ' if scope.name else ''
-            node.get_logger().info(f'{name}robot_description: {"; ".join(urdf.notes)}')
+            node.notes.append(f'{name}robot_description: {"; ".join(urdf.notes)}')

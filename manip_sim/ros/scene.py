@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy.node import Node
 
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
@@ -42,7 +41,7 @@ def check_frame_prefix(prefix: str) -> str:
     return prefix
 
 
-def publish_scene(node: Node, value: Callable[[str], Any], robots: Mapping[Scope, SimulatedRobot],
+def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope, SimulatedRobot],
                   simulation: Simulation, thread: SimulationThread, log: RejectionLog
                   ) -> list[Follower]:
     """
@@ -81,11 +80,11 @@ def publish_scene(node: Node, value: Callable[[str], Any], robots: Mapping[Scope
     return [transforms.follow]
 
 
-def _divider(node: Node, publish_rate: float, tf_rate: float) -> int:
+def _divider(node: Any, publish_rate: float, tf_rate: float) -> int:
     every = periods_per_message(publish_rate, tf_rate)
     rate = publish_rate / every
     if abs(rate - tf_rate) > 1e-6 * tf_rate:
-        node.get_logger().info(
+        node.notes.append(
             f'tf_rate: {tf_rate:g} Hz is not publish_rate, {publish_rate:g} Hz, divided by a '
             f'whole number; /tf and ~/markers come with {rate:g} Hz')
     return every

@@ -15,10 +15,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.interface.composition import compose_world, declare_parts
+from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.ros.actions import offer_actions
+from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
@@ -62,11 +63,14 @@ class SimNode(Node):
         check_qos_values(self)
         self._declared = Parameters(self)
         value = self._declared.value
+        #: What a user shall know of a start that has succeeded.
+        self.notes: list[str] = []
         composition = compose_world(self._declared)
         world = composition.world
         self.simulation = Simulation(world)
         self._robots = dict(zip(composition.scopes, self.simulation.robots.values()))
         declare_parts(self._declared, [(scope, r.parts) for scope, r in self._robots.items()])
+        cameras = declare_cameras(self._declared, world, self.simulation.model)
         self._declared.check_names()
         for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
@@ -77,6 +81,18 @@ class SimNode(Node):
             value('start_paused'), self._tell_failure)
         self._check_lockstep()
         frame_prefix = check_frame_prefix(value('frame_prefix'))
+        self._serve_robots(frame_prefix)
+        self._show_world(world, frame_prefix)
+        self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
+        self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
+        SimulationServices(self, self.simulation, self.thread)
+        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
+        Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
+        check_qos_names(self)
+        self.add_post_set_parameters_callback(self._parameters_changed)
+        self._introduce(world)
+
+    def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
         for scope, robot in self._robots.items():
             self._control(scope, robot)
@@ -84,6 +100,9 @@ class SimNode(Node):
             self.thread.observe(publishers.publish)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
+
+    def _show_world(self, world: World, frame_prefix: str) -> None:
+        value = self._declared.value
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
@@ -91,22 +110,8 @@ class SimNode(Node):
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
-        self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
-        SimulationServices(self, self.simulation, self.thread)
-        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
-        Diagnostics(self, self.simulation, self.thread, self.commands)
         publish_model(self, world)
         publish_descriptions(self, world, self._robots, value('ros2_control_tag'))
-        check_qos_names(self)
-        self.add_post_set_parameters_callback(self._parameters_changed)
-        self._introduce()
-        for model in self._models(world):
-            if getattr(model, 'inferred', None):
-                self.get_logger().info(f'{model.name}: inferred: {"; ".join(model.inferred)}')
-        for defect in self.simulation.start_defects:
-            self.get_logger().warning(f'start: {defect}')
-        if self.get_parameter('use_sim_time').value:
-            self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 
     @staticmethod
     def _models(world: World) -> list[Any]:
@@ -157,7 +162,7 @@ class SimNode(Node):
     def _tell_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
 
-    def _introduce(self) -> None:
+    def _introduce(self, world: World) -> None:
         value = self._declared.value
         lines = []
         for scope, robot in self._robots.items():
@@ -171,6 +176,15 @@ class SimNode(Node):
                      f'on {space}<part>/command, {space}<part>/joint_command and '
                      f'{space}joint_command')
         self.get_logger().info('\n'.join(lines))
+        for model in self._models(world):
+            if getattr(model, 'inferred', None):
+                self.get_logger().info(f'{model.name}: inferred: {"; ".join(model.inferred)}')
+        for note in self.notes:
+            self.get_logger().info(note)
+        for defect in self.simulation.start_defects:
+            self.get_logger().warning(f'start: {defect}')
+        if self.get_parameter('use_sim_time').value:
+            self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
 
     def _parts_in_words(self, scope: Scope, robot: SimulatedRobot) -> Iterator[str]:
         unit = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
@@ -187,6 +201,7 @@ class SimNode(Node):
 
     def start(self) -> None:
         """Let the simulation run."""
+        self.cameras.start()
         self.thread.start()
 
     def end_goals(self) -> None:
@@ -197,3 +212,4 @@ class SimNode(Node):
     def stop(self) -> None:
         """End the simulation; the node can be destroyed then."""
         self.thread.stop()
+        self.cameras.stop()

@@ -30,7 +30,7 @@ except ModuleNotFoundError as missing:
 _DEPTH = 100
 
 
-def offer_transforms(node: Node, frames: Callable[[Simulation], FrameTree], prefix: str,
+def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree], prefix: str,
                      log: RejectionLog) -> TransformPublisher | None:
     """
     Create what publishes ``/tf`` and ``/tf_static``; without ``tf2_msgs`` say so.
@@ -41,7 +41,7 @@ def offer_transforms(node: Node, frames: Callable[[Simulation], FrameTree], pref
     :returns: None without ``tf2_msgs``
     """
     if TFMessage is None:
-        node.get_logger().info('no /tf and /tf_static: the package tf2_msgs is not installed')
+        node.notes.append('no /tf and /tf_static: the package tf2_msgs is not installed')
         return None
     return TransformPublisher(*create_outputs(node, log), frames, prefix)
 

@@ -76,6 +76,21 @@ def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world')
     return Plan(base, tuple(objects), spec, compile_spec(spec, name))
 
 
+def compile_visual(plan: Plan) -> Any:
+    """
+    Return the ``mujoco.MjModel`` of a plan with the shapes that cannot collide.
+
+    It has the same bodies, joints and cameras, and so the same positions.
+
+    :raises ModelError: with what MuJoCo says
+    """
+    spec = plan.base.copy()
+    spec.compiler.discardvisual = False
+    for item in plan.objects:
+        item.attach(spec)
+    return compile_spec(spec, 'the world with its visual shapes')
+
+
 def plan_with(plan: Plan, item: ObjectModel) -> Plan:
     """
     Return the plan of a world with one more object, which comes last.

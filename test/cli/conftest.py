@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from manip_sim.cli.main import main
-from manip_sim.interface.composition import Composition
+from manip_sim.interface.composition import Composition, declare_node
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.scope import Scope
 from manip_sim.models.world import World
@@ -69,7 +69,9 @@ def composing(monkeypatch):
     """Return a function that lets a command have a world of one robot, whatever is asked for."""
     def compose(command, robot):
         from manip_sim.cli.composition import Composed
-        composed = Composed(Composition([Scope()], World([robot]), 5), GivenParameters({}))
+        parameters = GivenParameters({})
+        declare_node(parameters)
+        composed = Composed(Composition([Scope()], World([robot]), 5), parameters)
         monkeypatch.setattr(f'manip_sim.cli.{command}.compose_from', lambda options: composed)
     return compose
 

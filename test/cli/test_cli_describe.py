@@ -173,6 +173,27 @@ def test_topics_and_parameters_are_those_of_the_parts(described):
     assert {service['name'] for service in found['services']} >= {'~/reset', '~/step'}
 
 
+def test_cameras_that_are_chosen_have_topics_and_parameters(described):
+    found = described('--cameras', 'birdview',
+                      '--cameras', '{name: front, position: [2, 0, 1], width: 320, depth: false}')
+    assert 'front' in by_name(found['cameras'])
+    topics = by_name(found['topics'])
+    assert topics['birdview/depth/image_raw']['type'] == 'sensor_msgs/Image'
+    assert topics['front/color/image_raw']['direction'] == PUBLISHED
+    assert 'front/depth/image_raw' not in topics
+    parameters = by_name(found['parameters'])
+    assert parameters['camera.front.width']['value'] == 320
+    assert parameters['camera.birdview.width']['value'] == 640
+    assert not any(name.startswith(('birdview', '<camera>')) for name in by_name(
+        described()['topics']))
+
+
+def test_a_camera_that_is_not_there_is_told(here):
+    code, _, errors = here('describe', '--cameras', 'birdvew')
+    assert code == 1
+    assert "unknown camera 'birdvew': did you mean 'birdview'" in errors
+
+
 def test_a_hand_on_each_arm_is_told_with_its_arm(described):
     found = described('--robot', 'Baxter')
     assert [(m['class'], m['arm']) for m in found['models'] if m['kind'] == 'gripper'] == [

@@ -91,7 +91,7 @@ def test_a_camera_of_the_robot_sees_the_table_below_the_hand(rendered):
     (('picture.png', '--robot', 'none', '--base', 'NullMount'),
      'NullMount0 has no visible shapes (group 0 to 2), so no picture'),
     (('picture.png', '--camera', 'eye'),
-     "unknown camera 'eye': available: robot0_robotview, robot0_eye_in_hand")])
+     "unknown camera 'eye': available: frontview, birdview, agentview, sideview, robot0_")])
 def test_what_cannot_be_rendered_is_one_line(arguments, what, refused):
     assert what in refused('render', *arguments)
     assert not Path('picture.png').exists()

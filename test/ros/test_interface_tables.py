@@ -8,7 +8,7 @@ import re
 import pytest
 from rcl_interfaces.srv import ListParameters
 
-from manip_sim.interface.composition import compose_world, declare_parts
+from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, topics_of_world
 from manip_sim.ros import transforms
@@ -27,16 +27,20 @@ def as_seen(name):
     {}, {'gripper': 'none'}, {'arena': 'table'}, {'robot': 'PandaOmron'}, {'robot': 'GR1'},
     {'robot': 'UR5e', 'gripper': 'WipingGripper'},
     {'robots': ['a', 'b'], 'a.robot': 'PandaOmron', 'b.robot': 'Baxter', 'arena': 'table',
-     'b.gripper': '{right: PandaGripper, left: none}'}], ids=str)
+     'b.gripper': '{right: PandaGripper, left: none}'},
+    {'cameras': ['birdview', 'agentview'], 'camera.agentview.depth': False}], ids=str)
 def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, client):
     node = serve(**parameters)
     client.state('a/joint_states' if 'robots' in parameters else 'joint_states')
     simulation, given = node.simulation, GivenParameters(parameters)
-    scopes, robots = compose_world(given).scopes, simulation.robots.values()
+    composition, robots = compose_world(given), simulation.robots.values()
+    scopes = composition.scopes
     declare_parts(given, [(scope, robot.parts) for scope, robot in zip(scopes, robots)])
+    cameras = declare_cameras(given, composition.world, simulation.model)
     expected = topics_of_world(
         [(scope, robot.parts, robot.joints.twist_indices is not None)
-         for scope, robot in zip(scopes, robots)], simulation.entities.free_names)
+         for scope, robot in zip(scopes, robots)], simulation.entities.free_names,
+        {name: images.depth for name, images in cameras.items()})
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):

@@ -30,6 +30,7 @@ def general(name):
     if name not in ('/clock', '/diagnostics', '/tf', '/tf_static'):
         name = name.lstrip('/')
     name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
+    name = re.sub(r'^\w+/(color|depth)/', r'<camera>/\1/', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
     if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
         return re.sub(r'^\w+/', '<part>/', name)
@@ -40,7 +41,7 @@ OF_ROS = {'/rosout', '/parameter_events'}
 
 
 def test_topics_are_documented_with_their_types(serve, client):
-    robots = [serve(arena='table')]
+    robots = [serve(arena='table', cameras=['birdview'])]
     client.state()
     found = set()
     for node in robots:

@@ -43,16 +43,16 @@ def graph():
     """Return what the node publishes, subscribes to and serves, over several robots."""
     names = {'publish': set(), 'subscribe': set(), 'reply': set(), 'execute': set()}
     for robot in ROBOTS:
-        served = Served({'robot': robot, 'arena': 'table'})
+        served = Served({'robot': robot, 'arena': 'table', 'cameras': ['birdview']})
         try:
             node: Node = served.node
             for permission, entities in (
                     ('publish', node.get_publisher_names_and_types_by_node),
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
-                names[permission] |= {re.sub('^/objects/.*', '/objects/*', name)
-                                      for name, _ in entities('manip_sim', '/')
-                                      if '/_action/' not in name}
+                names[permission] |= {re.sub('^/birdview/', '/*/', re.sub(
+                    '^/objects/.*', '/objects/*', name))
+                    for name, _ in entities('manip_sim', '/') if '/_action/' not in name}
             # With or without control_msgs in this environment.
             names['execute'] |= {f'/{action.name}' for action in actions_of(
                 served.node.simulation.robot.parts)}

@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Cameras that a world gets beside those of its parts; rendering is elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TYPE_CHECKING, Union
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.image_settings import ImageSettings
+from manip_sim.models.object_model import check_object_name
+from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.quoting import quoted
+from manip_sim.typing import FloatArray
+
+if TYPE_CHECKING:
+    from manip_sim.models.camera_description import CameraDescription
+
+#: From a frame that looks along x with z up to MuJoCo's camera, which looks along -z with y up.
+_TO_MUJOCO = np.array([0.5, 0.5, -0.5, -0.5])
+#: Where the sine between the view and the vertical is less, the image needs another up.
+_PARALLEL = 1e-6
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """
+    A camera that is fixed to a body.
+
+    :ivar name: also of its topics
+    :ivar body: name in the composed world, ``world`` for none
+    :ivar position: in the frame of the body [m], shape (3,)
+    :ivar quat_wxyz: of MuJoCo's camera, which looks along -z with y up, shape (4,)
+    :ivar fovy_deg: vertical field of view [degrees]
+    :ivar images: size and rate where the user gave them, else the defaults
+    """
+
+    name: str
+    body: str
+    position: FloatArray
+    quat_wxyz: FloatArray
+    fovy_deg: float
+    images: ImageSettings = ImageSettings()
+
+    def attach(self, spec: mujoco.MjSpec) -> None:
+        """
+        Add the camera to the spec of a world.
+
+        :raises ModelError: if its name is there already, of a camera or a body
+        :raises UnknownNameError: if there is no such body
+        """
+        for kind, elements in (('camera', spec.cameras), ('body', spec.bodies)):
+            if any(element.name == self.name for element in elements):
+                raise ModelError(f"camera '{self.name}': there is a {kind} of this name already")
+        body = spec.body(self.body)
+        if body is None:
+            raise UnknownNameError(f"body of the camera '{self.name}'", self.body,
+                                   [body.name for body in spec.bodies])
+        body.add_camera(name=self.name, pos=self.position, quat=self.quat_wxyz,
+                        fovy=self.fovy_deg)
+
+
+Camera = Union[CameraModel, Mapping[str, Any]]
+
+
+def create_camera(description: Camera) -> CameraModel:
+    """
+    Create a camera.
+
+    :param description: the keys of :class:`CameraDescription`; a camera is returned as it is
+    :raises ModelError: if something is wrong with it, on one line with camera and key
+    """
+    if isinstance(description, CameraModel):
+        return description
+    # Imported late, because not all machines have what it needs.
+    from manip_sim.models.camera_description import CameraDescription
+    from manip_sim.models.strict_descriptions import checked
+    name = description.get('name')
+    where = 'camera without a name' if name is None else f'camera {quoted(name)}'
+    found = checked(CameraDescription, description, where)
+    check_object_name(found.name, 'camera', 'a camera and its topics')
+    given: dict[str, Any] = {'width': found.width, 'height': found.height, 'rate_hz': found.rate,
+                             'depth': found.depth}
+    position = np.array(found.position or [0.0, 0.0, 0.0], dtype=float)
+    quat_wxyz = np.empty(4)
+    mujoco.mju_mulQuat(quat_wxyz, _looks_along(found, position), _TO_MUJOCO)
+    return CameraModel(
+        found.name, found.body or 'world', position, quat_wxyz, found.fovy,
+        replace(ImageSettings(), **{k: value for k, value in given.items() if value is not None}))
+
+
+def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:
+    """Return the orientation of the frame that looks along x, with z up, as w, x, y, z."""
+    if found.quat_xyzw is not None:
+        quat = np.array(found.quat_xyzw)
+        return xyzw_to_wxyz(quat / np.linalg.norm(quat))
+    if found.look_at is None:
+        return quat_wxyz_from_rpy(found.rpy or [0.0, 0.0, 0.0])
+    forward = np.array(found.look_at) - position
+    forward /= np.linalg.norm(forward)
+    left = np.cross([0.0, 0.0, 1.0], forward)
+    if np.linalg.norm(left) < _PARALLEL:
+        left = np.cross([1.0, 0.0, 0.0], forward)
+    left /= np.linalg.norm(left)
+    quat_wxyz = np.empty(4)
+    axes = np.stack([forward, left, np.cross(forward, left)], axis=1)
+    mujoco.mju_mat2Quat(quat_wxyz, axes.ravel())
+    return quat_wxyz

@@ -1,0 +1,98 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Render what cameras of a model see: colour and metric depth of one rendering."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from manip_sim.rendering.intrinsics import fixed_camera
+
+_Flag = mujoco.mjtRndFlag
+#: They take most of the time where there is no graphics card.
+_LEFT_OUT = (_Flag.mjRND_SHADOW, _Flag.mjRND_REFLECTION, _Flag.mjRND_HAZE)
+#: Shapes of a scene: those of the model, and room for what MuJoCo adds, such as skins.
+_MORE_SHAPES = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """
+    What a camera sees; rows go from the top to the bottom.
+
+    :ivar rgb: shape (height, width, 3), or None
+    :ivar depth: along the view [m], +Inf where there is nothing or it is too far, shape (height,
+        width), or None
+    """
+
+    rgb: NDArray[np.uint8] | None
+    depth: NDArray[np.float32] | None
+
+
+class OffscreenRenderer:
+    """
+    Renders a model without shadows, reflections and multisampling, in the thread that made it.
+
+    An OpenGL context must be current in that thread.
+
+    :param model: the ``mujoco.MjModel``; sizes of its offscreen buffer are changed
+    :param width: of the largest image [pixels], as ``height``
+    """
+
+    def __init__(self, model: Any, width: int, height: int) -> None:
+        self._model = model
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        model.vis.quality.offsamples = 0
+        self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
+        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._scene = mujoco.MjvScene(model, model.ngeom + _MORE_SHAPES)
+        for flag in _LEFT_OUT:
+            self._scene.flags[int(flag)] = 0
+        self._shown = mujoco.MjvOption()
+        self._shown.geomgroup[3:] = 0
+        self._shown.sitegroup[:] = 0
+        near, far = (limit * model.stat.extent for limit in (
+            model.vis.map.znear, model.vis.map.zfar))
+        #: One divided by depth is linear in what OpenGL stores.
+        self._slope, self._offset = np.float32(1.0 / near - 1.0 / far), np.float32(1.0 / far)
+
+    def render(self, data: Any, camera: str, width: int, height: int, rgb: bool = True,
+               depth: bool = True) -> Picture:
+        """
+        Render what a camera sees.
+
+        :param data: a ``mujoco.MjData`` of the model, after ``mj_camlight``
+        :param camera: its name
+        :param width: of the image [pixels], as ``height``, at most those of this renderer
+        :param rgb: with colours
+        :param depth: with depth
+        """
+        area = mujoco.MjrRect(0, 0, width, height)
+        colours = np.empty((height, width, 3), np.uint8) if rgb else None
+        stored = np.empty((height, width), np.float32) if depth else None
+        mujoco.mjv_updateScene(
+            self._model, data, self._shown, None, fixed_camera(self._model, camera),
+            int(mujoco.mjtCatBit.mjCAT_ALL), self._scene)
+        mujoco.mjr_render(area, self._scene, self._context)
+        mujoco.mjr_readPixels(colours, stored, area, self._context)
+        # OpenGL's rows go from the bottom to the top.
+        return Picture(None if colours is None else np.ascontiguousarray(colours[::-1]),
+                       None if stored is None else self._metres(stored[::-1]))
+
+    def _metres(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
+        metres = stored * self._slope
+        metres += self._offset
+        np.reciprocal(metres, out=metres)
+        metres[stored <= 0.0] = np.inf
+        return metres
+
+    def close(self) -> None:
+        """Free what OpenGL has of the model; the context must be current."""
+        self._context.free()

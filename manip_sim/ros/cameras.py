@@ -1,0 +1,222 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publish what the chosen cameras see: rendered in a thread of its own, where somebody listens."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+import importlib.util
+import time
+from typing import Any
+
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from manip_sim.errors import ManipSimError
+from manip_sim.interface.parameters import periods_per_image
+from manip_sim.models.image_settings import ImageSettings
+from manip_sim.rendering.gl import choose_gl
+from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
+from manip_sim.ros import camera_messages
+from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.publishers import create_output, Output
+from manip_sim.runtime import SimulationThread
+from manip_sim.runtime.camera_thread import CameraThread, Shot, View
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+
+#: After the name of a camera: the frame that looks along z, with y down (REP 103).
+OPTICAL = '_optical_frame'
+#: Images are large, and a late one is worth little.
+_DEPTH = 2
+#: How long the start waits for OpenGL [s].
+_READY_S = 10.0
+
+
+class CameraPublishers:
+    """
+    The topics of one camera.
+
+    :param node: the node
+    :param log: counts and tells what could not be published
+    :param name: of the camera
+    :param found: its intrinsics
+    :param depth: with depth
+    :param compressed: with JPEG
+    :param frame_id: of its optical frame
+    """
+
+    def __init__(self, node: Node, log: RejectionLog, name: str, found: Intrinsics, depth: bool,
+                 compressed: bool, frame_id: str) -> None:
+        def output(kind: Any, topic: str, exists: bool = True) -> Output | None:
+            return create_output(node, log, kind, f'{name}/{topic}', _DEPTH) if exists else None
+
+        self.view = View(name, found.width, found.height)
+        self._frame_id = frame_id
+        self._info = camera_messages.camera_info(found)
+        self._color = output(Image, 'color/image_raw')
+        self._jpeg = output(CompressedImage, 'color/image_raw/compressed', compressed)
+        self._depth = output(Image, 'depth/image_raw', depth)
+        self._infos = [output(CameraInfo, 'color/camera_info'),
+                       output(CameraInfo, 'depth/camera_info', depth)]
+
+    def wanted(self) -> tuple[bool, bool, bool]:
+        """Return whether somebody listens to colours, to depth, and to the intrinsics."""
+        return (_is_wanted(self._color) or _is_wanted(self._jpeg), _is_wanted(self._depth),
+                any(_is_wanted(info) for info in self._infos))
+
+    def publish_infos(self, time_ns: int) -> None:
+        """Publish the intrinsics for an instant."""
+        self._info.header = camera_messages.header(stamp_of(time_ns), self._frame_id)
+        for output in self._infos:
+            if output is not None and output.wanted:
+                output.publish(self._info)
+
+    def publish(self, shot: Shot) -> None:
+        """Publish what the camera saw, and the intrinsics for that instant."""
+        head = camera_messages.header(stamp_of(shot.snapshot.time_ns), self._frame_id)
+        picture = shot.picture
+        if picture.rgb is not None:
+            if self._color is not None and self._color.wanted:
+                self._color.publish(camera_messages.image(head, picture.rgb))
+            if self._jpeg is not None and self._jpeg.wanted:
+                self._jpeg.publish(camera_messages.jpeg(head, picture.rgb))
+        if picture.depth is not None and self._depth is not None and self._depth.wanted:
+            self._depth.publish(camera_messages.image(head, picture.depth))
+        self.publish_infos(shot.snapshot.time_ns)
+
+
+def _is_wanted(output: Output | None) -> bool:
+    return output is not None and output.wanted
+
+
+class Cameras:
+    """
+    The chosen cameras: what is due goes to the thread that renders, what it sees to the topics.
+
+    :param node: the node
+    :param publishers: of each camera
+    :param simulation: what is seen
+    :param thread: runs it
+    :ivar names: of the cameras
+    """
+
+    def __init__(self, node: Node, publishers: list[CameraPublishers], simulation: Simulation,
+                 thread: SimulationThread) -> None:
+        self._node = node
+        self._publishers = {found.view.camera: found for found in publishers}
+        self.names = list(self._publishers)
+        self._simulation = simulation
+        self._thread = thread
+        self._renderer: CameraThread | None = None
+        self._unable: ManipSimError | None = None
+        self._counts: Counter[str] = Counter()
+        self._rendering_s: dict[str, float] = {}
+
+    @property
+    def failed(self) -> ManipSimError | None:
+        """Why there are no images, or None."""
+        return self._unable or (self._renderer.failed if self._renderer is not None else None)
+
+    def start(self) -> None:
+        """Look for OpenGL; without it say so, and go on without images."""
+        if not self._publishers:
+            return
+        try:
+            self._renderer = CameraThread(
+                choose_gl(), VisibleWorld(self._simulation.plan),
+                [found.view for found in self._publishers.values()], self._publish, self._tell)
+        except ManipSimError as error:
+            self._unable = error
+            self._tell(error)
+        else:
+            self._renderer.start(_READY_S)
+
+    def _tell(self, error: ManipSimError) -> None:
+        self._node.get_logger().error(f'no images: {error}; all else works')
+
+    def stop(self) -> None:
+        """End the rendering; one that hangs is left behind."""
+        if self._renderer is not None and not self._renderer.stop():
+            self._node.get_logger().error('a rendering does not end and is left behind')
+
+    def watch(self, camera: str, every: int) -> None:
+        """
+        Let a camera see the simulation from now on.
+
+        :param every: of so many control periods, one
+        """
+        publishers = self._publishers[camera]
+        period_ns = round(self._thread.period_s * 1e9)
+
+        def observe(simulation: Simulation) -> None:
+            # What is repeated in lock-step is an image only where it was due.
+            due = simulation.time_ns // period_ns % every == 0
+            held = self._thread.paused or self._thread.at_start or simulation.diverged is not None
+            if due or held:
+                self._order(publishers, simulation)
+        self._thread.observe(observe, every)
+
+    def _order(self, publishers: CameraPublishers, simulation: Simulation) -> None:
+        rgb, depth, infos = publishers.wanted()
+        if (rgb or depth) and self._renderer is not None and self._renderer.failed is None:
+            self._renderer.order(publishers.view, take_snapshot(simulation), rgb, depth)
+        elif infos:
+            publishers.publish_infos(simulation.time_ns)
+
+    def _publish(self, shot: Shot) -> None:
+        name = shot.view.camera
+        begin_s = time.perf_counter()
+        self._publishers[name].publish(shot)
+        self._counts[name] += 1
+        self._rendering_s[name] = (self._rendering_s.get(name, 0.0) + shot.took_s
+                                   + time.perf_counter() - begin_s)
+
+    def statistics(self, elapsed_s: float) -> dict[str, object]:
+        """
+        Return what became of images since the last call, for diagnostics.
+
+        :param elapsed_s: wall time since then [s]
+        """
+        values: dict[str, object] = {}
+        for name in self.names:
+            count, took_s = self._counts.pop(name, 0), self._rendering_s.pop(name, 0.0)
+            values[f'{name}.rate'] = f'{count / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0'
+            values[f'{name}.milliseconds'] = f'{took_s / count * 1e3:.1f}' if count else '-'
+            values[f'{name}.left_out'] = (
+                self._renderer.left_out[name] if self._renderer is not None else 0)
+        return values
+
+
+def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Simulation,
+                  thread: SimulationThread, frame_prefix: str = '') -> Cameras:
+    """
+    Create the topics of the cameras that are chosen.
+
+    :param node: the node, with its ``rejections``
+    :param chosen: what their images are, by name
+    :param simulation: what is seen
+    :param thread: runs it
+    :param frame_prefix: beginning of the names of frames
+    :raises ModelError: if a camera is orthographic
+    """
+    compressed = importlib.util.find_spec('PIL') is not None
+    publishers = [
+        CameraPublishers(
+            node, node.rejections, name,
+            intrinsics_of(simulation.model, name, images.width, images.height), images.depth,
+            compressed, f'{frame_prefix}{name}{OPTICAL}') for name, images in chosen.items()]
+    cameras = Cameras(node, publishers, simulation, thread)
+    publish_rate = 1.0 / thread.period_s
+    for name, images in chosen.items():
+        every = periods_per_image(publish_rate, images.rate_hz, f'camera.{name}.rate')
+        cameras.watch(name, every)
+        node.notes.append(
+            f'camera {name}: {images.width} x {images.height}, {publish_rate / every:.4g} Hz, on '
+            f'{name}/color/image_raw' + (f' and {name}/depth/image_raw' if images.depth else ''))
+    if chosen and not compressed:
+        node.notes.append('no compressed images: pillow is not installed')
+    return cameras

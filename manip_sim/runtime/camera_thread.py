@@ -1,0 +1,196 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The thread that renders: it gets snapshots from the physics, which never waits for it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+import threading
+import time
+from typing import Any
+
+from manip_sim.errors import ManipSimError
+from manip_sim.rendering.gl import cannot_render, create_context
+from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
+from manip_sim.simulation.appearance import Snapshot, VisibleWorld
+
+THREAD_NAME = 'cameras'
+#: What a rendering may still take when the thread is to end [s].
+_LAST_S = 2.0
+
+
+@dataclass(frozen=True)
+class View:
+    """
+    A camera and the size of its images.
+
+    :ivar camera: its name
+    :ivar width: [pixels], as ``height``
+    """
+
+    camera: str
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """
+    What a camera saw.
+
+    :ivar view: the camera
+    :ivar snapshot: of the instant
+    :ivar picture: what was asked for, at least
+    :ivar took_s: wall time of the rendering, 0 if it was rendered before [s]
+    """
+
+    view: View
+    snapshot: Snapshot
+    picture: Picture
+    took_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Order:
+    view: View
+    snapshot: Snapshot
+    rgb: bool
+    depth: bool
+
+    def is_met_by(self, shot: Shot | None) -> bool:
+        return (shot is not None and self.snapshot.shows_the_same_as(shot.snapshot)
+                and (shot.picture.rgb is not None or not self.rgb)
+                and (shot.picture.depth is not None or not self.depth))
+
+
+class CameraThread:
+    """
+    Renders in a thread of its own, with a context and data of its own.
+
+    For each camera the newest snapshot counts: one that has not been rendered when the next comes
+    is left out.
+
+    :param way: to render, of :func:`manip_sim.rendering.gl.choose_gl`
+    :param world: at the start
+    :param views: the cameras
+    :param deliver: is called in this thread with each shot
+    :param tell_failure: is called in this thread if nothing can be rendered (any more)
+    :ivar left_out: how many snapshots of each camera were not rendered because newer ones came
+    :ivar failed: why nothing is rendered, or None
+    """
+
+    def __init__(self, way: str, world: VisibleWorld, views: list[View],
+                 deliver: Callable[[Shot], None],
+                 tell_failure: Callable[[ManipSimError], None]) -> None:
+        self._way = way
+        self._world = world
+        self._size = max(view.width for view in views), max(view.height for view in views)
+        self._deliver = deliver
+        self._tell_failure = tell_failure
+        self._orders: dict[str, _Order] = {}
+        self._shots: dict[str, Shot] = {}
+        self._wake = threading.Condition()
+        self._stopping = False
+        self._ready = threading.Event()
+        self.left_out: Counter[str] = Counter()
+        self.failed: ManipSimError | None = None
+        # A rendering that hangs must not keep the process alive.
+        self._thread = threading.Thread(target=self._run, name=THREAD_NAME, daemon=True)
+
+    def start(self, timeout_s: float) -> None:
+        """
+        Begin, and wait until OpenGL is there or has failed.
+
+        :param timeout_s: how long to wait at most [s]
+        """
+        self._thread.start()
+        self._ready.wait(timeout_s)
+
+    def order(self, view: View, snapshot: Snapshot, rgb: bool, depth: bool) -> None:
+        """
+        Ask for a shot; returns at once.
+
+        :param rgb: with colours
+        :param depth: with depth
+        """
+        if self.failed is not None:
+            return
+        with self._wake:
+            if view.camera in self._orders:
+                self.left_out[view.camera] += 1
+            self._orders[view.camera] = _Order(view, snapshot, rgb, depth)
+            self._wake.notify()
+
+    def stop(self, timeout_s: float = _LAST_S) -> bool:
+        """
+        End the thread.
+
+        :param timeout_s: how long to wait for a rendering that runs [s]
+        :returns: whether it has ended; a process in which it has not must not end by Python's way
+        """
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    # ------------------------------------------------------------------ in the thread
+
+    def _run(self) -> None:
+        context = None
+        try:
+            context = create_context(self._way, *self._size)
+            self._serve()
+        except Exception as error:  # OpenGL, MuJoCo and drivers raise what they like.
+            self.failed = error if isinstance(error, ManipSimError) else cannot_render(error)
+            if not self._stopping:
+                self._tell_failure(self.failed)
+        finally:
+            self._ready.set()
+            self._shots.clear()
+            if context is not None:
+                context.free()
+
+    def _serve(self) -> None:
+        renderer = OffscreenRenderer(self._world.model, *self._size)
+        try:
+            self._ready.set()
+            while True:
+                for order in self._wait():
+                    if self._stopping:
+                        return
+                    if order.snapshot.plan is not self._world.plan:
+                        self._world = VisibleWorld(order.snapshot.plan)
+                        renderer.close()
+                        renderer = OffscreenRenderer(self._world.model, *self._size)
+                    self._meet(order, renderer)
+                if self._stopping:
+                    return
+        finally:
+            renderer.close()
+
+    def _wait(self) -> list[_Order]:
+        with self._wake:
+            while not (self._orders or self._stopping):
+                self._wake.wait()
+            orders, self._orders = self._orders, {}
+        return list(orders.values())
+
+    def _meet(self, order: _Order, renderer: Any) -> None:
+        if order.view.camera not in self._world.cameras:  # It has gone with its object.
+            return
+        last = self._shots.get(order.view.camera)
+        if last is not None and order.is_met_by(last):
+            self._deliver(Shot(order.view, order.snapshot, last.picture, 0.0))
+            return
+        begin_s, view = time.perf_counter(), order.view
+        self._world.show(order.snapshot)
+        picture = renderer.render(self._world.data, view.camera, view.width, view.height,
+                                  order.rgb, order.depth)
+        shot = Shot(view, order.snapshot, picture, time.perf_counter() - begin_s)
+        self._shots[view.camera] = shot
+        self._deliver(shot)

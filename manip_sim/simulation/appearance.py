@@ -1,0 +1,90 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a simulation looks like at an instant: copied quickly, shown later, in any thread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.simulation.simulation import Simulation
+from manip_sim.simulation.spawning import compile_visual, Plan
+from manip_sim.typing import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """
+    All that moves in a world, at one instant; copies.
+
+    :ivar plan: what the world is compiled from
+    :ivar time_ns: simulation time [ns]
+    :ivar qpos: positions, shape (nq,)
+    :ivar mocap_pos: of mocap bodies [m], shape (nmocap, 3)
+    :ivar mocap_quat: of mocap bodies, as w, x, y, z, shape (nmocap, 4)
+    """
+
+    plan: Plan
+    time_ns: int
+    qpos: FloatArray
+    mocap_pos: FloatArray
+    mocap_quat: FloatArray
+
+    def shows_the_same_as(self, other: Snapshot) -> bool:
+        """Tell whether another one is of the same instant and the same state."""
+        return (self.time_ns == other.time_ns and self.plan is other.plan
+                and np.array_equal(self.qpos, other.qpos)
+                and np.array_equal(self.mocap_pos, other.mocap_pos)
+                and np.array_equal(self.mocap_quat, other.mocap_quat))
+
+
+def take_snapshot(simulation: Simulation) -> Snapshot:
+    """Copy what is seen at the present instant; to be called where the simulation may be used."""
+    data = simulation.data
+    return Snapshot(simulation.plan, simulation.time_ns, data.qpos.copy(), data.mocap_pos.copy(),
+                    data.mocap_quat.copy())
+
+
+def camera_names(model: Any) -> list[str]:
+    """Return the names of the cameras of a ``mujoco.MjModel``."""
+    return [model.camera(index).name for index in range(model.ncam)]
+
+
+class VisibleWorld:
+    """
+    A world with all its shapes, whose state is that of snapshots; nothing moves by itself.
+
+    :param plan: what it is compiled from
+    :ivar plan: the same
+    :ivar model: the ``mujoco.MjModel``, which belongs to this alone
+    :ivar cameras: names of its cameras
+    :ivar data: the ``mujoco.MjData``: positions of bodies, shapes, lights and cameras
+    :raises ModelError: with what MuJoCo says
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.model: Any = compile_visual(plan)
+        self.data: Any = mujoco.MjData(self.model)
+        self.cameras = camera_names(self.model)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """
+        Take the state of a snapshot.
+
+        :param snapshot: of the same plan
+        """
+        model, data = self.model, self.data
+        data.qpos[:] = snapshot.qpos
+        data.mocap_pos[:] = snapshot.mocap_pos
+        data.mocap_quat[:] = snapshot.mocap_quat
+        # No velocities, contacts or forces: they are not seen.
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        mujoco.mj_flex(model, data)
+        mujoco.mj_tendon(model, data)

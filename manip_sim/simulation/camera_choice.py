@@ -1,0 +1,71 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which cameras a user has chosen, by texts such as those of a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import re
+from typing import Any
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models import World
+from manip_sim.models.image_settings import ImageSettings, MAX_PIXELS
+from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.quoting import quoted
+from manip_sim.simulation.appearance import camera_names
+
+#: What a part of a topic's name may be.
+_TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
+
+
+def described_cameras(given: Sequence[str]) -> list[dict[str, Any]]:
+    """
+    Return the descriptions among some texts: those that begin with a brace, as YAML.
+
+    :raises ModelError: if one is not YAML
+    """
+    return [parse_yaml(text, "one of 'cameras'") for text in given if _is_description(text)]
+
+
+def _is_description(text: str) -> bool:
+    return text.lstrip().startswith('{')
+
+
+def chosen_cameras(given: Sequence[str], world: World, model: Any) -> dict[str, ImageSettings]:
+    """
+    Return the cameras that are chosen, in order, and what their images are unless more is said.
+
+    :param given: names of cameras and descriptions; empty texts are left out
+    :param world: has the cameras that are described
+    :param model: its ``mujoco.MjModel``
+    :raises UnknownNameError: if there is no such camera
+    :raises ModelError: if a camera is chosen twice or its name cannot be that of a topic
+    """
+    described = iter(world.cameras)
+    chosen: dict[str, ImageSettings] = {}
+    for text in filter(None, given):
+        if _is_description(text):
+            camera = next(described)
+            name, images = camera.name, camera.images
+        else:
+            name, images = text, _images_of(model, text)
+        if name in chosen:
+            raise ModelError(f'the camera {quoted(name)} is chosen twice')
+        chosen[name] = images
+    return chosen
+
+
+def _images_of(model: Any, name: str) -> ImageSettings:
+    if name not in camera_names(model):
+        raise UnknownNameError('camera', name, camera_names(model))
+    if not _TOKEN.fullmatch(name):
+        raise ModelError(f'the camera {quoted(name)} has a name that no topic can have: letters, '
+                         'digits and underscores')
+    width, height = model.cam_resolution[model.camera(name).id].tolist()
+    # A camera without a resolution of its own has one of 1 x 1.
+    if (width, height) == (1, 1):
+        return ImageSettings()
+    return replace(ImageSettings(), width=min(width, MAX_PIXELS), height=min(height, MAX_PIXELS))

@@ -1,0 +1,275 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Images over topics: what they show, when they come, and what cannot be asked for."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+import pytest
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from std_srvs.srv import Trigger
+
+from manip_sim.errors import ManipSimError
+from manip_sim.rendering.offscreen import OffscreenRenderer
+
+#: It looks along x, so that in its optical frame z is x, x is -y and y is -z.
+FRONT = '{name: front, position: [-0.5, 1.0, 1.2], fovy: 50}'
+#: 2 m ahead, 0.4 m to the right and 0.2 m above the camera.
+BALL = ('{name: ball, shape: sphere, size: 0.03, mass: 0.1, position: [1.5, 0.6, 1.4], '
+        'rgba: [0.0, 1.0, 0.0]}')
+SMALL = {'camera__front__width': 160, 'camera__front__height': 120}
+
+
+@pytest.fixture
+def serve_seen(serve, renderer, monkeypatch):
+    """Return a function that starts a node that can render."""
+    monkeypatch.setenv('MUJOCO_GL', os.environ.get('MUJOCO_GL', 'egl'))
+    return serve
+
+
+@pytest.fixture
+def renderings(monkeypatch):
+    """Return a list of what is rendered: camera, colours and depth."""
+    found, render = [], OffscreenRenderer.render
+
+    def count(self, data, camera, width, height, rgb=True, depth=True):
+        found.append((camera, rgb, depth))
+        return render(self, data, camera, width, height, rgb, depth)
+    monkeypatch.setattr(OffscreenRenderer, 'render', count)
+    return found
+
+
+def nanoseconds(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def pixels(message):
+    """Return an image as an array, as cv_bridge does."""
+    assert not message.is_bigendian
+    if message.encoding == 'rgb8':
+        assert message.step == 3 * message.width
+        return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
+    assert (message.encoding, message.step) == ('32FC1', 4 * message.width)
+    return np.frombuffer(message.data, np.float32).reshape(message.height, message.width)
+
+
+def listen(client, topic):
+    kind = {'image_raw': Image, 'compressed': CompressedImage, 'camera_info': CameraInfo}
+    return client.listen(kind[topic.split('/')[-1]], topic, qos_profile_sensor_data)
+
+
+def test_a_ball_is_where_its_image_its_depth_and_the_intrinsics_say(serve_seen, client):
+    serve_seen(objects=[BALL], cameras=[FRONT], start_paused=True)
+    color, depth, info = (listen(client, f'front/{topic}') for topic in (
+        'color/image_raw', 'depth/image_raw', 'color/camera_info'))
+    client.spin_until(lambda: color and depth and info)
+    assert {m.header.frame_id for m in (color[-1], depth[-1], info[-1])} == {
+        'front_optical_frame'}
+    assert nanoseconds(color[-1]) == nanoseconds(depth[-1]) == nanoseconds(info[-1]) == 10**7
+    rgb, metres = pixels(color[-1]).astype(int), pixels(depth[-1])
+    assert rgb.shape == (480, 640, 3)
+    assert (info[-1].width, info[-1].height, info[-1].distortion_model) == (640, 480, 'plumb_bob')
+    green = (rgb[..., 1] > 1.5 * rgb[..., 0]) & (rgb[..., 1] > 1.5 * rgb[..., 2])
+    x, y, z = 0.4, -0.2, 2.0  # In the optical frame [m].
+    k = info[-1].k
+    seen = [axis.mean() for axis in np.nonzero(green)]
+    assert seen == pytest.approx([k[4] * y / z + k[5], k[0] * x / z + k[2]], abs=1.0)
+    row, column = np.round(seen).astype(int)
+    assert metres[row, column] == pytest.approx(z - 0.03, rel=2e-3)
+    # The way of depth_image_proc, from a pixel back to a point.
+    assert (column - k[2]) / k[0] * z == pytest.approx(x, abs=5e-3)
+    assert info[-1].p[0] == k[0]
+    assert info[-1].p[2] == k[2]
+
+
+def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serve_seen, client,
+                                                                            renderings):
+    serve_seen(cameras=['robot0_eye_in_hand', FRONT], **SMALL)
+    infos = listen(client, 'front/depth/camera_info')
+    client.spin_until(lambda: len(infos) > 5)
+    assert not renderings
+    subscription = client.node.create_subscription(Image, 'front/depth/image_raw', lambda _: None,
+                                                   qos_profile_sensor_data)
+    client.spin_until(lambda: len(renderings) > 3)
+    assert set(renderings) == {('front', False, True)}
+    client.node.destroy_subscription(subscription)
+    color = listen(client, 'front/color/image_raw')
+    client.spin_until(lambda: ('front', True, False) in renderings)
+    count = len(color)
+    client.spin_until(lambda: len(color) > count)
+
+
+def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen, client):
+    serve_seen(cameras=[FRONT], camera__front__rate=25.0, **SMALL)
+    topics = ('color/image_raw', 'depth/image_raw', 'color/camera_info', 'depth/camera_info')
+    heard = [listen(client, f'front/{topic}') for topic in topics]
+    client.spin_until(lambda: all(len(messages) > 20 for messages in heard))
+    for messages in heard:
+        stamps = [nanoseconds(message) for message in messages][2:]
+        assert {stamp % 40_000_000 for stamp in stamps} == {0}
+        assert min(np.diff(stamps)) == 40_000_000
+    common = set.intersection(*({nanoseconds(m) for m in messages} for messages in heard))
+    assert len(common) > 10
+
+
+def test_a_compressed_image_is_a_jpeg_of_the_same(serve_seen, client):
+    pytest.importorskip('PIL.Image')
+    from PIL.Image import open as open_image
+    serve_seen(cameras=['agentview'], arena='table', start_paused=True,
+               camera__agentview__depth=False)
+    color = listen(client, 'agentview/color/image_raw')
+    small = listen(client, 'agentview/color/image_raw/compressed')
+    client.spin_until(lambda: color and small)
+    assert small[0].format == 'rgb8; jpeg compressed bgr8'
+    decoded = np.asarray(open_image(io.BytesIO(bytes(small[0].data)))).astype(int)
+    rgb = pixels(color[0]).astype(int)
+    assert np.abs(decoded - rgb).mean() < 3.0
+    assert np.abs(rgb - rgb[..., ::-1]).mean() > 3.0  # It would be seen if they were swapped.
+    assert len(small[0].data) < rgb.size / 10
+    assert client.node.count_publishers('agentview/depth/image_raw') == 0
+
+
+def test_without_pillow_there_are_no_compressed_images(serve, client, monkeypatch):
+    from manip_sim.ros import cameras
+    monkeypatch.setattr(cameras.importlib.util, 'find_spec', lambda name: None)
+    log = client.log()
+    serve(cameras=['birdview'], start_paused=True)
+    client.spin_until(lambda: any('pillow is not installed' in text for text in log))
+    assert client.node.count_publishers('birdview/color/image_raw') == 1
+    assert client.node.count_publishers('birdview/color/image_raw/compressed') == 0
+
+
+def test_a_pause_shows_the_present_state_again_and_a_step_the_next(serve_seen, client):
+    serve_seen(cameras=[FRONT], camera__front__rate=100.0, start_paused=True, **SMALL)
+    color = listen(client, 'front/color/image_raw')
+    client.spin_until(lambda: len(color) > 2)
+    assert {nanoseconds(message) for message in color} == {10_000_000}
+    assert client.call(Trigger, 'manip_sim/step').success
+    client.spin_until(lambda: nanoseconds(color[-1]) == 20_000_000)
+    assert client.call(Trigger, 'manip_sim/reset').success
+    client.spin_until(lambda: nanoseconds(color[-1]) == 30_000_000)
+
+
+def test_in_lockstep_images_are_of_due_states_only(serve_seen, client):
+    serve_seen(cameras=[FRONT], camera__front__rate=50.0, stepping='lockstep', **SMALL)
+    color = listen(client, 'front/color/image_raw')
+    states = client.listen(JointState, 'joint_states')
+    name = client.state().name[0]
+    for period in range(1, 8):
+        wanted = 10_000_000 * period
+        client.spin_until(lambda t=wanted: nanoseconds(states[-1]) == t)
+        if period % 2 == 0:
+            client.spin_until(lambda t=wanted: color and nanoseconds(color[-1]) == t)
+        else:  # States are repeated while the node waits, images of this one are not.
+            count = len(states)
+            client.spin_until(lambda n=count: len(states) > n + 2)
+        client.publish('joint_command', JointState(name=[name], position=[0.1]))
+    assert {nanoseconds(message) // 10_000_000 for message in color} == {1, 2, 4, 6}
+
+
+def test_cameras_of_several_robots_have_their_names(serve_seen, client):
+    serve_seen(robots=['left', 'right'], cameras=['left_eye_in_hand', 'right_eye_in_hand'],
+               **{f'camera__{side}_eye_in_hand__{edge}': 64
+                  for side in ('left', 'right') for edge in ('width', 'height')})
+    for side in ('left', 'right'):
+        color = listen(client, f'{side}_eye_in_hand/color/image_raw')
+        client.spin_until(lambda heard=color: bool(heard))
+        assert color[0].header.frame_id == f'{side}_eye_in_hand_optical_frame'
+
+
+def test_diagnostics_tell_rate_and_cost(serve_seen, client):
+    serve_seen(cameras=[FRONT], **SMALL)
+    listen(client, 'front/color/image_raw')
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+
+    def values():
+        found = [s for s in arrays[-1].status if s.name == 'manip_sim: cameras'] if arrays else []
+        return {pair.key: pair.value for pair in found[0].values} if found else {}
+    client.spin_until(lambda: values().get('front.milliseconds', '-') != '-')
+    assert 0.0 < float(values()['front.rate']) < 30.0
+    assert 0.0 < float(values()['front.milliseconds']) < 1000.0
+    assert int(values()['front.left_out']) >= 0
+
+
+@pytest.mark.parametrize('parameters, what', [
+    ({'cameras': ['eye_in_hand']}, "unknown camera 'eye_in_hand': did you mean "
+     "'robot0_eye_in_hand'"),
+    ({'cameras': ['birdview', 'birdview']}, "the camera 'birdview' is chosen twice"),
+    ({'cameras': ['{name: front']}, "one of 'cameras' is not YAML that is read here"),
+    ({'cameras': ['{name: front, fovi: 45}']}, "unknown key 'fovi': did you mean 'fovy'"),
+    ({'cameras': ['{name: front, body: hand}']}, "unknown body of the camera 'front' 'hand'"),
+    ({'cameras': ['{name: birdview}']}, 'there is a camera of this name already'),
+    ({'cameras': ['birdview'], 'camera__birdview__width': 0},
+     r"'camera\.birdview\.width' must be from 1 to 4096 pixels, got 0"),
+    ({'cameras': ['birdview'], 'camera__birdview__height': 5000}, 'to 4096 pixels, got 5000'),
+    ({'cameras': ['birdview'], 'camera__birdview__width': 640.5}, 'must be of type integer'),
+    ({'cameras': ['birdview'], 'camera__birdview__rate': float('nan')}, 'Hz, got nan'),
+    ({'cameras': ['birdview'], 'camera__birdview__rate': 0.0}, 'must be from 0.01 to'),
+    ({'cameras': ['birdview'], 'camera__birdview__rate': 200.0},
+     "'camera.birdview.rate': 200 Hz is not possible, because publish_rate is 100 Hz"),
+    ({'cameras': ['birdview'], 'camera__birdview__depth': 1}, 'must be of type bool, got 1'),
+    ({'cameras': ['birdview'], 'camera__birdview__fps': 5},
+     r"unknown parameter 'camera\.birdview\.fps': did you mean"),
+    ({'camera__birdview__rate': 5.0}, r"unknown parameter 'camera\.birdview\.rate'"),
+    ({'robots': ['camera']}, "'camera' cannot be the name of a robot")], ids=str)
+def test_what_cannot_be_is_told_on_one_line(serve, parameters, what):
+    with pytest.raises(ManipSimError, match=what) as error:
+        serve(**parameters)
+    assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize('value', ['disable', 'nonsense'])
+def test_a_node_that_cannot_render_says_so_once_and_does_all_else(value, sim_process, client,
+                                                                  monkeypatch):
+    monkeypatch.setenv('MUJOCO_GL', value)
+    node = sim_process('cameras:=[robot0_eye_in_hand]')
+    info = listen(client, 'robot0_eye_in_hand/color/camera_info')
+    color = listen(client, 'robot0_eye_in_hand/color/image_raw')
+    client.spin_until(lambda: len(info) > 10)
+    client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.3]))
+    client.spin_until(lambda: client.state().position[0] > 0.29)
+    assert not color
+    node.send_signal(signal.SIGINT)
+    _, errors = node.communicate(timeout=30.0)
+    assert node.returncode == 0, errors
+    told = [line for line in errors.splitlines() if 'render' in line]
+    assert len(told) == 1, errors
+    assert f'no images: cannot render with MUJOCO_GL={value}: ' in told[0]
+    assert told[0].endswith('; all else works')
+
+
+#: The node, with renderings that never end, and a driver whose end waits for them.
+HANGS = """
+import atexit, sys, threading
+atexit.register(lambda: threading.Event().wait())
+from manip_sim.rendering.offscreen import OffscreenRenderer
+OffscreenRenderer.render = lambda *_, **__: threading.Event().wait()
+from manip_sim.ros import main
+sys.exit(main.run(['--ros-args', '-p', 'cameras:=[birdview]']))
+"""
+
+
+def test_a_process_with_a_rendering_that_hangs_ends_cleanly(client, renderer):
+    node = subprocess.Popen([sys.executable, '-c', HANGS], text=True, stderr=subprocess.PIPE,
+                            env={'MUJOCO_GL': 'egl', **os.environ})
+    try:
+        listen(client, 'birdview/color/image_raw')
+        client.spin_until(lambda: client.state().header.stamp.sec >= 1)
+        node.send_signal(signal.SIGINT)
+        begin = time.monotonic()
+        _, errors = node.communicate(timeout=20.0)
+        assert time.monotonic() - begin < 10.0
+    finally:
+        node.kill()
+        node.communicate()
+    assert node.returncode == 0, errors
+    assert 'a rendering does not end and is left behind' in errors
+    assert 'Traceback' not in errors
