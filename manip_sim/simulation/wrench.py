@@ -47,6 +47,12 @@ class EndEffectorReader:
         name: str = self._model.site(self._ft_frame).name
         return name
 
+    @property
+    def grip_site(self) -> str:
+        """Name of the frame of the pose and the twist."""
+        name: str = self._model.site(self._grip_site).name
+        return name
+
     def read(self, data: Any) -> EndEffector:
         """
         Return the gripper's state at the instant of the last ``mj_forward``.
