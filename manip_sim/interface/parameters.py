@@ -21,6 +21,7 @@ from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.sources import find_source, is_path
 from manip_sim.quoting import quoted
+from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.commands import MODES
 
 STEPPING = ('realtime', 'free', 'lockstep')
@@ -188,6 +189,31 @@ def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
     return [spec.within(scope) for spec in specs]
 
 
+def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters of the Cartesian control of a robot.
+
+    :param arms: those with a gripper
+    """
+    settings = CartesianSettings()
+    return [spec.within(scope) for arm in arms for spec in (
+        ParameterSpec(f'cartesian.{arm}.stiffness', settings.stiffness,
+                      'Of target poses and pose actions in effort mode: acceleration of the hand '
+                      "per error, in all directions; robosuite's kp.", '1/s^2', live=True,
+                      minimum=1.0, maximum=1000.0),
+        ParameterSpec(f'cartesian.{arm}.damping_ratio', settings.damping_ratio,
+                      'Of the same: 1 is critical damping.', live=True, minimum=0.1, maximum=3.0),
+        ParameterSpec(f'cartesian.{arm}.linear_velocity', settings.linear_velocity,
+                      'Of the hand at most; a target twist that is faster is clamped.', 'm/s',
+                      live=True, minimum=0.001, maximum=10.0),
+        ParameterSpec(f'cartesian.{arm}.angular_velocity', settings.angular_velocity,
+                      'Of the hand at most; a target twist that is faster is clamped.', 'rad/s',
+                      live=True, minimum=0.001, maximum=30.0),
+        ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
+                      'Without a fresh target twist for so long (simulation time) the hand stops.',
+                      's', live=True, minimum=0.001, maximum=10.0))]
+
+
 def steps_per_period(publish_rate: float, timestep: float) -> int:
     """
     Return how many physics steps a control period has.
@@ -220,4 +246,6 @@ def parameters_of(parts: Mapping[str, PartLike], arena: str = 'empty',
     scope = Scope()
     driven = [name for name, part in parts.items() if part.gripper is None and part.actuators]
     return [MODEL_PATH, *node_parameters(), *arena_specs(arena), *composition_parameters(scope),
-            *place_parameters(scope, position), *robot_parameters(scope, driven)]
+            *place_parameters(scope, position), *robot_parameters(scope, driven),
+            *cartesian_parameters(scope, [
+                arm for arm in driven if f'{arm}/gripper' in parts])]

@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from manip_sim.quoting import one_line
+from manip_sim.ros.cartesian import counts_of, reports_of
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
@@ -176,9 +177,15 @@ class Diagnostics:
             values['timeouts'] = sum(
                 joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
             values['limited'] = joints.limited(part)
+        reports = reports_of(commands, part)
+        values.update(counts_of(reports))
         status = _status(name, 'commands', values)
         if part in robot.grippers:
             self._tell_faults(status, robot.grippers[part])
+        for report in reports:
+            if report.total > self._last_faults.get(status.name, 0):
+                self._last_faults[status.name] = report.total
+                self._node.rejections.warn(status.name, 'cartesian', report.last)
         return status
 
     def _tell_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:

@@ -16,9 +16,10 @@ from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.parameters import (
-    MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
+    cartesian_parameters, MODEL_PATH, node_parameters, robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import set_model_path, World
+from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.composition import compose_world
 from manip_sim.ros.diagnostics import Diagnostics
@@ -79,12 +80,15 @@ class SimNode(Node):
             value('start_paused'), self._tell_failure)
         self._check_lockstep()
         self.commands = []
+        self._cartesian = []
         for scope, robot in served:
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections)
             self.thread.observe(publishers.publish)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
+            self._cartesian.append(
+                CartesianSubscribers(self.commands[-1], self._declared, self.thread))
         self.objects = ObjectPublishers(self, self.rejections)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
@@ -113,6 +117,7 @@ class SimNode(Node):
         self._declared.declare(robot_parameters(scope, [
             name for name, part in robot.parts.items()
             if part.gripper is None and part.actuators]))
+        self._declared.declare(cartesian_parameters(scope, list(robot.joints.cartesian.settings)))
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
         value = self._declared.value
@@ -143,6 +148,8 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
                     self.thread.set_real_time_factor(parameter.value)
+                for cartesian in self._cartesian:
+                    cartesian.parameter_changed(parameter)
                 found = self._declared.of_part(parameter.name)
                 if found is not None:
                     self._change_part(*found, parameter.value)

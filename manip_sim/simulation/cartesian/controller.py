@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import UnknownNameError
-from manip_sim.simulation.cartesian.commands import CartesianCommand, CartesianPose, CartesianTwist
-from manip_sim.simulation.cartesian.commands import PoseAction
+from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation.cartesian.commands import (
+    CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, WORLD
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, Solution, stop)
@@ -25,7 +26,6 @@ from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.typing import FloatArray, IntArray
 
 #: What an action of 1 moves the goal by [m], [rad]; robosuite's defaults for OSC_POSE.
@@ -86,7 +86,7 @@ class CartesianController:
     def rebind(self, model: Any) -> None:
         """Go on with a model in which the robot is what and where it was."""
         self._model = model
-        self._scratch = mujoco.MjData(model) if self._hands else None
+        self._scratch: Any = mujoco.MjData(model) if self._hands else None
         self._jacobian = np.zeros((6, model.nv))
         self._unit, self._column = np.zeros(model.nv), np.zeros(model.nv)
 

@@ -57,8 +57,13 @@ def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, erro
 
 def _regular(jacobian: FloatArray, inertia: FloatArray) -> FloatArray:
     """Return what to add to the inverse inertia at the hand where it is near a singularity."""
-    left, values, _ = np.linalg.svd(jacobian)
-    all_values = np.zeros(len(left))
-    all_values[:len(values)] = values
-    damping = _SINGULAR**2 * np.maximum(0.0, 1.0 - (all_values / _SINGULAR)**2)
-    return np.asarray((left * (damping * len(inertia) / np.trace(inertia))) @ left.T)
+    squares = jacobian @ jacobian.T
+    try:
+        # The smallest singular value is no less than the root of the inverse trace.
+        if 0.0 < np.trace(np.linalg.inv(squares)) < _SINGULAR**-2:
+            return np.zeros_like(squares)
+    except np.linalg.LinAlgError:  # It is exactly singular.
+        pass
+    values, axes = np.linalg.eigh(squares)
+    damping = np.maximum(0.0, _SINGULAR**2 - np.maximum(values, 0.0))
+    return np.asarray((axes * (damping * len(inertia) / np.trace(inertia))) @ axes.T)
