@@ -9,8 +9,8 @@ import subprocess
 import sys
 
 from manip_sim.interface.parameters import (
-    arena_specs, cartesian_parameters, composition_parameters, MODEL_PATH, node_parameters, place_parameters,
-    robot_parameters)
+    arena_specs, cartesian_parameters, composition_parameters, MODEL_PATH, node_parameters,
+    place_parameters, robot_parameters)
 from manip_sim.interface.scope import Scope
 
 ROOT = Path(__file__).resolve().parents[1]

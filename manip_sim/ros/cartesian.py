@@ -79,5 +79,5 @@ def reports_of(commands: CommandSubscribers, part: str) -> list[CartesianReport]
 
 def counts_of(reports: Sequence[CartesianReport]) -> dict[str, Any]:
     """Return these as values of a diagnostic status."""
-    return {f'cartesian_{kind}': sum(getattr(report, kind) for report in reports)
-            for kind in ('unreachable', 'joint_limit', 'singular', 'slowed') if reports}
+    return {f'cartesian_{kind}': sum(report.counts[kind] for report in reports)
+            for kind in (reports[0].counts if reports else ())}

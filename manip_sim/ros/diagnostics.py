@@ -21,6 +21,7 @@ from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.cartesian.targets import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 
 _PERIOD_S = 1.0
@@ -183,10 +184,15 @@ class Diagnostics:
         if part in robot.grippers:
             self._tell_faults(status, robot.grippers[part])
         for report in reports:
-            if report.total > self._last_faults.get(status.name, 0):
-                self._last_faults[status.name] = report.total
-                self._node.rejections.warn(status.name, 'cartesian', report.last)
+            self._tell_new(status.name, report)
         return status
+
+    def _tell_new(self, name: str, report: CartesianReport) -> None:
+        """Warn of what has newly kept a hand from where it should be."""
+        for kind, count in report.counts.items():
+            if count > self._last_faults.get(f'{name} {kind}', 0):
+                self._last_faults[f'{name} {kind}'] = count
+                self._node.rejections.warn(name, kind, report.texts[kind])
 
     def _tell_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
         """Warn of a gripper's own code that has failed since the last status."""

@@ -87,7 +87,8 @@ class SimulatedRobot:
             origin = Frame(model.body(body).name, body)
             if center >= 0:
                 origin = Frame(model.site(center).name, int(model.site_bodyid[center]), center)
-            hands[arm] = Hand(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin)
+            hands[arm] = Hand(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin,
+                              self.parts[arm].qpos_addresses)
         return hands
 
     def _index_joints(self, atomic: list[Part]) -> None:

@@ -19,7 +19,7 @@ from manip_sim.simulation.cartesian.commands import (
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, WORLD
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, Solution, stop)
-from manip_sim.simulation.cartesian.operational_space import effort
+from manip_sim.simulation.cartesian.operational_space import effort, wanted_twist
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import CartesianReport, Hand, pose_error, Target
 from manip_sim.simulation.commands import Status
@@ -37,8 +37,9 @@ _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
 _REACHED_BY_EFFORT = np.array([1e-3] * 3 + [1e-2] * 3)
 #: What is farther away and does not come nearer for a while is out of reach.
 _MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
-_STALLED_S = 0.2
-_STALLED_PACE, _STALLED_TWIST = 0.005, 2e-3
+_STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
+#: A hand that is slower rests: as a share of joint velocity limits, and measured [m/s, rad/s].
+_SLOW_PACE, _SLOW_TWIST = 0.005, 2e-3
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
 #: What carries an arm has moved if it is farther from where it was [m, rad].
@@ -176,14 +177,18 @@ class CartesianController:
         """Solve anew in this control period, and see whether what carries the arm has moved."""
         target = self._targets[command.arm]
         target.solve_s = -math.inf
-        if target.settled_in is not None and np.abs(
-                self._place(command, target, data) - target.settled_in).max() > _MOVED:
-            target.settled_in = None
+        if target.settled_in is not None:
+            place = self._place(command, target, data)
+            if place.shape != target.settled_in.shape or (
+                    np.abs(place - target.settled_in).max() > _MOVED):
+                target.settled_in = None
 
     def _place(self, command: CartesianCommand, target: Target, data: Any) -> FloatArray:
-        origin = self._hands[command.arm].origin
-        return np.concatenate([data.xpos[[origin.body, target.anchor.body]].ravel(),
-                               data.xmat[[origin.body, target.anchor.body]].ravel()])
+        hand = self._hands[command.arm]
+        bodies = [hand.origin.body, target.anchor.body]
+        taken = np.setdiff1d(hand.qpos, self._servos.qpos[command.indices])
+        return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
+                               data.qpos[taken]])
 
     def follow(self, command: CartesianCommand, data: Any, now_s: float, duration_s: float,
                efforts: FloatArray) -> None:
@@ -232,7 +237,7 @@ class CartesianController:
                                 settings.linear_velocity, settings.angular_velocity)
             self._report(command, solution, 'the way to the target')
             self._judge(command, target, data, now_s, error, _REACHED,
-                        bool(solution.pace < _STALLED_PACE))
+                        solution.pace < _SLOW_PACE, solution.progress)
             velocity = solution.velocity
         self._setpoints.ramp_to(indices, velocity, interval_s)
         if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
@@ -263,14 +268,14 @@ class CartesianController:
                     f'{arm}: {what} is slowed down to keep to the velocity limits of the joints')
 
     def _judge(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
-               error: FloatArray, reached: FloatArray, stalled: bool) -> None:
-        """See whether the pose is reached, or the hand rests far from it."""
+               error: FloatArray, reached: FloatArray, rests: bool, progress: float) -> None:
+        """See whether the pose is reached, or the hand comes no nearer."""
         arm, report = command.arm, self.reports[command.arm]
-        if (np.abs(error) <= reached).all() and stalled:
+        if (np.abs(error) <= reached).all() and rests:
             here = self._hands[arm].tip.pose(data)
             command.handle.end(Status.DONE, error=pose_error(target.goal(data), here))
         fresh = now_s - self._judged_s[arm] > _STALLED_S
-        if fresh or not stalled or (np.abs(error) <= _MISSED).all():
+        if fresh or progress > _STALLED_PROGRESS or (np.abs(error) <= _MISSED).all():
             self._stalled_s[arm] = now_s
         self._judged_s[arm] = now_s
         missed = now_s - self._stalled_s[arm] >= _STALLED_S
@@ -293,16 +298,21 @@ class CartesianController:
             target.move(data, tip, twist, duration_s)
         error = pose_error(target.goal(data), tip.pose(data))
         jacobian, velocity = self._jacobian_of(command, data), data.qvel[dofs]
-        wanted = effort(jacobian, self._inertia(data, dofs), velocity, error, twist,
-                        self._posture[indices] - data.qpos[self._servos.qpos[indices]],
-                        self.settings[command.arm])
+        settings = self.settings[command.arm]
+        wanted = wanted_twist(jacobian, error, twist, settings,
+                              self._servos.velocity_limit[indices])
+        given = effort(jacobian, self._inertia(data, dofs), velocity, wanted,
+                       self._posture[indices] - data.qpos[self._servos.qpos[indices]],
+                       settings.damping)
         # Gravity that is compensated counts as none.
-        wanted += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
-        wanted += self._servos.passive_damping[indices] * velocity
+        given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
+        given += self._servos.passive_damping[indices] * velocity
         if target.twist is None:
-            slow = bool(np.abs(jacobian @ velocity).max() < _STALLED_TWIST)
-            self._judge(command, target, data, now_s, error, _REACHED_BY_EFFORT, slow)
-        return np.clip(wanted, *self._torque[indices].T)
+            moved, goes = jacobian @ velocity, settings.stiffness / settings.damping * error
+            self._judge(command, target, data, now_s, error, _REACHED_BY_EFFORT,
+                        bool(np.abs(moved).max() < _SLOW_TWIST),
+                        float(moved @ goes) / max(float(goes @ goes), 1e-12))
+        return np.clip(given, *self._torque[indices].T)
 
     def _inertia(self, data: Any, dofs: IntArray) -> FloatArray:
         inertia = np.empty((len(dofs), len(dofs)))

@@ -19,10 +19,10 @@ from manip_sim.typing import BoolArray, FloatArray
 
 #: Singular values of the Jacobian [m/rad and 1] below this are damped.
 _SINGULAR = 0.04
-#: A larger error is approached bit by bit [m], [rad].
+#: Of a larger error a part is looked at, and braking begins as if that were all [m], [rad].
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
 #: What of the acceleration limits braking may take: the path is not straight in joint space.
-_BRAKING = 0.8
+_BRAKING = 0.5
 #: Rate of the approach in the end, times the interval: critical damping of x[n+1] = x[n] - T
 #: (v[n] + v[n+1]) / 2 with v[n+1] = k x[n] is at k T = 6 - 4 sqrt(2).
 _APPROACH = 6.0 - 4.0 * math.sqrt(2.0)
@@ -63,6 +63,7 @@ class Solution:
 
     :ivar velocity: [rad/s], shape (n,)
     :ivar pace: of the motion for the task, as a share of the velocity limits
+    :ivar progress: which share of the motion that is wanted the joints can make
     :ivar held: joints that their limit keeps from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
     :ivar slowed: whether joint velocity limits slow a twist down
@@ -70,6 +71,7 @@ class Solution:
 
     velocity: FloatArray
     pace: float
+    progress: float
     held: BoolArray
     singular: bool
     slowed: bool = False
@@ -98,7 +100,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     velocity = rate * step
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
     return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
-                    held, singular)
+                    _progress(jacobian @ step, part * error), held, singular)
 
 
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float
@@ -115,7 +117,11 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
     velocity = velocity / max(1.0, pace)
     return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
-                    held, singular, slowed=pace > 1.0 + 1e-6)
+                    _progress(jacobian @ step, _HORIZON_S * twist), held, singular, slowed=pace > 1.0 + 1e-6)
+
+
+def _progress(made: FloatArray, wanted: FloatArray) -> float:
+    return float(made @ wanted) / max(float(wanted @ wanted), 1e-18)
 
 
 def stop(joints: JointState, interval_s: float) -> FloatArray:
@@ -164,12 +170,14 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     present = float(joints.velocity @ step) / float(size @ size)
     # Of v at the end of the interval the way to brake is v^2 / (2 a), and until then the mean of
     # the velocities is made, along the whole way of 1.
-    limit = _BRAKING * float((joints.acceleration_limit / size).min())
+    possible = float((joints.acceleration_limit / size).min())
+    limit = _BRAKING * possible
     bend = limit * interval_s / 2.0
     root = bend**2 + 2.0 * limit * (1.0 - present * interval_s / 2.0)
     braking = math.sqrt(max(root, 0.0)) - bend
-    return min(max(braking, 0.0), _APPROACH / interval_s, _MAX_RATE,
-               float((joints.velocity_limit / size).min()))
+    # All joints gain speed evenly, so that the way is straight from the beginning.
+    return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
+               _APPROACH / interval_s, _MAX_RATE, float((joints.velocity_limit / size).min()))
 
 
 def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
@@ -181,7 +189,6 @@ def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> 
 
 
 def _reached(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
-    """Return what can be had of a velocity in an interval, all joints changing evenly."""
-    change = velocity - joints.velocity
-    excess = float((np.abs(change) / (joints.acceleration_limit * interval_s)).max())
-    return np.asarray(joints.velocity + change / max(1.0, excess))
+    """Return the velocity that can be had in an interval."""
+    change = joints.acceleration_limit * interval_s
+    return np.asarray(np.clip(velocity, joints.velocity - change, joints.velocity + change))

@@ -29,6 +29,11 @@ class CartesianSettings:
     angular_velocity: float = 3.2
     twist_timeout: float = 0.1
 
+    @property
+    def damping(self) -> float:
+        """Acceleration of ``grip_site`` per velocity [1/s]."""
+        return 2.0 * math.sqrt(self.stiffness) * self.damping_ratio
+
     def changed(self, name: str, value: float) -> CartesianSettings:
         """
         Return settings of which one has another value.

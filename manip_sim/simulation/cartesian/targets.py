@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
@@ -25,10 +25,12 @@ class Hand:
 
     :ivar tip: its ``grip_site``
     :ivar origin: what the arm is mounted on, ``<arm>_center`` where that is there
+    :ivar qpos: addresses of the arm's joints in ``qpos``, shape (n,)
     """
 
     tip: Frame
     origin: Frame
+    qpos: IntArray
 
 
 @dataclass
@@ -113,20 +115,21 @@ class CartesianReport:
     :ivar joint_limit: how often the range of a joint shortened a motion
     :ivar singular: how often the hand could hardly move where it should
     :ivar slowed: how often joint velocity limits slowed a twist down
-    :ivar last: what happened last, in words
+    :ivar texts: what happened last, in words, by counter
     """
 
     unreachable: int = 0
     joint_limit: int = 0
     singular: int = 0
     slowed: int = 0
-    last: str = ''
+    texts: dict[str, str] = field(default_factory=dict)
     _active: set[str] = field(default_factory=set)
 
     @property
-    def total(self) -> int:
-        """How much happened."""
-        return self.unreachable + self.joint_limit + self.singular + self.slowed
+    def counts(self) -> dict[str, int]:
+        """How often what happened."""
+        return {kind: getattr(self, kind)
+                for kind in ('unreachable', 'joint_limit', 'singular', 'slowed')}
 
     def note(self, kind: str, active: bool, text: str = '') -> None:
         """
@@ -140,7 +143,7 @@ class CartesianReport:
         elif kind not in self._active:
             self._active.add(kind)
             setattr(self, kind, getattr(self, kind) + 1)
-            self.last = text
+            self.texts[kind] = text
 
     def is_active(self, kind: str) -> bool:
         """Tell whether something is the case."""
