@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.parameters import Parameters
 from manip_sim.runtime import SimulationThread
-from manip_sim.simulation.cartesian.targets import CartesianReport
+from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.commands import Command
 
 

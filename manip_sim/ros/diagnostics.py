@@ -21,7 +21,7 @@ from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.cartesian.targets import CartesianReport
+from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 
 _PERIOD_S = 1.0

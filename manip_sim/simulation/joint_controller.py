@@ -123,6 +123,7 @@ class JointController(ControlledJoints):
         everything = self._everything
         self._release(everything, Status.ABORTED, 'the simulation was reset')
         self._last_command_s.clear()
+        self.cartesian.reset()
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)
         position = data.qpos[self._servos.qpos]

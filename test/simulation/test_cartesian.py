@@ -9,8 +9,10 @@ import pytest
 from sampling import whole_robot
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation.commands import Status
+from manip_sim.simulation.spawning import plan_with
 
 MODES = ['position', 'velocity', 'effort']
 
@@ -309,7 +311,7 @@ POSE = ([0.5, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize(('make', 'what'), [
-    (lambda p: p.pose('right', [np.nan, 0.0, 0.0], POSE[1]), 'right: position must be finite'),
+    (lambda p: p.pose('right', [np.nan, 0.0, 0.0], POSE[1]), '^position must be finite'),
     (lambda p: p.pose('right', POSE[0], [0.0] * 4), 'of length 1, got .* of length 0'),
     (lambda p: p.pose('right', POSE[0], [0.0, 0.0, np.inf, 1.0]), 'orientation must be finite'),
     (lambda p: p.pose('right', [2e4, 0.0, 0.0], POSE[1]), 'within 10000 m of the origin'),
@@ -348,3 +350,43 @@ def test_what_is_too_much_is_clamped_and_counted(panda_sim):
     twist = parse.twist('right', [3.0, 0.0, 4.0], [0.0, 0.1, 0.0])
     assert twist.clamped == 2
     np.testing.assert_allclose(twist.twist, [0.6, 0.0, 0.8, 0.0, 0.1, 0.0])
+
+
+def test_a_stream_of_twists_goes_on_where_it_is_when_the_mode_changes():
+    op = hand_of('Panda')
+    op.run(1.0, lambda: op.move_at([0.0, 0.1, 0.0]))
+    op.robot.set_control_mode('arm', 'effort')
+    lowest = []
+
+    def look():
+        op.move_at([0.0, 0.1, 0.0])
+        lowest.append(op.twist[1])
+    op.run(0.5, look)
+    assert min(lowest) > -0.01
+    assert op.twist[1] == pytest.approx(0.1, abs=0.01)
+
+
+def test_after_a_reset_a_twist_begins_at_the_start():
+    op = hand_of('Panda', mode='effort')
+    start = op.pose
+    op.run(1.0, lambda: op.move_at([0.0, 0.1, 0.0]))
+    op.simulation.reset()
+    op.run(0.05, lambda: op.move_at([0.0, 0.0, 0.0]))
+    assert distance(op.goal, start)[0] < 1e-4
+
+
+def test_an_object_that_is_spawned_on_the_way_changes_nothing():
+    finals = []
+    for spawns in (False, True):
+        op = hand_of('Panda')
+        goal = op.reachable(0.4)
+        op.go_to(goal)
+        op.run(0.2)
+        if spawns:
+            ball = create_object({'name': 'ball', 'shape': 'sphere', 'size': 0.1, 'mass': 0.2,
+                                  'position': [1.5, 0.0, 2.0]})
+            op.simulation.change_objects(plan_with(op.simulation.plan, ball))
+        op.run(1.0)
+        finals.append(op.robot.state().position)
+        assert max(distance(op.pose, goal)) < 1e-3
+    np.testing.assert_allclose(*finals, atol=1e-9)

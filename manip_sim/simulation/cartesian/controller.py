@@ -14,30 +14,25 @@ import numpy as np
 
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.simulation.cartesian.commands import (
-    CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
-from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, WORLD
+from manip_sim.simulation.cartesian.commands import CartesianCommand
+from manip_sim.simulation.cartesian.goals import target_of
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, Solution, stop)
 from manip_sim.simulation.cartesian.operational_space import effort, wanted_twist
+from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.cartesian.targets import CartesianReport, Hand, pose_error, Target
+from manip_sim.simulation.cartesian.targets import Hand, pose_error, Target
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.typing import FloatArray, IntArray
 
-#: What an action of 1 moves the goal by [m], [rad]; robosuite's defaults for OSC_POSE.
-_ACTION_STEP, _ACTION_TURN = 0.05, 0.5
 #: Where control periods are longer, inverse kinematics is solved so often [s].
 _LONGEST_INTERVAL_S = 0.012
 #: A pose is reached within this, by setpoints and by the measured hand [m, rad].
 _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
 _REACHED_BY_EFFORT = np.array([1e-3] * 3 + [1e-2] * 3)
-#: What is farther away and does not come nearer for a while is out of reach.
-_MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
-_STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
 #: A hand that is slower rests: as a share of joint velocity limits, and measured [m/s, rad/s].
 _SLOW_PACE, _SLOW_TWIST = 0.005, 2e-3
 #: Slower setpoints have come to rest [rad/s].
@@ -76,12 +71,9 @@ class CartesianController:
         self._low, self._high = servos.position_clamp().T
         self._torque = servos.ranges['effort']
         self.settings = {arm: CartesianSettings() for arm in hands}
-        self.reports = {arm: CartesianReport() for arm in hands}
+        self.reports = {arm: CartesianReport(arm) for arm in hands}
         self.period_s = float(model.opt.timestep)
         self._targets: dict[str, Target] = {}
-        #: When each hand was looked at last, and since when it has rested far from its target.
-        self._judged_s = dict.fromkeys(hands, -math.inf)
-        self._stalled_s = dict.fromkeys(hands, 0.0)
         self.rebind(model)
 
     def rebind(self, model: Any) -> None:
@@ -117,6 +109,10 @@ class CartesianController:
         mujoco.mju_mat2Quat(quat_wxyz, rotation.reshape(9))
         return Pose(position, wxyz_to_xyzw(quat_wxyz))
 
+    def reset(self) -> None:
+        """Forget all targets; settings stay."""
+        self._targets.clear()
+
     # ------------------------------------------------------------------ when a command begins
 
     def begin(self, command: CartesianCommand, data: Any, now_s: float) -> None:
@@ -126,45 +122,12 @@ class CartesianController:
         :param data: after ``mj_forward``
         :param now_s: simulation time [s]
         """
-        hand = self._hands[command.arm]
-        if isinstance(command, CartesianPose):
-            origin, turned = command.frame.pose(data)
-            anchor = command.frame if self._carries(command) else Frame(WORLD, 0)
-            target = Target.at(anchor, origin + turned @ command.position,
-                               turned @ command.rotation, data)
-        elif isinstance(command, PoseAction):
-            target = self._acted(hand, command.action, data)
-        else:
-            assert isinstance(command, CartesianTwist)
-            target = self._twisted(hand, command, data, now_s)
-        self._targets[command.arm] = target
-
-    def _carries(self, command: CartesianPose) -> bool:
-        """Tell whether a frame is one that the arm does not move."""
-        arm = {int(body) for body in self._model.dof_bodyid[self._servos.dofs[command.indices]]}
-        body = command.frame.body
-        while body and body not in arm:
-            body = int(self._model.body_parentid[body])
-        return body == 0
-
-    @staticmethod
-    def _acted(hand: Hand, action: FloatArray, data: Any) -> Target:
-        position, rotation = hand.tip.pose(data)
-        _, axes = hand.origin.pose(data)
-        turn = rotation_of_vector(axes @ (_ACTION_TURN * action[3:]))
-        return Target.at(hand.origin, position + axes @ (_ACTION_STEP * action[:3]),
-                         turn @ rotation, data)
-
-    def _twisted(self, hand: Hand, command: CartesianTwist, data: Any, now_s: float) -> Target:
         before = self._targets.get(command.arm)
-        if before is not None and before.twist is not None and now_s <= before.until_s + 1e-9:
-            goal = before.goal(data)
-        else:
-            goal = hand.tip.pose(data)
-        target = Target.at(hand.origin, *goal, data)
-        target.axes, target.twist = command.frame, command.twist
-        target.until_s = now_s + self.settings[command.arm].twist_timeout
-        return target
+        if before is not None and (before.twist is None or now_s > before.until_s + 1e-9):
+            before = None
+        self._targets[command.arm] = target_of(
+            command, self._hands[command.arm], self._model, data, before,
+            now_s + self.settings[command.arm].twist_timeout)
 
     # ------------------------------------------------------------------ in the control loop
 
@@ -229,21 +192,26 @@ class CartesianController:
         elif target.twist is not None:
             solution = follow_twist(self._jacobian_of(command, scratch),
                                     target.twist_in_world(scratch), joints, interval_s)
-            self._report(command, solution, 'the twist')
+            self._see(command, solution, 'the twist')
+            target.stay_at(self._hands[command.arm].tip.pose(scratch), scratch)
             velocity = solution.velocity
         else:
             error = pose_error(target.goal(scratch), self._hands[command.arm].tip.pose(scratch))
             solution = approach(self._jacobian_of(command, scratch), error, joints, interval_s,
                                 settings.linear_velocity, settings.angular_velocity)
-            self._report(command, solution, 'the way to the target')
-            self._judge(command, target, data, now_s, error, _REACHED,
-                        solution.pace < _SLOW_PACE, solution.progress)
+            self._see(command, solution, 'the way to the target')
+            near = (np.abs(error) <= _REACHED).all() and solution.pace < _SLOW_PACE
+            self._look(command, target, data, now_s, error, bool(near), solution.progress)
             velocity = solution.velocity
         self._setpoints.ramp_to(indices, velocity, interval_s)
         if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
                 target.twist is None):
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
             target.settled_in = self._place(command, target, data)
+
+    def _see(self, command: CartesianCommand, solution: Solution, what: str) -> None:
+        self.reports[command.arm].see_motion(
+            solution, what, [self._names[i] for i in command.indices[solution.held]])
 
     def _joints(self, indices: IntArray) -> JointState:
         setpoints, servos = self._setpoints, self._servos
@@ -257,35 +225,13 @@ class CartesianController:
                           self._hands[command.arm].tip.site)
         return self._jacobian[:, self._servos.dofs[command.indices]]
 
-    def _report(self, command: CartesianCommand, solution: Solution, what: str) -> None:
-        report, arm = self.reports[command.arm], command.arm
-        held = [self._names[i] for i in command.indices[solution.held]]
-        report.note('joint_limit', bool(held),
-                    f'{arm}: {what} is limited by the range of {", ".join(held)}')
-        report.note('singular', solution.singular,
-                    f'{arm}: {what} leads to a singularity, where the hand hardly moves')
-        report.note('slowed', solution.slowed,
-                    f'{arm}: {what} is slowed down to keep to the velocity limits of the joints')
-
-    def _judge(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
-               error: FloatArray, reached: FloatArray, rests: bool, progress: float) -> None:
+    def _look(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
+              error: FloatArray, reached: bool, progress: float) -> None:
         """See whether the pose is reached, or the hand comes no nearer."""
-        arm, report = command.arm, self.reports[command.arm]
-        if (np.abs(error) <= reached).all() and rests:
-            here = self._hands[arm].tip.pose(data)
+        if reached and command.handle.is_active:
+            here = self._hands[command.arm].tip.pose(data)
             command.handle.end(Status.DONE, error=pose_error(target.goal(data), here))
-        fresh = now_s - self._judged_s[arm] > _STALLED_S
-        if fresh or progress > _STALLED_PROGRESS or (np.abs(error) <= _MISSED).all():
-            self._stalled_s[arm] = now_s
-        self._judged_s[arm] = now_s
-        missed = now_s - self._stalled_s[arm] >= _STALLED_S
-        causes = [text for kind, text in (('joint_limit', 'a joint is at the end of its range'),
-                                          ('singular', 'the arm is at a singularity'))
-                  if report.is_active(kind)]
-        report.note('unreachable', missed, (
-            f'{arm}: the target is not reached, {np.linalg.norm(error[:3]):.3f} m and '
-            f'{np.linalg.norm(error[3:]):.3f} rad are left'
-            + ''.join(f', {cause}' for cause in causes)))
+        self.reports[command.arm].see_target(error, progress, now_s)
 
     # ------------------------------------------------------------------ by operational space
 
@@ -309,9 +255,10 @@ class CartesianController:
         given += self._servos.passive_damping[indices] * velocity
         if target.twist is None:
             moved, goes = jacobian @ velocity, settings.stiffness / settings.damping * error
-            self._judge(command, target, data, now_s, error, _REACHED_BY_EFFORT,
-                        bool(np.abs(moved).max() < _SLOW_TWIST),
-                        float(moved @ goes) / max(float(goes @ goes), 1e-12))
+            near = (np.abs(error) <= _REACHED_BY_EFFORT).all() and (
+                np.abs(moved) < _SLOW_TWIST).all()
+            self._look(command, target, data, now_s, error, bool(near),
+                       float(moved @ goes) / max(float(goes @ goes), 1e-12))
         return np.clip(given, *self._torque[indices].T)
 
     def _inertia(self, data: Any, dofs: IntArray) -> FloatArray:

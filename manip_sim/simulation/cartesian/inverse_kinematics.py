@@ -117,7 +117,8 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
     velocity = velocity / max(1.0, pace)
     return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
-                    _progress(jacobian @ step, _HORIZON_S * twist), held, singular, slowed=pace > 1.0 + 1e-6)
+                    _progress(jacobian @ step, _HORIZON_S * twist), held, singular,
+                    slowed=pace > 1.0 + 1e-6)
 
 
 def _progress(made: FloatArray, wanted: FloatArray) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.simulation.cartesian.commands import CartesianPose, CartesianTwist, PoseAction
 from manip_sim.simulation.cartesian.frames import Frames, rotation_of
@@ -50,10 +50,7 @@ class CartesianParser:
         """
         indices = self._indices_of(arm)
         found = self._frames.find(frame, f'{arm}: a target pose')
-        try:
-            pose = Pose.checked(position, quat_xyzw)
-        except CommandError as error:
-            raise CommandError(f'{arm}: {error}') from error
+        pose = Pose.checked(position, quat_xyzw)
         return CartesianPose(
             parts=self._joints.parts_of(indices), indices=indices, arm=arm, frame=found,
             position=pose.position, rotation=rotation_of(xyzw_to_wxyz(pose.quat_xyzw)))
@@ -73,10 +70,7 @@ class CartesianParser:
         """
         indices = self._indices_of(arm)
         found = self._frames.find(frame, f'{arm}: a target twist')
-        try:
-            twist = Twist.checked(linear, angular)
-        except CommandError as error:
-            raise CommandError(f'{arm}: {error}') from error
+        twist = Twist.checked(linear, angular)
         settings = self._settings[arm]
         halves = [_shortened(twist.linear, settings.linear_velocity),
                   _shortened(twist.angular, settings.angular_velocity)]

@@ -1,11 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the hand of an arm shall be, as commands make it, and what keeps it from there."""
+"""Where the hand of an arm shall be."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -65,8 +65,18 @@ class Target:
         :param position: in the world [m], shape (3,)
         :param rotation: in the world, shape (3, 3)
         """
-        origin, turned = anchor.pose(data)
-        return cls(anchor, turned.T @ (position - origin), turned.T @ rotation, anchor)
+        target = cls(anchor, position, rotation, anchor)
+        target.stay_at((position, rotation), data)
+        return target
+
+    def stay_at(self, pose: tuple[FloatArray, FloatArray], data: Any) -> None:
+        """
+        Put the goal somewhere else.
+
+        :param pose: position [m] and rotation matrix in the world
+        """
+        origin, turned = self.anchor.pose(data)
+        self.position, self.rotation = turned.T @ (pose[0] - origin), turned.T @ pose[1]
 
     def goal(self, data: Any) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation of the goal in the world."""
@@ -91,9 +101,7 @@ class Target:
         here, turned = tip.pose(data)
         ahead = _bounded(position + duration_s * twist[:3] - here, _LEAD)
         turn = rotation_vector(rotation_of_vector(duration_s * twist[3:]) @ rotation @ turned.T)
-        moved = Target.at(self.anchor, here + ahead,
-                          rotation_of_vector(_bounded(turn, _TURN_LEAD)) @ turned, data)
-        self.position, self.rotation = moved.position, moved.rotation
+        self.stay_at((here + ahead, rotation_of_vector(_bounded(turn, _TURN_LEAD)) @ turned), data)
 
 
 def _bounded(vector: FloatArray, limit: float) -> FloatArray:
@@ -104,47 +112,3 @@ def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, Floa
                ) -> FloatArray:
     """Return way [m] and rotation vector [rad] from a pose to another in the world, shape (6,)."""
     return np.concatenate([goal[0] - here[0], rotation_vector(goal[1] @ here[1].T)])
-
-
-@dataclass
-class CartesianReport:
-    """
-    What kept the hand of an arm from where it should be, counted as it begins.
-
-    :ivar unreachable: targets that were not reached
-    :ivar joint_limit: how often the range of a joint shortened a motion
-    :ivar singular: how often the hand could hardly move where it should
-    :ivar slowed: how often joint velocity limits slowed a twist down
-    :ivar texts: what happened last, in words, by counter
-    """
-
-    unreachable: int = 0
-    joint_limit: int = 0
-    singular: int = 0
-    slowed: int = 0
-    texts: dict[str, str] = field(default_factory=dict)
-    _active: set[str] = field(default_factory=set)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How often what happened."""
-        return {kind: getattr(self, kind)
-                for kind in ('unreachable', 'joint_limit', 'singular', 'slowed')}
-
-    def note(self, kind: str, active: bool, text: str = '') -> None:
-        """
-        See whether something is the case; it counts when it begins.
-
-        :param kind: the name of a counter
-        :param text: in words
-        """
-        if not active:
-            self._active.discard(kind)
-        elif kind not in self._active:
-            self._active.add(kind)
-            setattr(self, kind, getattr(self, kind) + 1)
-            self.texts[kind] = text
-
-    def is_active(self, kind: str) -> bool:
-        """Tell whether something is the case."""
-        return kind in self._active
