@@ -3,6 +3,11 @@
 
 """Cartesian commands in lockstep, and of several robots."""
 
+from pathlib import Path
+import re
+import subprocess
+import sys
+
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import Client, Served
 
@@ -68,3 +73,20 @@ def test_in_lockstep_the_same_commands_give_the_same_bits():
         client.close()
         served.close()
     assert states[0] == states[1]
+
+
+def test_the_policy_of_the_document_lifts_the_hand(serve, client):
+    document = (Path(__file__).resolve().parents[2] / 'docs' / 'cartesian.md').read_text()
+    script = next(block for block in re.findall(r'```python\n(.*?)```', document, re.DOTALL)
+                  if 'rclpy.spin' in block)
+    serve(arena='table', publish_rate=20.0, control_mode__arm='effort', stepping='lockstep',
+          lockstep_parts=['arm', 'right/gripper'])
+    poses = client.listen(PoseStamped, 'right/eef_pose')
+    client.spin_until(lambda: bool(poses))
+    policy = subprocess.Popen([sys.executable, '-c', script])
+    try:
+        client.spin_until(
+            lambda: poses[-1].pose.position.z > poses[0].pose.position.z + 0.05)
+    finally:
+        policy.terminate()
+        policy.wait(timeout=10.0)
