@@ -84,16 +84,16 @@ class CommandSubscribers:
             if not part.actuators:
                 continue
             self.subscribe(Float64MultiArray, f'{name}/command', name,
-                            partial(self._action, name))
+                           partial(self._action, name))
             self.subscribe(JointState, f'{name}/joint_command', name,
-                            partial(self._joint_command, name))
+                           partial(self._joint_command, name))
             if part.gripper is None:
                 self.subscribe(JointTrajectory, f'{name}/joint_trajectory', name,
-                                partial(self._trajectory, name))
+                               partial(self._trajectory, name))
         if robot.joints.twist_indices is not None:
             self.subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
         self.subscribe(JointState, 'joint_command', 'joint_command',
-                        partial(self._joint_command, None))
+                       partial(self._joint_command, None))
 
     def subscribe(self, message_type: Any, name: str, part: str, parse: Parse) -> None:
         """

@@ -41,7 +41,7 @@ class Hand:
         self.poses = self.client.listen(PoseStamped, 'right/eef_pose')
         self.twists = self.client.listen(TwistStamped, 'right/eef_twist')
         self.diagnostics = self.client.listen(DiagnosticArray, '/diagnostics')
-        self.client.spin_until(lambda: self.poses and self.twists)
+        self.client.spin_until(lambda: self.poses and self.twists and self.diagnostics)
 
     @property
     def position(self):

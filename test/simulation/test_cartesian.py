@@ -9,7 +9,7 @@ import re
 from hands import distance, hand_of, HandOperator, turned
 import numpy as np
 import pytest
-from sampling import whole_robot
+from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.objects import create_object
@@ -50,7 +50,8 @@ def test_the_hand_goes_straight_and_within_all_limits():
         path.append(op.pose[0])
         speeds.append(op.reference.velocity)
     op.go_to(goal)
-    op.run(1.5, look)
+    with sampled(Driven(op.simulation, 'arm')) as samples:
+        op.run(1.5, look)
     along = (goal[0] - start[0]) / np.linalg.norm(goal[0] - start[0])
     aside = [np.linalg.norm(np.cross(p - start[0], along)) for p in path]
     assert np.linalg.norm(goal[0] - start[0]) > 0.15
@@ -58,6 +59,8 @@ def test_the_hand_goes_straight_and_within_all_limits():
     assert np.abs(speeds).max(axis=0).max() > 0.3
     assert (np.abs(speeds) <= top * 1.0001).all()
     assert (np.abs(np.diff(speeds, axis=0)) <= limit * 0.01 * 1.0001).all()
+    # In between, too, as the joints do it.
+    assert (np.abs(np.diff(samples.velocity, axis=0)) <= 1.5 * limit * 0.002).all()
     # It comes near without going beyond.
     assert max(p @ along for p in path) < goal[0] @ along + 2e-4
 
@@ -130,6 +133,16 @@ def test_a_twist_may_be_given_in_the_axes_of_the_hand():
     expected = rotation @ (radius * np.array([np.sin(angle), 1.0 - np.cos(angle), 0.0]))
     np.testing.assert_allclose(op.pose[0] - start, expected, atol=2.5e-3)
     assert distance(op.pose, (start, rotation @ turned([0, 0, 1], angle)))[1] < 0.02
+
+
+def test_a_fast_twist_does_not_drift_aside():
+    op = hand_of('Panda', period_s=0.05)
+    start, rotation = op.pose
+    op.run(1.2, lambda: op.move_at([0.0, 0.3, 0.0]))
+    way, turn = op.pose[0] - start, distance(op.pose, (start, rotation))[1]
+    assert 0.25 < way[1] < 0.36
+    assert np.abs(way[[0, 2]]).max() < 2e-3
+    assert turn < 5e-3
 
 
 def test_a_pose_may_be_given_in_a_link():
