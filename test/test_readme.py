@@ -9,8 +9,8 @@ import subprocess
 import sys
 
 from manip_sim.interface.parameters import (
-    arena_specs, camera_parameters, composition_parameters, MODEL_PATH, node_parameters,
-    place_parameters, robot_parameters)
+    arena_specs, camera_parameters, cartesian_parameters, composition_parameters, MODEL_PATH,
+    node_parameters, place_parameters, robot_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 
@@ -55,11 +55,13 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
     scope, place = Scope(), [0.1, 0.2, 0.3]
     specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *composition_parameters(scope),
              *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base']),
-             *camera_parameters('<camera>', ImageSettings())]
+             *camera_parameters('<camera>', ImageSettings()),
+             *cartesian_parameters(scope, ['right'])]
     rows = {row[0].strip('`'): row for row in table_rows('Parameters')}
     expected = set()
     for spec in specs:
         name = re.sub(r'\.(arm|base)$', '.<part>', spec.name)
+        name = name.replace('cartesian.right.', 'cartesian.<arm>.')
         expected.add(name)
         _, kind, default, unit, live, meaning = rows[name]
         if isinstance(spec.default, list):

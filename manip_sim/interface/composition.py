@@ -13,8 +13,9 @@ from typing import Any
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
-    arena_specs, camera_parameters, commanded_parts, composition_parameters, MODEL_PATH,
-    node_parameters, periods_per_image, place_parameters, robot_parameters, steps_per_period)
+    arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
+    composition_parameters, MODEL_PATH, node_parameters, periods_per_image, place_parameters,
+    robot_parameters, steps_per_period)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
@@ -101,7 +102,10 @@ def declare_parts(parameters: ParameterSource,
     :raises ParameterError: if a value cannot be used
     """
     for scope, parts in served:
-        parameters.declare(robot_parameters(scope, commanded_parts(parts)))
+        commanded = commanded_parts(parts)
+        parameters.declare(robot_parameters(scope, commanded))
+        parameters.declare(cartesian_parameters(
+            scope, [arm for arm in commanded if f'{arm}/gripper' in parts]))
 
 
 def declare_cameras(parameters: ParameterSource, world: World, model: Any

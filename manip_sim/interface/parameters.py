@@ -19,6 +19,7 @@ from manip_sim.models.image_settings import (
     ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ)
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
+from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.commands import MODES
 
 STEPPING = ('realtime', 'free', 'lockstep')
@@ -181,6 +182,31 @@ def periods_per_image(publish_rate: float, rate: float, name: str) -> int:
         raise ParameterError(f"parameter '{name}': {rate:g} Hz is not possible, because "
                              f'publish_rate is {publish_rate:g} Hz')
     return periods_per_message(publish_rate, rate)
+
+
+def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters of the Cartesian control of a robot.
+
+    :param arms: those with a gripper
+    """
+    settings = CartesianSettings()
+    return [spec.within(scope) for arm in arms for spec in (
+        ParameterSpec(f'cartesian.{arm}.stiffness', settings.stiffness,
+                      'Of target poses and pose actions in effort mode: acceleration of the hand '
+                      "per error, in all directions; robosuite's kp.", '1/s^2', live=True,
+                      minimum=1.0, maximum=1000.0),
+        ParameterSpec(f'cartesian.{arm}.damping_ratio', settings.damping_ratio,
+                      'Of the same: 1 is critical damping.', live=True, minimum=0.1, maximum=3.0),
+        ParameterSpec(f'cartesian.{arm}.linear_velocity', settings.linear_velocity,
+                      'Of the hand at most; a target twist that is faster is clamped.', 'm/s',
+                      live=True, minimum=0.001, maximum=10.0),
+        ParameterSpec(f'cartesian.{arm}.angular_velocity', settings.angular_velocity,
+                      'Of the hand at most; a target twist that is faster is clamped.', 'rad/s',
+                      live=True, minimum=0.001, maximum=30.0),
+        ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
+                      'Without a fresh target twist for so long (simulation time) the hand stops.',
+                      's', live=True, minimum=0.001, maximum=10.0))]
 
 
 def steps_per_period(publish_rate: float, timestep: float) -> int:

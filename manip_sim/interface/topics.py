@@ -146,6 +146,12 @@ TOPICS = (
     Topic('joint_command', 'sensor_msgs/JointState', SUBSCRIBED, 'goals of joints of any parts'),
     Topic('<part>/joint_trajectory', 'trajectory_msgs/JointTrajectory', SUBSCRIBED,
           'a spline through the points, in position mode', 'actuators'),
+    Topic('<arm>/target_pose', 'geometry_msgs/PoseStamped', SUBSCRIBED,
+          'a goal of grip_site in world or a link of the robot', 'actuators'),
+    Topic('<arm>/target_twist', 'geometry_msgs/TwistStamped', SUBSCRIBED,
+          'velocity of grip_site in the axes of world or a link', 'actuators'),
+    Topic('<arm>/pose_command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
+          "robosuite's action OSC_POSE: six numbers in [-1, 1]", 'actuators'),
     Topic('base/cmd_vel', 'geometry_msgs/Twist', SUBSCRIBED,
           "velocity in the base's own frame, in velocity mode", 'twist'),
     Topic('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped', SUBSCRIBED,
@@ -229,5 +235,5 @@ def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> It
             yield pattern
         return
     for name in names:
-        if not pattern.needs or getattr(parts[name], pattern.needs):
+        if not pattern.needs or (name in parts and getattr(parts[name], pattern.needs)):
             yield replace(pattern, name=pattern.name.replace(placeholder, name))

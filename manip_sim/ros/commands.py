@@ -11,7 +11,7 @@ from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -29,6 +29,8 @@ from manip_sim.simulation.commands import Command
 from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand
 
 Parse = Callable[[Any], Sequence[Command]]
+#: Their stamp is that of the state that they answer.
+_ANSWERS = (JointState, PoseStamped, TwistStamped)
 
 
 @dataclass
@@ -80,21 +82,28 @@ class CommandSubscribers:
         for name, part in robot.parts.items():
             if not part.actuators:
                 continue
-            self._subscribe(Float64MultiArray, f'{name}/command', name,
-                            partial(self._action, name))
-            self._subscribe(JointState, f'{name}/joint_command', name,
-                            partial(self._joint_command, name))
+            self.subscribe(Float64MultiArray, f'{name}/command', name,
+                           partial(self._action, name))
+            self.subscribe(JointState, f'{name}/joint_command', name,
+                           partial(self._joint_command, name))
             if part.gripper is None:
-                self._subscribe(JointTrajectory, f'{name}/joint_trajectory', name,
-                                partial(self._trajectory, name))
+                self.subscribe(JointTrajectory, f'{name}/joint_trajectory', name,
+                               partial(self._trajectory, name))
         if robot.joints.twist_indices is not None:
-            self._subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
-            self._subscribe(TwistStamped, 'base/cmd_vel_stamped', 'base',
-                            lambda message: self._twist(message.twist))
-        self._subscribe(JointState, 'joint_command', 'joint_command',
-                        partial(self._joint_command, None))
+            self.subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
+            self.subscribe(TwistStamped, 'base/cmd_vel_stamped', 'base',
+                           lambda message: self._twist(message.twist))
+        self.subscribe(JointState, 'joint_command', 'joint_command',
+                       partial(self._joint_command, None))
 
-    def _subscribe(self, message_type: Any, name: str, part: str, parse: Parse) -> None:
+    def subscribe(self, message_type: Any, name: str, part: str, parse: Parse) -> None:
+        """
+        Subscribe to commands.
+
+        :param name: of the topic within the scope
+        :param part: whose statistics count what is refused
+        :param parse: makes commands of a message
+        """
         topic = self.scope.topic(name)
         entry = self._entry_of.get(part, part)
 
@@ -104,7 +113,7 @@ class CommandSubscribers:
                 commands = parse(message)
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
-                           if isinstance(message, (JointState, TwistStamped)) else 0)
+                           if isinstance(message, _ANSWERS) else 0)
                 self._thread.submit(commands, answers, self.robot.name)
             except CommandError as error:
                 self.statistics[entry].refused += 1

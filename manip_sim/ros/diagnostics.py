@@ -16,11 +16,13 @@ from rclpy.node import Node
 
 from manip_sim.quoting import one_line
 from manip_sim.ros.cameras import Cameras
+from manip_sim.ros.cartesian import counts_of, reports_of
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 
 _PERIOD_S = 1.0
@@ -190,10 +192,21 @@ class Diagnostics:
             values['timeouts'] = sum(
                 joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
             values['limited'] = joints.limited(part)
+        reports = reports_of(commands, part)
+        values.update(counts_of(reports))
         status = _status(name, 'commands', values)
         if part in robot.grippers:
             self._tell_faults(status, robot.grippers[part])
+        for report in reports:
+            self._tell_new(status.name, report)
         return status
+
+    def _tell_new(self, name: str, report: CartesianReport) -> None:
+        """Warn of what has newly kept a hand from where it should be."""
+        for kind, count in report.counts.items():
+            if count > self._last_faults.get(f'{name} {kind}', 0):
+                self._last_faults[f'{name} {kind}'] = count
+                self._node.rejections.warn(name, kind, report.texts[kind])
 
     def _tell_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
         """Warn of a gripper's own code that has failed since the last status."""

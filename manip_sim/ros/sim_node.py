@@ -20,6 +20,7 @@ from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.ros.actions import offer_actions
 from manip_sim.ros.cameras import offer_cameras
+from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
@@ -94,12 +95,15 @@ class SimNode(Node):
 
     def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
+        self._cartesian = []
         for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
             self.thread.observe(publishers.publish)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
+            self._cartesian.append(
+                CartesianSubscribers(self.commands[-1], self._declared, self.thread))
 
     def _show_world(self, world: World, frame_prefix: str) -> None:
         value = self._declared.value
@@ -146,6 +150,8 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
                     self.thread.set_real_time_factor(parameter.value)
+                for cartesian in self._cartesian:
+                    cartesian.parameter_changed(parameter)
                 found = self._declared.of_part(parameter.name)
                 if found is not None:
                     self._change_part(*found, parameter.value)

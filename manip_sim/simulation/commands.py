@@ -45,7 +45,8 @@ class CommandHandle:
 
     :ivar status: of the command
     :ivar reason: why it was aborted
-    :ivar error: goal less measured position when it was done [rad or m], or None
+    :ivar error: goal less measured position when it was done [rad or m], or None; of a pose, way
+        [m] and rotation vector [rad] that are left, shape (6,)
     """
 
     status: Status = Status.WAITING

@@ -12,6 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.simulation.cartesian.commands import CartesianCommand
+from manip_sim.simulation.cartesian.controller import CartesianController
+from manip_sim.simulation.cartesian.targets import Hand
 from manip_sim.simulation.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status, STOPPED,
     TrajectoryStop)
@@ -36,12 +39,16 @@ class JointController(ControlledJoints):
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
+    :param hands: of the arms that take Cartesian commands, by arm
     :ivar timeouts: how often each atomic part had no fresh command for too long
+    :ivar cartesian: controls the hands
     """
 
-    def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str]
-                 ) -> None:
+    def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str],
+                 hands: Mapping[str, Hand] | None = None) -> None:
         super().__init__(model, data, parts, atomic)
+        self.cartesian = CartesianController(
+            model, data, hands or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
         #: Each owns the joints of its indices; trajectories that start later own none yet.
         self._running: list[Command] = []
@@ -56,7 +63,14 @@ class JointController(ControlledJoints):
     def moving(self) -> bool:
         """Whether setpoints change, or may, in the next interval."""
         return bool(self._setpoints.moving or self._waiting or any(
-            isinstance(c, (JointTrajectory, BaseTwist)) for c in self._running))
+            isinstance(c, (JointTrajectory, BaseTwist))
+            or isinstance(c, CartesianCommand) and self.cartesian.moves(c)
+            for c in self._running))
+
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which these actuators and joints are what and where they were."""
+        super().rebind(model)
+        self.cartesian.rebind(model)
 
     @property
     def busy_parts(self) -> frozenset[str]:
@@ -112,6 +126,7 @@ class JointController(ControlledJoints):
         everything = self._everything
         self._release(everything, Status.ABORTED, 'the simulation was reset')
         self._last_command_s.clear()
+        self.cartesian.reset()
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)
         position = data.qpos[self._servos.qpos]
@@ -154,9 +169,13 @@ class JointController(ControlledJoints):
             self._running.append(meant)
             if isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
+            elif isinstance(meant, CartesianCommand):
+                if self._mode[meant.indices[0]] == 'effort':
+                    self._servos.give_effort(meant.indices, True)
+                self.cartesian.begin(meant, data, now_s)
 
     def _of_present_mode(self, command: C) -> C | None:
-        if isinstance(command, TrajectoryStop):
+        if isinstance(command, (TrajectoryStop, CartesianCommand)):
             return command
         modes = command.modes if isinstance(command, JointSetpoint) else (
             'velocity' if isinstance(command, BaseTwist) else 'position',) * len(command.indices)
@@ -245,13 +264,17 @@ class JointController(ControlledJoints):
 
     # ------------------------------------------------------------------ in the control loop
 
-    def begin_period(self, data: Any, now_s: float) -> None:
+    def begin_period(self, data: Any, now_s: float, period_s: float) -> None:
         """
         See which commands are done or too old.
 
         :param now_s: simulation time [s]
+        :param period_s: length of the period [s]
         """
+        self.cartesian.period_s = period_s
         for command in list(self._running):
+            if isinstance(command, CartesianCommand):
+                self.cartesian.begin_period(command, data)
             if (isinstance(command, JointSetpoint) and set(command.modes) == {'position'}
                     and self._setpoints.at_rest(command.indices)):
                 self._finish(command, data, command.values)
@@ -290,6 +313,9 @@ class JointController(ControlledJoints):
         setpoints.now_s = now_s
         self._start_trajectories(now_s, duration_s)
         self._turn_twist(data)
+        for command in self._running:
+            if isinstance(command, CartesianCommand):
+                self.cartesian.follow(command, data, now_s, duration_s, self._effort)
         setpoints.advance(duration_s)
         self._follow_trajectories(data, now_s + duration_s)
         setpoints.hold_back(data.qpos[servos.qpos], servos.lead)

@@ -8,10 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
+from manip_sim.simulation.cartesian.frames import Frame, Frames
+from manip_sim.simulation.cartesian.parser import CartesianParser
+from manip_sim.simulation.cartesian.targets import Hand
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import Command, GripperCommand
 from manip_sim.simulation.gripper_controller import GripperController
@@ -39,6 +43,7 @@ class SimulatedRobot:
     :ivar grippers: by part
     :ivar end_effectors: by arm, of the arms with a gripper
     :ivar parse: makes commands
+    :ivar parse_cartesian: makes Cartesian commands
     :ivar joint_names: all scalar joints, in the order of the states
     :ivar indices_of: where the joints of each part are among these, by part
     """
@@ -51,16 +56,40 @@ class SimulatedRobot:
         self.robot_model = robot
         self.parts: dict[str, Part] = find_parts(model, robot)
         atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
-        self.joints = JointController(
-            model, data, {name: p for name, p in self.parts.items() if p.gripper is None},
-            [part.name for part in atomic if part.gripper is None])
-        self.grippers = {part.name: GripperController(model, part, self._timestep_s)
-                         for part in atomic if part.gripper is not None}
         self.end_effectors = {
             name.split('/')[0]: EndEffectorReader(model, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
+        self.joints = JointController(
+            model, data, {name: p for name, p in self.parts.items() if p.gripper is None},
+            [part.name for part in atomic if part.gripper is None], self._hands(model))
+        self.grippers = {part.name: GripperController(model, part, self._timestep_s)
+                         for part in atomic if part.gripper is not None}
         self.parse = CommandParser(robot, self.joints, self.grippers)
+        self.parse_cartesian = CartesianParser(self.joints, self._frames(model))
         self._index_joints(atomic)
+
+    def _frames(self, model: Any) -> Frames:
+        bodies = [*self.robot_model.bodies,
+                  *(body for part in self.robot_model.models for body in part.bodies)]
+        return Frames(model, bodies, [site for reader in self.end_effectors.values()
+                                      for site in (reader.grip_site, reader.ft_frame)])
+
+    def _hands(self, model: Any) -> dict[str, Hand]:
+        hands = {}
+        for arm, reader in self.end_effectors.items():
+            joints = [j for j in self.parts[arm].driven_joints if j] if arm in self.parts else []
+            if not joints:
+                continue
+            tip = model.site(reader.grip_site)
+            body = int(model.body_parentid[int(model.joint(joints[0]).bodyid[0])])
+            center = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE,
+                                       f'{self.robot_model.naming_prefix}{arm}_center')
+            origin = Frame(model.body(body).name, body)
+            if center >= 0:
+                origin = Frame(model.site(center).name, int(model.site_bodyid[center]), center)
+            hands[arm] = Hand(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin,
+                              self.parts[arm].qpos_addresses)
+        return hands
 
     def _index_joints(self, atomic: list[Part]) -> None:
         self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
@@ -211,7 +240,7 @@ class SimulatedRobot:
         :param period_s: length of the control period [s]
         """
         self._period_s = period_s
-        self.joints.begin_period(self._data, self._now_ns() * 1e-9)
+        self.joints.begin_period(self._data, self._now_ns() * 1e-9, period_s)
 
     def tick(self, duration_s: float) -> None:
         """

@@ -64,6 +64,7 @@ class Servos:
     :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can do
         against the joint's damping [rad/s or m/s], shape (n,)
     :ivar acceleration_limit: of steps [rad/s^2 or m/s^2], shape (n,)
+    :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
@@ -83,6 +84,7 @@ class Servos:
         self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
         self._soften()
         passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
+        self.passive_damping: FloatArray = passive.copy()
         #: Force per velocity of a setpoint, so that the joint moves as fast.
         self._drag = self._damping + passive
         self._friction: FloatArray = model.dof_frictionloss[self.dofs].copy()

@@ -111,6 +111,17 @@ class SetpointGenerator:
         self._ramp_estimator.forget(indices)
         self._come_to(indices, velocity)
 
+    def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float) -> None:
+        """
+        Let setpoints come to a velocity evenly within a time, or later at the acceleration limit.
+
+        :param velocity: [rad/s or m/s], shape of ``indices``
+        :param duration_s: [s]
+        """
+        self.set_velocity(indices, velocity)
+        change = np.abs(velocity - self._stream[indices])
+        self._ramp[indices] = np.clip(change / duration_s, 1e-9, self._ramp[indices])
+
     def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
         # One part alone moves, else both together could exceed the acceleration limit.
         self._stream[indices] = self.velocity[indices]

@@ -1,0 +1,83 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Cartesian commands of a robot's arms over topics, their settings as parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64MultiArray
+
+from manip_sim.ros.commands import CommandSubscribers
+from manip_sim.ros.parameters import Parameters
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation.cartesian.reports import CartesianReport
+from manip_sim.simulation.commands import Command
+
+
+class CartesianSubscribers:
+    """
+    Subscriptions to the Cartesian command topics of the arms of a robot, and their parameters.
+
+    :param commands: the subscriptions of the robot, which count
+    :param parameters: those of ``cartesian_parameters`` are declared
+    :param thread: the simulation's
+    """
+
+    def __init__(self, commands: CommandSubscribers, parameters: Parameters,
+                 thread: SimulationThread) -> None:
+        self._robot = commands.robot
+        self._parse = commands.robot.parse_cartesian
+        self._thread = thread
+        self._settings: dict[str, tuple[str, str]] = {}
+        for arm, settings in self._robot.joints.cartesian.settings.items():
+            commands.subscribe(PoseStamped, f'{arm}/target_pose', arm, partial(self._pose, arm))
+            commands.subscribe(TwistStamped, f'{arm}/target_twist', arm, partial(self._twist, arm))
+            commands.subscribe(Float64MultiArray, f'{arm}/pose_command', arm,
+                               partial(self._action, arm))
+            for setting in asdict(settings):
+                name = commands.scope.parameter(f'cartesian.{arm}.{setting}')
+                self._settings[name] = arm, setting
+                self._change(name, parameters.value(name))
+
+    def parameter_changed(self, parameter: Parameter) -> None:
+        """Use the new value of a parameter, if it is one of these arms."""
+        if parameter.name in self._settings:
+            self._change(parameter.name, parameter.value)
+
+    def _change(self, name: str, value: float) -> None:
+        self._thread.call(lambda: self._robot.joints.cartesian.set(*self._settings[name], value))
+
+    def _pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
+        position, turn = message.pose.position, message.pose.orientation
+        return [self._parse.pose(arm, [position.x, position.y, position.z],
+                                 [turn.x, turn.y, turn.z, turn.w], message.header.frame_id)]
+
+    def _twist(self, arm: str, message: TwistStamped) -> Sequence[Command]:
+        linear, angular = message.twist.linear, message.twist.angular
+        return [self._parse.twist(arm, [linear.x, linear.y, linear.z],
+                                  [angular.x, angular.y, angular.z], message.header.frame_id)]
+
+    def _action(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
+        return [self._parse.action(arm, message.data)]
+
+
+def reports_of(commands: CommandSubscribers, part: str) -> list[CartesianReport]:
+    """Return what kept the hands of a part's arms from where they should be."""
+    robot = commands.robot
+    if part not in robot.parts:
+        return []
+    return [report for arm, report in robot.joints.cartesian.reports.items()
+            if robot.parts[arm].atomic == robot.parts[part].atomic]
+
+
+def counts_of(reports: Sequence[CartesianReport]) -> dict[str, Any]:
+    """Return these as values of a diagnostic status."""
+    return {f'cartesian_{kind}': sum(report.counts[kind] for report in reports)
+            for kind in (reports[0].counts if reports else ())}

@@ -1,0 +1,73 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Cartesian commands after validation; where frames are is looked up when they take effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from manip_sim.simulation.cartesian.frames import Frame
+from manip_sim.simulation.commands import Command
+from manip_sim.typing import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianCommand(Command):
+    """
+    A command for the ``grip_site`` of an arm, by the joints of the arm alone.
+
+    A newer command may take some of the joints; the others go on as well as they can.
+
+    :ivar arm: ``right`` or ``left``
+    """
+
+    arm: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianPose(CartesianCommand):
+    """
+    A pose that ``grip_site`` shall come to and keep.
+
+    The pose is that in the frame at the moment when the command takes effect. It stays with a link
+    that the arm does not move, such as a mobile base, and in ``world`` otherwise.
+
+    :ivar frame: of the pose
+    :ivar position: [m], shape (3,)
+    :ivar rotation: rotation matrix, shape (3, 3)
+    """
+
+    frame: Frame
+    position: FloatArray
+    rotation: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CartesianTwist(CartesianCommand):
+    """
+    A velocity of ``grip_site``, until none has come for the time-out.
+
+    :ivar frame: whose axes the numbers are for; the origin is that of ``grip_site``
+    :ivar twist: linear [m/s] and angular [rad/s], shape (6,)
+    """
+
+    frame: Frame
+    twist: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseAction(CartesianCommand):
+    """
+    An action of robosuite's controller OSC_POSE, in its default configuration.
+
+    The goal is the present measured pose of ``grip_site``, not the last goal, moved by 0.05 m and
+    turned by 0.5 rad for an action of 1, along and about the axes of the arm's site
+    ``<arm>_center``, with which it stays. The turn is a rotation vector. This is
+    ``input_type`` delta, ``input_ref_frame`` base, ``goal_update_mode`` achieved (robosuite 1.5,
+    ``controllers/parts/arm/osc.py``).
+
+    :ivar action: in [-1, 1], shape (6,)
+    """
+
+    action: FloatArray

@@ -1,0 +1,99 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Frames that Cartesian commands may refer to: the world and the links of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import CommandError, describe_choices
+from manip_sim.quoting import quoted
+from manip_sim.typing import FloatArray
+
+WORLD = 'world'
+
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    A body, or a site on it.
+
+    :ivar name: in the model
+    :ivar body: its number
+    :ivar site: the number of the site, or None
+    """
+
+    name: str
+    body: int
+    site: int | None = None
+
+    def pose(self, data: Any) -> tuple[FloatArray, FloatArray]:
+        """
+        Return position [m], shape (3,), and rotation matrix, shape (3, 3), in the world, copies.
+
+        :param data: the ``mujoco.MjData`` after ``mj_kinematics``
+        """
+        if self.site is not None:
+            return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
+        return data.xpos[self.body].copy(), data.xmat[self.body].reshape(3, 3).copy()
+
+
+class Frames:
+    """
+    The frames of a robot by name.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param bodies: names of its links
+    :param sites: names of frames on links, such as ``gripper0_right_grip_site``
+    """
+
+    def __init__(self, model: Any, bodies: Iterable[str], sites: Iterable[str]) -> None:
+        self._frames = {WORLD: Frame(WORLD, 0)}
+        for name in bodies:
+            self._frames[name] = Frame(name, int(model.body(name).id))
+        for name in sites:
+            site = int(model.site(name).id)
+            self._frames[name] = Frame(name, int(model.site_bodyid[site]), site)
+
+    def find(self, name: str, what: str) -> Frame:
+        """
+        Return a frame.
+
+        :param name: empty is ``world``
+        :param what: who asks, for the message
+        :raises CommandError: naming the nearest frames if there is none of this name
+        """
+        frame = self._frames.get(name or WORLD)
+        if frame is None:
+            raise CommandError(f'{what}: unknown frame {quoted(name)}: '
+                               f'{describe_choices(name, self._frames)}')
+        return frame
+
+
+def rotation_of(quat_wxyz: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a quaternion, shape (3, 3)."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quat_wxyz)
+    return matrix.reshape(3, 3)
+
+
+def rotation_of_vector(vector: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
+    quat_wxyz, angle = np.empty(4), float(np.linalg.norm(vector))
+    axis = vector / angle if angle > 0.0 else np.array([1.0, 0.0, 0.0])
+    mujoco.mju_axisAngle2Quat(quat_wxyz, axis, angle)
+    return rotation_of(quat_wxyz)
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Return axis times angle of a rotation matrix [rad], shape (3,)."""
+    quat_wxyz, vector = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(rotation).reshape(9))
+    mujoco.mju_quat2Vel(vector, quat_wxyz, 1.0)
+    return vector

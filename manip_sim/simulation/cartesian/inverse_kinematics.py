@@ -1,0 +1,195 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Differential inverse kinematics: which joint velocities bring a hand nearer to where it shall be.
+
+Damped least squares by singular values (Nakamura and Hanafusa 1986; the damping varies as in
+Chiaverini 1997). Nothing here knows of time, commands or MuJoCo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from manip_sim.typing import BoolArray, FloatArray
+
+#: Singular values of the Jacobian [m/rad and 1] below this are damped.
+_SINGULAR = 0.04
+#: Of a larger error a part is looked at, and braking begins as if that were all [m], [rad].
+_LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
+#: What of the acceleration limits braking may take: the path is not straight in joint space.
+_BRAKING = 0.5
+#: Rate of the approach in the end, times the interval: critical damping of x[n+1] = x[n] - T
+#: (v[n] + v[n+1]) / 2 with v[n+1] = k x[n] is at k T = 6 - 4 sqrt(2).
+_APPROACH = 6.0 - 4.0 * math.sqrt(2.0)
+_MAX_RATE = 40.0
+#: Rate at which a redundant arm goes towards its posture [1/s].
+_POSTURE_RATE = 1.0
+#: A twist is slowed down so that no joint comes to its limit sooner than this [s].
+_HORIZON_S = 0.1
+
+
+@dataclass(frozen=True)
+class JointState:
+    """
+    The joints of an arm where its setpoints are, and their limits; all of shape (n,).
+
+    :ivar position: [rad]
+    :ivar velocity: [rad/s]
+    :ivar low: lowest position, may be infinite [rad]
+    :ivar high: highest position [rad]
+    :ivar velocity_limit: [rad/s]
+    :ivar acceleration_limit: [rad/s^2]
+    :ivar posture: where a redundant arm tends to [rad]
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    low: FloatArray
+    high: FloatArray
+    velocity_limit: FloatArray
+    acceleration_limit: FloatArray
+    posture: FloatArray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """
+    Joint velocities at the end of an interval.
+
+    :ivar velocity: [rad/s], shape (n,)
+    :ivar pace: of the motion for the task, as a share of the velocity limits
+    :ivar progress: which share of the motion that is wanted the joints can make
+    :ivar held: joints that their limit keeps from doing more, shape (n,)
+    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
+    :ivar slowed: whether joint velocity limits slow a twist down
+    """
+
+    velocity: FloatArray
+    pace: float
+    progress: float
+    held: BoolArray
+    singular: bool
+    slowed: bool = False
+
+
+def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interval_s: float,
+             linear_velocity: float, angular_velocity: float) -> Solution:
+    """
+    Return the velocities that bring the hand to a pose and let it rest there.
+
+    All joints arrive together: the hand moves straight and turns about one axis, as fast as joint
+    velocity and acceleration limits and those of the hand allow.
+
+    :param jacobian: of position and rotation of the hand, shape (6, n)
+    :param error: way [m] and rotation vector [rad] to the pose, shape (6,)
+    :param interval_s: for which the velocities are [s]
+    :param linear_velocity: of the hand at most [m/s]
+    :param angular_velocity: of the hand at most [rad/s]
+    """
+    way, turn = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    part = min(1.0, _LARGEST_STEP / max(way, 1e-12), _LARGEST_TURN / max(turn, 1e-12))
+    step, drift, held, singular = _displacements(jacobian, part * error, joints)
+    rate = min(_rate(step, joints, interval_s),
+               linear_velocity / max(part * way, 1e-12),
+               angular_velocity / max(part * turn, 1e-12))
+    velocity = rate * step
+    pace = float((np.abs(velocity) / joints.velocity_limit).max())
+    return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
+                    _progress(jacobian @ step, part * error), held, singular)
+
+
+def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float
+                 ) -> Solution:
+    """
+    Return the velocities that move the hand with a twist, or slower where joints limit it.
+
+    :param jacobian: of position and rotation of the hand, shape (6, n)
+    :param twist: linear [m/s] and angular [rad/s], shape (6,)
+    :param interval_s: for which the velocities are [s]
+    """
+    step, drift, held, singular = _displacements(jacobian, _HORIZON_S * twist, joints)
+    velocity = step / _HORIZON_S
+    pace = float((np.abs(velocity) / joints.velocity_limit).max())
+    velocity = velocity / max(1.0, pace)
+    return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
+                    _progress(jacobian @ step, _HORIZON_S * twist), held, singular,
+                    slowed=pace > 1.0 + 1e-6)
+
+
+def _progress(made: FloatArray, wanted: FloatArray) -> float:
+    return float(made @ wanted) / max(float(wanted @ wanted), 1e-18)
+
+
+def stop(joints: JointState, interval_s: float) -> FloatArray:
+    """Return the velocities on the straight way to rest [rad/s], shape (n,)."""
+    return _reached(np.zeros(len(joints.velocity)), joints, interval_s)
+
+
+def _displacements(jacobian: FloatArray, task: FloatArray, joints: JointState
+                   ) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
+    """
+    Return the joint displacements for a task, and those of the null space to the posture.
+
+    Joints that would leave their range go to its end, and the others do what is left.
+    """
+    low, high = joints.low - joints.position, joints.high - joints.position
+    free = np.ones(len(low), dtype=bool)
+    step = np.zeros(len(low))
+    while True:
+        rest = task - jacobian[:, ~free] @ step[~free]
+        left, values, right = np.linalg.svd(jacobian[:, free], full_matrices=False)
+        wanted = left.T @ rest
+        step[free] = right.T @ (_damped_inverse(values) * wanted)
+        beyond = free & ((step < low) | (step > high))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(step, low, high)[beyond]
+        free &= ~beyond
+        if not free.any():
+            return step, np.zeros(len(low)), ~free, False
+    singular = bool(values[-1] < _SINGULAR / 2.0
+                    and abs(wanted[-1]) > 0.5 * np.linalg.norm(rest) + 1e-9)
+    drift = np.zeros(len(low))
+    away = (joints.posture - joints.position)[free]
+    drift[free] = away - right.T @ (right @ away)
+    return step, drift, ~free, singular
+
+
+def _damped_inverse(values: FloatArray) -> FloatArray:
+    damping = _SINGULAR**2 * np.maximum(0.0, 1.0 - (values / _SINGULAR)**2)
+    return np.asarray(values / np.maximum(values**2 + damping, 1e-12))
+
+
+def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
+    """Return how fast to go along a displacement, as a share of it per second."""
+    size = np.maximum(np.abs(step), 1e-12)
+    present = float(joints.velocity @ step) / float(size @ size)
+    # Of v at the end of the interval the way to brake is v^2 / (2 a), and until then the mean of
+    # the velocities is made, along the whole way of 1.
+    possible = float((joints.acceleration_limit / size).min())
+    limit = _BRAKING * possible
+    bend = limit * interval_s / 2.0
+    root = bend**2 + 2.0 * limit * (1.0 - present * interval_s / 2.0)
+    braking = math.sqrt(max(root, 0.0)) - bend
+    # All joints gain speed evenly, so that the way is straight from the beginning.
+    return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
+               _APPROACH / interval_s, _MAX_RATE, float((joints.velocity_limit / size).min()))
+
+
+def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
+    """Add what a redundant arm can do besides."""
+    wanted = _POSTURE_RATE * drift
+    room = joints.velocity_limit - np.abs(velocity)
+    share = float((room / np.maximum(np.abs(wanted), 1e-12)).min())
+    return velocity + min(max(share, 0.0), 1.0) * wanted
+
+
+def _reached(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
+    """Return the velocity that can be had in an interval."""
+    change = joints.acceleration_limit * interval_s
+    return np.asarray(np.clip(velocity, joints.velocity - change, joints.velocity + change))

@@ -1,0 +1,87 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Operational space control: which efforts let a hand behave like a mass on a spring and damper.
+
+After Khatib (1987): the force at the hand is its inertia as seen by the arm times the acceleration
+that is wanted, and a redundant arm is drawn to a posture by efforts that do not move the hand.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from manip_sim.simulation.cartesian.settings import CartesianSettings
+from manip_sim.typing import FloatArray
+
+#: Singular values of the Jacobian [m/rad and 1] below this are damped.
+_SINGULAR = 0.06
+#: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
+_POSTURE = 10.0
+
+
+def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, wanted: FloatArray,
+           posture_error: FloatArray, damping: float) -> FloatArray:
+    """
+    Return joint efforts beside those against gravity, damping and Coriolis forces.
+
+    The hand accelerates as damping times what it lacks of a velocity, in all six directions.
+
+    :param jacobian: of position and rotation of the hand, shape (6, n)
+    :param inertia: of the joints, shape (n, n)
+    :param velocity: of the joints [rad/s], shape (n,)
+    :param wanted: velocity of the hand, such as :func:`wanted_twist` [m/s, rad/s], shape (6,)
+    :param posture_error: way of the joints to the posture [rad], shape (n,)
+    :param damping: [1/s]
+    :returns: [N m], shape (n,)
+    """
+    acceleration = damping * (wanted - jacobian @ velocity)
+    mobility = np.linalg.solve(inertia, jacobian.T)
+    task_inertia = np.linalg.inv(jacobian @ mobility + _regular(jacobian, inertia))
+    # What is left of posture efforts once the part that moves the hand is taken away.
+    own = inertia @ (_POSTURE * posture_error - 2.0 * math.sqrt(_POSTURE) * velocity)
+    force = task_inertia @ (acceleration - mobility.T @ own)
+    return np.asarray(jacobian.T @ force + own)
+
+
+def wanted_twist(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
+                 settings: CartesianSettings, velocity_limit: FloatArray) -> FloatArray:
+    """
+    Return the velocity of the hand at which spring and damper are in balance.
+
+    It is limited to the velocities of the settings and of the joints, and to what the arm can do
+    near a singularity.
+
+    :param jacobian: of position and rotation of the hand, shape (6, n)
+    :param error: way [m] and rotation vector [rad] to where the hand shall be, shape (6,)
+    :param twist: velocity that it shall have there [m/s, rad/s], shape (6,)
+    :param velocity_limit: of the joints [rad/s], shape (n,)
+    :returns: [m/s, rad/s], shape (6,)
+    """
+    wanted = settings.stiffness / settings.damping * error
+    for half, limit in ((wanted[:3], settings.linear_velocity),
+                        (wanted[3:], settings.angular_velocity)):
+        half *= min(1.0, limit / max(float(np.linalg.norm(half)), 1e-12))
+    left, values, right = np.linalg.svd(jacobian, full_matrices=False)
+    damped = np.maximum(values**2, _SINGULAR**2)
+    parts = left.T @ (wanted + twist)
+    joints = right.T @ (values / damped * parts)
+    excess = max(1.0, float((np.abs(joints) / velocity_limit).max()))
+    return np.asarray(left @ (values**2 / damped * parts) / excess)
+
+
+def _regular(jacobian: FloatArray, inertia: FloatArray) -> FloatArray:
+    """Return what to add to the inverse inertia at the hand where it is near a singularity."""
+    squares = jacobian @ jacobian.T
+    try:
+        # The smallest singular value is no less than the root of the inverse trace.
+        if 0.0 < np.trace(np.linalg.inv(squares)) < _SINGULAR**-2:
+            return np.zeros_like(squares)
+    except np.linalg.LinAlgError:  # It is exactly singular.
+        pass
+    values, axes = np.linalg.eigh(squares)
+    damping = np.maximum(0.0, _SINGULAR**2 - np.maximum(values, 0.0))
+    return np.asarray((axes * (damping * len(inertia) / np.trace(inertia))) @ axes.T)

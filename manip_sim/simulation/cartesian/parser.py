@@ -1,0 +1,107 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Validate Cartesian commands from outside; nothing is changed here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.quaternion import xyzw_to_wxyz
+from manip_sim.simulation.cartesian.commands import CartesianPose, CartesianTwist, PoseAction
+from manip_sim.simulation.cartesian.frames import Frames, rotation_of
+from manip_sim.simulation.cartesian.settings import CartesianSettings
+from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.numbers import clamp, finite_numbers
+from manip_sim.simulation.poses import Pose, Twist
+from manip_sim.typing import FloatArray, IntArray
+
+
+class CartesianParser:
+    """
+    Makes Cartesian commands for the arms of a robot.
+
+    :param joints: controls the joints; only read
+    :param frames: of the robot
+    """
+
+    def __init__(self, joints: JointController, frames: Frames) -> None:
+        self._joints = joints
+        self._frames = frames
+
+    @property
+    def _settings(self) -> Mapping[str, CartesianSettings]:
+        return self._joints.cartesian.settings
+
+    def pose(self, arm: str, position: ArrayLike, quat_xyzw: ArrayLike, frame: str = ''
+             ) -> CartesianPose:
+        """
+        Return the command to bring ``grip_site`` of an arm to a pose.
+
+        :param position: in the frame [m]
+        :param quat_xyzw: in the frame, of length 1
+        :param frame: a link of the robot; empty is ``world``
+        :raises CommandError: if the frame is unknown, or the numbers are not those of a pose
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        found = self._frames.find(frame, f'{arm}: a target pose')
+        pose = Pose.checked(position, quat_xyzw)
+        return CartesianPose(
+            parts=self._joints.parts_of(indices), indices=indices, arm=arm, frame=found,
+            position=pose.position, rotation=rotation_of(xyzw_to_wxyz(pose.quat_xyzw)))
+
+    def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
+              ) -> CartesianTwist:
+        """
+        Return the command of a velocity of ``grip_site`` of an arm.
+
+        What is faster than the settings allow is slowed down, in its direction, and counted.
+
+        :param linear: [m/s]
+        :param angular: [rad/s]
+        :param frame: along and about whose axes; empty is ``world``
+        :raises CommandError: if the frame is unknown, or a number is not finite or absurd
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        found = self._frames.find(frame, f'{arm}: a target twist')
+        twist = Twist.checked(linear, angular)
+        settings = self._settings[arm]
+        halves = [_shortened(twist.linear, settings.linear_velocity),
+                  _shortened(twist.angular, settings.angular_velocity)]
+        return CartesianTwist(
+            parts=self._joints.parts_of(indices), indices=indices, arm=arm, frame=found,
+            twist=np.concatenate([vector for vector, _ in halves]),
+            clamped=sum(clamped for _, clamped in halves))
+
+    def action(self, arm: str, action: ArrayLike) -> PoseAction:
+        """
+        Return the command of an action of robosuite's OSC_POSE.
+
+        :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z
+        :raises CommandError: if the length is wrong or a number is not finite
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        indices = self._indices_of(arm)
+        numbers = finite_numbers(action, 6, f'{arm}: a pose action')
+        inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
+        return PoseAction(parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+                          action=inside, clamped=clamped)
+
+    def _indices_of(self, arm: str) -> IntArray:
+        if arm not in self._settings:
+            raise UnknownNameError('arm with a gripper', arm, self._settings)
+        return self._joints.indices_of(arm)
+
+
+def _shortened(vector: FloatArray, limit: float) -> tuple[FloatArray, int]:
+    """Return a vector that is no longer than a limit, and how many of its numbers changed."""
+    length = float(np.linalg.norm(vector))
+    if length <= limit:
+        return vector, 0
+    return vector * (limit / length), int(np.count_nonzero(vector))

@@ -1,0 +1,92 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What keeps the hand of an arm from where it shall be: counted, and told in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import math
+
+import numpy as np
+
+from manip_sim.simulation.cartesian.inverse_kinematics import Solution
+from manip_sim.typing import FloatArray
+
+#: What is farther from its target [m, rad] and does not come nearer for a while [s], by this share
+#: of the motion that is wanted, is out of reach.
+_MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
+_STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
+
+
+@dataclass
+class CartesianReport:
+    """
+    What keeps a hand from where it should be, counted when it begins.
+
+    :ivar arm: whose hand
+    :ivar unreachable: targets that were not reached
+    :ivar joint_limit: how often the range of a joint shortened a motion
+    :ivar singular: how often the hand could hardly move where it should
+    :ivar slowed: how often joint velocity limits slowed a twist down
+    :ivar texts: what happened last, in words, by counter
+    """
+
+    arm: str
+    unreachable: int = 0
+    joint_limit: int = 0
+    singular: int = 0
+    slowed: int = 0
+    texts: dict[str, str] = field(default_factory=dict)
+    _active: set[str] = field(default_factory=set)
+    #: When the hand was looked at last, and since when it has come no nearer to its target.
+    _seen_s: float = -math.inf
+    _stalled_s: float = 0.0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often what happened."""
+        return {kind: getattr(self, kind)
+                for kind in ('unreachable', 'joint_limit', 'singular', 'slowed')}
+
+    def see_motion(self, solution: Solution, what: str, held: Sequence[str]) -> None:
+        """
+        See what limits a motion.
+
+        :param what: the motion, in words
+        :param held: names of the joints that are at the end of their range
+        """
+        self._note('joint_limit', bool(held),
+                   f'{what} is limited by the range of {", ".join(held)}')
+        self._note('singular', solution.singular,
+                   f'{what} leads to a singularity, where the hand hardly moves')
+        self._note('slowed', solution.slowed,
+                   f'{what} is slowed down to keep to the velocity limits of the joints')
+
+    def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:
+        """
+        See whether the hand comes nearer to its target; a stream of targets is one.
+
+        :param error: way [m] and rotation vector [rad] to the target, shape (6,)
+        :param progress: share of the motion that is wanted that is made
+        :param now_s: simulation time [s]
+        """
+        first = now_s - self._seen_s > _STALLED_S
+        if first or progress > _STALLED_PROGRESS or (np.abs(error) <= _MISSED).all():
+            self._stalled_s = now_s
+        self._seen_s = now_s
+        causes = ''.join(f', {text}' for kind, text in (
+            ('joint_limit', 'a joint is at the end of its range'),
+            ('singular', 'the arm is at a singularity')) if kind in self._active)
+        self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,
+                   f'the target is not reached, {np.linalg.norm(error[:3]):.3f} m and '
+                   f'{np.linalg.norm(error[3:]):.3f} rad are left{causes}')
+
+    def _note(self, kind: str, active: bool, text: str) -> None:
+        if not active:
+            self._active.discard(kind)
+        elif kind not in self._active:
+            self._active.add(kind)
+            setattr(self, kind, getattr(self, kind) + 1)
+            self.texts[kind] = f'{self.arm}: {text}'

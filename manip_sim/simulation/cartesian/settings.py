@@ -1,0 +1,49 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What may be set of the Cartesian control of an arm, also while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+import math
+
+from manip_sim.errors import CommandError, UnknownNameError
+
+
+@dataclass(frozen=True)
+class CartesianSettings:
+    """
+    Settings of an arm; stiffness and damping are those of effort mode.
+
+    :ivar stiffness: acceleration of ``grip_site`` per error, robosuite's kp [1/s^2]
+    :ivar damping_ratio: 1 is critical damping
+    :ivar linear_velocity: of ``grip_site`` at most [m/s]
+    :ivar angular_velocity: of ``grip_site`` at most [rad/s]
+    :ivar twist_timeout: without a newer twist for so long the hand stops, simulation time [s]
+    """
+
+    stiffness: float = 150.0
+    damping_ratio: float = 1.0
+    linear_velocity: float = 1.0
+    angular_velocity: float = 3.2
+    twist_timeout: float = 0.1
+
+    @property
+    def damping(self) -> float:
+        """Acceleration of ``grip_site`` per velocity [1/s]."""
+        return 2.0 * math.sqrt(self.stiffness) * self.damping_ratio
+
+    def changed(self, name: str, value: float) -> CartesianSettings:
+        """
+        Return settings of which one has another value.
+
+        :raises CommandError: if the value is not positive and finite
+        :raises UnknownNameError: if there is no such setting
+        """
+        names = [field.name for field in fields(self)]
+        if name not in names:
+            raise UnknownNameError('Cartesian setting', name, names)
+        if not 0.0 < value < math.inf:
+            raise CommandError(f'{name} must be positive and finite, got {value}')
+        return replace(self, **{name: value})

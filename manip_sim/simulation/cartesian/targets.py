@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where the hand of an arm shall be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import numpy as np
+
+from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
+from manip_sim.typing import FloatArray, IntArray
+
+#: How far a goal that a twist moves may be ahead of the hand [m], [rad].
+_LEAD, _TURN_LEAD = 0.05, 0.3
+
+
+@dataclass(frozen=True)
+class Hand:
+    """
+    The hand of an arm.
+
+    :ivar tip: its ``grip_site``
+    :ivar origin: what the arm is mounted on, ``<arm>_center`` where that is there
+    :ivar qpos: addresses of the arm's joints in ``qpos``, shape (n,)
+    """
+
+    tip: Frame
+    origin: Frame
+    qpos: IntArray
+
+
+@dataclass
+class Target:
+    """
+    A goal pose, or a twist that moves it.
+
+    :ivar anchor: frame that the goal stays with
+    :ivar position: of the goal in the anchor [m], shape (3,)
+    :ivar rotation: of the goal in the anchor, shape (3, 3)
+    :ivar axes: frame of the twist
+    :ivar twist: in those axes [m/s, rad/s], shape (6,), or None
+    :ivar until_s: simulation time when the twist ends [s]
+    :ivar solve_s: simulation time of the next solution [s]
+    :ivar settled_in: where what carries the arm was when it came to rest, or None
+    """
+
+    anchor: Frame
+    position: FloatArray
+    rotation: FloatArray
+    axes: Frame
+    twist: FloatArray | None = None
+    until_s: float = math.inf
+    solve_s: float = -math.inf
+    settled_in: FloatArray | None = None
+
+    @classmethod
+    def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: Any) -> Target:
+        """
+        Return the target of a pose, which stays with a frame.
+
+        :param position: in the world [m], shape (3,)
+        :param rotation: in the world, shape (3, 3)
+        """
+        target = cls(anchor, position, rotation, anchor)
+        target.stay_at((position, rotation), data)
+        return target
+
+    def stay_at(self, pose: tuple[FloatArray, FloatArray], data: Any) -> None:
+        """
+        Put the goal somewhere else.
+
+        :param pose: position [m] and rotation matrix in the world
+        """
+        origin, turned = self.anchor.pose(data)
+        self.position, self.rotation = turned.T @ (pose[0] - origin), turned.T @ pose[1]
+
+    def goal(self, data: Any) -> tuple[FloatArray, FloatArray]:
+        """Return position [m] and rotation of the goal in the world."""
+        origin, turned = self.anchor.pose(data)
+        return origin + turned @ self.position, turned @ self.rotation
+
+    def twist_in_world(self, data: Any) -> FloatArray:
+        """Return the twist in the axes of the world [m/s, rad/s], shape (6,)."""
+        if self.twist is None:
+            return np.zeros(6)
+        _, axes = self.axes.pose(data)
+        return np.concatenate([axes @ self.twist[:3], axes @ self.twist[3:]])
+
+    def move(self, data: Any, tip: Frame, twist: FloatArray, duration_s: float) -> None:
+        """
+        Move the goal with a twist, not far ahead of the hand.
+
+        :param twist: in the world [m/s, rad/s], shape (6,)
+        :param duration_s: [s]
+        """
+        position, rotation = self.goal(data)
+        here, turned = tip.pose(data)
+        ahead = _bounded(position + duration_s * twist[:3] - here, _LEAD)
+        turn = rotation_vector(rotation_of_vector(duration_s * twist[3:]) @ rotation @ turned.T)
+        self.stay_at((here + ahead, rotation_of_vector(_bounded(turn, _TURN_LEAD)) @ turned), data)
+
+
+def _bounded(vector: FloatArray, limit: float) -> FloatArray:
+    return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-12))
+
+
+def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, FloatArray]
+               ) -> FloatArray:
+    """Return way [m] and rotation vector [rad] from a pose to another in the world, shape (6,)."""
+    return np.concatenate([goal[0] - here[0], rotation_vector(goal[1] @ here[1].T)])

@@ -1,0 +1,92 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Cartesian commands in lockstep, and of several robots."""
+
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from harness import Client, Served
+
+LOCKSTEP = {'stepping': 'lockstep', 'robot': 'UR5e'}
+
+
+def twist(y):
+    message = TwistStamped()
+    message.twist.linear.y = y
+    return message
+
+
+def test_settings_are_taken_at_the_start_for_each_robot(serve):
+    node = serve(robots=['one', 'two'], one__robot='UR5e', two__robot='Panda',
+                 one__cartesian__right__stiffness=20.0, start_paused=True)
+    one, two = (robot.joints.cartesian.settings['right']
+                for robot in node.simulation.robots.values())
+    assert (one.stiffness, two.stiffness) == (20.0, 150.0)
+    assert [topic for topic, _ in node.get_topic_names_and_types()
+            if topic.endswith('pose_command')] == [
+                '/one/right/pose_command', '/two/right/pose_command']
+
+
+def drive(node, client):
+    """Answer twenty states, first with twists and then with poses."""
+    poses = client.listen(PoseStamped, 'right/eef_pose')
+    client.publisher(TwistStamped, 'right/target_twist')
+    client.publisher(PoseStamped, 'right/target_pose')
+    for number in range(20):
+        client.spin_until(lambda n=number: any(p.header.stamp.nanosec == 10_000_000 * (n + 1)
+                                               for p in poses))
+        if number < 10:
+            answer, topic = twist(0.1), 'right/target_twist'
+        else:
+            answer, topic = PoseStamped(pose=poses[-1].pose), 'right/target_pose'
+            answer.pose.position.z += 0.01
+        answer.header.stamp.nanosec = 10_000_000 * (number + 1)
+        client.publish(topic, answer)
+    client.spin_until(lambda: node.simulation.step_count == 105)
+
+
+def test_in_lockstep_a_cartesian_command_is_the_command_of_its_arm(serve, client):
+    node = serve(**LOCKSTEP)
+    drive(node, client)
+    state = node.simulation.robot.state().position.tobytes()
+    log, statistics = client.log(), node.commands[0].statistics['arm']
+    stale = twist(0.1)
+    stale.header.stamp.nanosec = 10_000_000
+    client.publish('right/target_twist', stale)
+    client.spin_until(lambda: statistics.refused == 1)
+    client.spin_until(lambda: any('the command answers the state of 0.010' in line
+                                  for line in log))
+    assert node.simulation.step_count == 105
+    assert node.simulation.robot.state().position.tobytes() == state
+
+
+def test_in_lockstep_the_same_commands_give_the_same_bits():
+    states = []
+    for _ in range(2):
+        served, client = Served(LOCKSTEP), Client()
+        drive(served.node, client)
+        states.append(served.node.simulation.data.qpos.tobytes())
+        client.close()
+        served.close()
+    assert states[0] == states[1]
+
+
+def test_the_policy_of_the_document_lifts_the_hand(serve, client):
+    document = (Path(__file__).resolve().parents[2] / 'docs' / 'cartesian.md').read_text()
+    script = next(block for block in re.findall(r'```python\n(.*?)```', document, re.DOTALL)
+                  if 'rclpy.spin' in block)
+    serve(arena='table', publish_rate=20.0, control_mode__arm='effort', stepping='lockstep',
+          lockstep_parts=['arm', 'right/gripper'])
+    poses = client.listen(PoseStamped, 'right/eef_pose')
+    client.spin_until(lambda: bool(poses))
+    policy = subprocess.Popen([sys.executable, '-c', script])
+    try:
+        client.spin_until(
+            lambda: poses[-1].pose.position.z > poses[0].pose.position.z + 0.05)
+    finally:
+        policy.terminate()
+        policy.wait(timeout=10.0)

@@ -1,0 +1,157 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Cartesian commands over topics, with one node for most tests."""
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from harness import Client, Served
+import numpy as np
+import pytest
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+
+@pytest.fixture(scope='module')
+def served():
+    """Return a node that runs as fast as it can, for all tests of this module."""
+    served = Served({'stepping': 'free', 'robot': 'UR5e'})
+    yield served.node
+    served.close()
+
+
+@pytest.fixture(scope='module')
+def hand(served):
+    """Return a client of the node that sees where the hand is."""
+    hand = Hand()
+    yield hand
+    hand.client.close()
+
+
+class Hand:
+    """What a client sees and commands of the right hand."""
+
+    def __init__(self):
+        self.client = Client()
+        self.log = self.client.log()
+        self.poses = self.client.listen(PoseStamped, 'right/eef_pose')
+        self.twists = self.client.listen(TwistStamped, 'right/eef_twist')
+        self.diagnostics = self.client.listen(DiagnosticArray, '/diagnostics')
+        self.client.spin_until(lambda: self.poses and self.twists and self.diagnostics)
+
+    @property
+    def position(self):
+        point = self.poses[-1].pose.position
+        return np.array([point.x, point.y, point.z])
+
+    @property
+    def velocity(self):
+        linear = self.twists[-1].twist.linear
+        return np.array([linear.x, linear.y, linear.z])
+
+    def pose(self, offset=(0.0, 0.0, 0.0), frame='world', like=None):
+        """Return a message for a pose beside one of the hand."""
+        message = like or self.poses[-1]
+        pose = PoseStamped(pose=message.pose)
+        point = message.pose.position
+        pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = (
+            float(value) for value in np.array([point.x, point.y, point.z]) + offset)
+        pose.header.frame_id = frame
+        return pose
+
+    def status(self):
+        """Return the diagnostic values of the arm."""
+        return {pair.key: pair.value for status in self.diagnostics[-1].status
+                if status.name == 'manip_sim: arm' for pair in status.values}
+
+
+def twist(x=0.0, y=0.0, z=0.0, frame=''):
+    message = TwistStamped()
+    message.header.frame_id = frame
+    message.twist.linear.x, message.twist.linear.y, message.twist.linear.z = x, y, z
+    return message
+
+
+def test_a_target_pose_is_reached(hand):
+    goal = hand.position + [0.05, 0.08, 0.05]
+    hand.client.publish('right/target_pose', hand.pose((0.05, 0.08, 0.05)))
+    hand.client.spin_until(lambda: np.abs(hand.position - goal).max() < 1e-3)
+
+
+def test_target_twists_move_the_hand_until_they_stop(hand):
+    def streams():
+        hand.client.publish('right/target_twist', twist(z=-0.03))
+        return abs(hand.velocity[2] + 0.03) < 1e-3 and np.abs(hand.velocity[:2]).max() < 1e-3
+    hand.client.spin_until(streams)
+    hand.client.spin_until(lambda: np.abs(hand.velocity).max() < 1e-4)
+
+
+def test_a_pose_action_moves_the_hand_by_five_centimetres(hand):
+    start = hand.position
+    hand.client.publish('right/pose_command',
+                        Float64MultiArray(data=[0.0, -1.0, 0.0, 0.0, 0.0, 0.0]))
+    hand.client.spin_until(
+        lambda: np.abs(hand.position - start - [0.0, -0.05, 0.0]).max() < 1e-3)
+
+
+@pytest.mark.parametrize(('topic', 'message', 'what'), [
+    ('right/pose_command', Float64MultiArray(data=[0.0] * 5), 'must have 6 numbers, got 5'),
+    ('right/pose_command', Float64MultiArray(data=[math.nan] + [0.0] * 5), 'must be finite'),
+    ('right/target_twist', twist(frame='tool0'), "unknown frame 'tool0'"),
+    ('right/target_twist', twist(x=math.inf), 'linear velocity must be finite'),
+    ('right/target_pose', PoseStamped(), None),
+    ('right/target_pose', 'zero', 'of length 0'),
+    ('right/target_pose', 'nan', 'position must be finite')])
+def test_what_is_refused_changes_nothing_and_is_told(topic, message, what, hand, served):
+    if isinstance(message, str):
+        kind, message = message, hand.pose()
+        if kind == 'zero':
+            turn = message.pose.orientation
+            turn.x = turn.y = turn.z = turn.w = 0.0
+        else:
+            message.pose.position.y = math.nan
+    statistics = served.commands[0].statistics['arm']
+    refused, accepted = statistics.refused, statistics.accepted
+    hand.client.publish(topic, message)
+    if what is None:
+        # A message of zeros has the unit quaternion and is the origin of the world.
+        hand.client.spin_until(lambda: statistics.accepted == accepted + 1)
+        hand.client.call(Trigger, 'manip_sim/reset')
+        return
+    hand.client.spin_until(lambda: statistics.refused == refused + 1)
+    assert statistics.accepted == accepted
+    hand.client.spin_until(lambda: any(what in line and topic in line for line in hand.log))
+
+
+def test_clamps_and_targets_out_of_reach_are_counted_and_told(hand, served):
+    clamped = served.commands[0].statistics['arm'].clamped
+    hand.client.publish('right/target_twist', twist(x=3.0))
+    hand.client.spin_until(lambda: served.commands[0].statistics['arm'].clamped == clamped + 1)
+    hand.client.publish('right/target_pose', hand.pose((3.0, 0.0, 0.0)))
+    hand.client.spin_until(lambda: int(hand.status()['cartesian_unreachable']) >= 1)
+    hand.client.spin_until(lambda: any('right: the target is not reached' in line
+                                       for line in hand.log))
+    assert int(hand.status()['clamped']) == clamped + 1
+    hand.client.call(Trigger, 'manip_sim/reset')
+
+
+def test_stiffness_and_limits_are_live_parameters_with_unit_and_range(hand, served):
+    name = 'cartesian.right.stiffness'
+    (descriptor,) = hand.client.call(DescribeParameters, 'manip_sim/describe_parameters',
+                                     DescribeParameters.Request(names=[name])).descriptors
+    assert '[1/s^2]' in descriptor.description and not descriptor.read_only
+    assert (descriptor.floating_point_range[0].from_value,
+            descriptor.floating_point_range[0].to_value) == (1.0, 1000.0)
+
+    def set_to(value):
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return hand.client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
+    assert set_to(300.0).successful
+    assert served.simulation.robot.joints.cartesian.settings['right'].stiffness == 300.0
+    assert 'out of range' in set_to(0.0).reason
+    assert served.simulation.robot.joints.cartesian.settings['right'].stiffness == 300.0

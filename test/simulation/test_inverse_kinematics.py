@@ -1,0 +1,140 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Differential inverse kinematics alone, on arms that are so simple that the answer is known."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.simulation.cartesian.frames import Frames
+from manip_sim.simulation.cartesian.inverse_kinematics import (
+    approach, follow_twist, JointState, stop)
+
+#: A gantry: each joint moves the hand along or about one axis.
+GANTRY = np.eye(6)
+
+
+def joints(position, velocity=None, low=-np.inf, high=np.inf, posture=None):
+    count = len(position)
+    return JointState(
+        np.array(position, dtype=float), np.zeros(count) if velocity is None else velocity,
+        np.full(count, low), np.full(count, high), np.full(count, 1.0), np.full(count, 4.0),
+        np.array(position if posture is None else posture, dtype=float))
+
+
+def drive(goal, interval_s, seconds, position=None, velocity=None, **limits):
+    """Return positions and velocities of the gantry on its way, as setpoints ramp."""
+    position = np.zeros(6) if position is None else position
+    velocity = np.zeros(6) if velocity is None else velocity
+    trace = [(position, velocity)]
+    for _ in range(round(seconds / interval_s)):
+        solution = approach(GANTRY, goal - position, joints(position, velocity, **limits),
+                            interval_s, 10.0, 10.0)
+        position = position + (velocity + solution.velocity) / 2.0 * interval_s
+        velocity = solution.velocity
+        trace.append((position, velocity))
+    return (np.array(values) for values in zip(*trace))
+
+
+@pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
+def test_the_way_is_straight_without_overshoot_and_within_limits(interval_s):
+    goal = np.array([0.3, -0.1, 0.0, 0.2, 0.0, 0.05])
+    position, velocity = drive(goal, interval_s, 4.0)
+    np.testing.assert_allclose(position[-1], goal, atol=1e-6)
+    assert np.abs(velocity).max() <= 1.0 + 1e-9
+    assert np.abs(np.diff(velocity, axis=0)).max() <= 4.0 * interval_s * 1.0001
+    assert position[:, 0].max() <= 0.3 + 1e-6
+    np.testing.assert_allclose(position, np.outer(position[:, 0] / 0.3, goal), atol=1e-9)
+
+
+def test_the_way_takes_little_longer_than_the_shortest():
+    position, velocity = drive(np.array([0.09, 0, 0, 0, 0, 0.0]), 0.01, 3.0)
+    # Up with the limit of 4, down with half of it: v^2 / 8 + v^2 / 4 = 0.09.
+    assert velocity.max() == pytest.approx(np.sqrt(0.09 / (1 / 8 + 1 / 4)), rel=0.06)
+    near = np.flatnonzero(position[:, 0] > 0.09 - 1e-3)[0] * 0.01
+    assert near < velocity.max() / 4.0 + velocity.max() / 2.0 + 0.1
+
+
+def test_a_joint_in_motion_brakes_and_comes_back():
+    position, velocity = drive(np.zeros(6), 0.01, 3.0, velocity=np.array([0.9, 0, 0, 0, 0, 0]))
+    # v^2 / (2 a), and an interval until the first answer counts.
+    assert 0.9**2 / 8.0 - 1e-3 <= position[:, 0].max() < 0.9**2 / 8.0 + 0.005
+    np.testing.assert_allclose(position[-1], 0.0, atol=1e-6)
+
+
+def test_a_joint_at_its_limit_is_held_and_another_does_its_part():
+    # Two joints move the hand along x, the first has come to its end.
+    jacobian = np.zeros((6, 2))
+    jacobian[0] = [1.0, 0.5]
+    state = JointState(np.array([1.0, 0.0]), np.zeros(2), np.array([-1.0, -1.0]),
+                       np.array([1.0, 1.0]), np.ones(2), np.full(2, 1e3), np.array([1.0, 0.0]))
+    solution = follow_twist(jacobian, np.array([0.1, 0, 0, 0, 0, 0]), state, 0.01)
+    np.testing.assert_allclose(solution.velocity, [0.0, 0.2], atol=1e-9)
+    np.testing.assert_array_equal(solution.held, [True, False])
+    assert solution.progress == pytest.approx(1.0)
+    away = follow_twist(jacobian, np.array([-0.1, 0, 0, 0, 0, 0]), state, 0.01)
+    assert not away.held.any()
+    np.testing.assert_allclose(jacobian[0] @ away.velocity, -0.1)
+
+
+def test_joints_that_are_all_at_their_ends_give_nothing():
+    jacobian = np.zeros((6, 1))
+    jacobian[0] = 1.0
+    state = joints([1.0], high=1.0)
+    solution = follow_twist(jacobian, np.array([0.1, 0, 0, 0, 0, 0]), state, 0.01)
+    np.testing.assert_array_equal(solution.velocity, [0.0])
+    assert solution.held.all() and solution.progress == 0.0
+
+
+@pytest.mark.parametrize('small', [0.0, 1e-9, 1e-3, 0.01, 0.03])
+def test_near_a_singularity_velocities_stay_bounded(small):
+    jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, small])
+    state = joints([0.0] * 6)
+    error = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.1])
+    solution = approach(jacobian, error, state, 0.01, 1.0, 1.0)
+    assert np.isfinite(solution.velocity).all()
+    assert np.abs(solution.velocity).max() <= 1.0
+    assert solution.singular == (small < 0.02)
+    # As it does where the other direction is free: up with the acceleration limit.
+    assert solution.velocity[0] > (0.01 if small < 2e-3 else 1e-3)
+
+
+def test_a_twist_that_is_too_fast_is_slowed_down_in_its_direction():
+    state = joints([0.0] * 6)
+    state = JointState(state.position, np.array([1.0, 0.5, 0, 0, 0, 0]), state.low, state.high,
+                       state.velocity_limit, state.acceleration_limit, state.posture)
+    solution = follow_twist(GANTRY, np.array([4.0, 2.0, 0, 0, 0, 0]), state, 0.01)
+    assert solution.slowed
+    np.testing.assert_allclose(solution.velocity, [1.0, 0.5, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_what_is_left_free_goes_to_the_posture_and_does_not_move_the_hand():
+    # The first and the last of seven joints both move the hand along x.
+    jacobian = np.hstack([np.eye(6), np.eye(6)[:, :1]])
+    state = JointState(np.zeros(7), np.zeros(7), np.full(7, -9.0), np.full(7, 9.0), np.ones(7),
+                       np.full(7, 1e3), np.array([0.4, 0.7, 0, 0, 0, 0, -0.4]))
+    solution = approach(jacobian, np.zeros(6), state, 0.01, 1.0, 1.0)
+    np.testing.assert_allclose(solution.velocity, [0.4, 0, 0, 0, 0, 0, -0.4], atol=1e-12)
+
+
+def test_a_frame_is_a_body_or_a_site_that_is_turned_on_it():
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><worldbody><body name="link" pos="1 2 3" euler="0 0 90"><geom size="1"/>
+        <site name="tip" pos="0.5 0 0" euler="90 0 0"/></body></worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    frames = Frames(model, ['link'], ['tip'])
+    position, rotation = frames.find('tip', 'a test').pose(data)
+    np.testing.assert_allclose(position, [1.0, 2.5, 3.0], atol=1e-12)
+    np.testing.assert_allclose(rotation, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    position, rotation = frames.find('link', 'a test').pose(data)
+    np.testing.assert_allclose(position, [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    position, rotation = frames.find('', 'a test').pose(data)
+    np.testing.assert_array_equal(rotation, np.eye(3))
+
+
+def test_a_stop_brakes_with_the_limit():
+    state = joints([0.0] * 6, np.array([0.5, -0.01, 0, 0, 0, 0]))
+    np.testing.assert_allclose(stop(state, 0.01), [0.46, 0.0, 0, 0, 0, 0])

@@ -1,0 +1,158 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Hands in effort mode against closed forms, and what actions of robosuite's OSC_POSE mean."""
+
+from hands import distance, hand_of, turned
+import mujoco
+import numpy as np
+import pytest
+
+
+def base_axes(op):
+    """Return the axes of the arm's mount in the world."""
+    name = f'robot0_{op.arm}_center'
+    return op.simulation.data.site(name).xmat.reshape(3, 3).copy()
+
+
+def settle(op):
+    """Hold the hand where it is until all rests."""
+    op.go_to(op.pose)
+    op.run(1.0)
+
+
+@pytest.mark.parametrize(('stiffness', 'ratio'), [(150.0, 1.0), (400.0, 1.0), (150.0, 2.0)])
+def test_the_hand_moves_as_spring_and_damper_say(stiffness, ratio):
+    op = hand_of('Panda', mode='effort', timestep_s=0.001)
+    op.robot.joints.cartesian.set('right', 'stiffness', stiffness)
+    op.robot.joints.cartesian.set('right', 'damping_ratio', ratio)
+    settle(op)
+    start, rotation = op.pose
+    step = np.array([0.0, 0.02, -0.01])
+    op.go_to((start + step, rotation))
+    shares = []
+    for _ in range(40):
+        op.run(0.01)
+        shares.append((op.pose[0] - start) @ step / (step @ step))
+    time, rate = 0.01 * np.arange(1, 41), np.sqrt(stiffness)
+    if ratio == 1.0:
+        expected = 1.0 - (1.0 + rate * time) * np.exp(-rate * time)
+    else:
+        root = np.sqrt(ratio**2 - 1.0)
+        fast, slow = rate * (ratio + root), rate * (ratio - root)
+        expected = 1.0 - (fast * np.exp(-slow * time) - slow * np.exp(-fast * time)) / (
+            fast - slow)
+    np.testing.assert_allclose(shares, expected, atol=0.03)
+    assert distance(op.pose, (start, rotation))[1] < 2e-3
+
+
+@pytest.mark.parametrize('stiffness', [100.0, 300.0])
+def test_a_force_moves_the_hand_by_what_stiffness_and_inertia_say(stiffness):
+    op = hand_of('IIWA', mode='effort')
+    op.robot.joints.cartesian.set('right', 'stiffness', stiffness)
+    settle(op)
+    model, data, start = op.simulation.model, op.simulation.data, op.pose
+    force = np.array([0.0, 20.0, 0.0])
+    body = int(model.site_bodyid[op.site])
+
+    def push():
+        data.xfrc_applied[body, :3] = force
+        data.xfrc_applied[body, 3:] = np.cross(
+            data.site_xpos[op.site] - data.xipos[body], force)
+    op.run(3.0, push)
+    jacobian, inertia = np.zeros((6, model.nv)), np.zeros((model.nv, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], op.site)
+    for dof in range(model.nv):
+        mujoco.mj_mulM(model, data, inertia[dof], np.eye(model.nv)[dof])
+    dofs = op.part.dof_addresses
+    arm = jacobian[:, dofs]
+    mobility = arm @ np.linalg.solve(inertia[np.ix_(dofs, dofs)], arm.T)
+    expected = mobility[:, 1] * 20.0 / stiffness
+    moved = op.pose[0] - start[0]
+    np.testing.assert_allclose(moved, expected[:3], atol=0.03 * np.abs(expected[:3]).max())
+    assert 0.001 < moved[1] < 0.2
+
+
+def test_the_weight_is_carried_also_without_gravity_compensation():
+    op = hand_of('Panda', mode='effort', gravity_compensation=False)
+    goal = op.reachable(0.2)
+    op.run_until_done([op.go_to(goal)])
+    op.run(0.5)
+    assert max(distance(op.pose, goal)) < 1e-3
+
+
+def test_a_redundant_arm_is_drawn_to_its_posture_and_comes_to_rest():
+    op = hand_of('Kinova3', mode='effort')
+    start = op.robot.state().position[:7]
+    op.go_to(op.pose)
+    # A push at the elbow, which lets the hand where it is.
+    elbow = op.simulation.model.joint(op.part.joints[3]).bodyid[0]
+    op.simulation.data.xfrc_applied[elbow, 1] = 30.0
+    op.run(1.0)
+    pushed = op.robot.state().position[:7]
+    assert np.abs(pushed - start).max() > 0.05
+    op.simulation.data.xfrc_applied[:] = 0.0
+    op.run(3.0)
+    np.testing.assert_allclose(op.robot.state().position[:7], start, atol=0.01)
+    assert np.abs(op.simulation.data.qvel[op.part.dof_addresses]).max() < 0.01
+
+
+@pytest.mark.parametrize('stepping', [(0.002, 0.01), (0.01, 0.05)])
+def test_the_stiffest_setting_is_stable(stepping):
+    timestep_s, period_s = stepping
+    op = hand_of('UR5e', mode='effort', timestep_s=timestep_s, period_s=period_s)
+    op.robot.joints.cartesian.set('right', 'stiffness', 1000.0)
+    goal = op.reachable(0.2)
+    op.run_until_done([op.go_to(goal)])
+    op.run(0.5)
+    assert max(distance(op.pose, goal)) < 1e-3
+    assert op.simulation.diverged is None
+
+
+@pytest.mark.parametrize('name', ['Panda', 'Baxter', 'GR1'])
+@pytest.mark.parametrize('mode', ['position', 'effort'])
+def test_an_action_of_one_moves_the_goal_by_five_centimetres_in_one_period(name, mode):
+    op = hand_of(name, mode=mode, period_s=0.05)
+    start, axes = op.pose, base_axes(op)
+    op.act(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    op.run(0.05)
+    way, turn = distance(op.goal, (start[0] + axes @ [0.05, 0.0, 0.0], start[1]))
+    # GR1's waist gives way a little, and the goal goes with it.
+    assert way < 1e-3 and turn < 1e-3
+    op.run(1.5)
+    assert distance(op.pose, op.goal)[0] < 1e-3
+
+
+def test_an_action_turns_about_the_axes_of_the_base():
+    op = hand_of('Baxter', 'left', period_s=0.05)
+    start, axes = op.pose, base_axes(op)
+    op.act(0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    op.run(1.5)
+    expected = axes @ turned([0.0, 1.0, 0.0], 0.5) @ axes.T @ start[1]
+    way, turn = distance(op.pose, (start[0], expected))
+    assert way < 1e-3 and turn < 1e-3
+
+
+def test_the_next_action_begins_where_the_hand_is_and_not_at_the_last_goal():
+    op = hand_of('Panda', mode='effort', period_s=0.05)
+    start = op.pose[0]
+    op.act(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    op.run(0.05)
+    here = op.pose[0]
+    assert 0.0 < here[1] - start[1] < 0.03
+    op.act(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(op.goal[0], here + [0.0, 0.05, 0.0], atol=1e-12)
+    # Zero is a stop.
+    op.act(*[0.0] * 6)
+    np.testing.assert_allclose(op.goal[0], here, atol=1e-12)
+
+
+def test_a_goal_of_an_action_goes_with_the_base():
+    op = hand_of('PandaOmron', period_s=0.05)
+    op.robot.set_control_mode('base', 'velocity')
+    op.act(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    op.run(1.0)
+    before = op.goal[0]
+    op.run(1.0, lambda: op.robot.apply(op.robot.parse.twist(0.2, 0.0, 0.0), period_s=0.05))
+    np.testing.assert_allclose(op.goal[0] - before, [0.2, 0.0, 0.0], atol=0.02)
+    assert distance(op.pose, op.goal)[0] < 5e-3
