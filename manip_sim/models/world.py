@@ -40,7 +40,8 @@ class World:
     :param timestep_s: of the physics [s], a whole number of nanoseconds
     :param gravity_compensation: let the joints' actuators carry the weight of all links and
         grippers, as the controller of a real arm does; it counts as actuator force. A robot
-        whose root has a free joint falls and stands by its own weight and has none
+        whose root has a free joint falls and stands by its own weight and has none in the model;
+        :class:`Simulation` lets its arms, torso and head carry what hangs on them
     :param objects: free bodies, as for :func:`create_objects`; they come after those of the arena
     :param initialization_noise: added to the start of the robots' own joints, see
         :class:`InitializationNoise`; None for none

@@ -105,7 +105,7 @@ class Servos:
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
         model.actuator_ctrllimited[ids] = 0
-        self._compensated = bool(model.body_gravcomp[model.jnt_bodyid[joint_ids]].all())
+        self._compensated = model.body_gravcomp[model.jnt_bodyid[joint_ids]] > 0.0
         self._set_gains(np.arange(len(ids)))
 
     def _soften(self) -> None:
@@ -236,9 +236,8 @@ class Servos:
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
         force += self._friction * np.clip(velocity / _SLIDING, -1.0, 1.0)
-        if self._compensated:
-            # The bias force less the weight, which the actuators carry already.
-            force += data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs]
+        # The bias force less the weight, which the actuators carry already.
+        force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
         goal = (position + force / self._stiffness) * self._gear
         here = data.act[self._activation]
         data.ctrl[self._ids] = np.where(self._gives_effort, 0.0, (goal - here) / duration_s)

@@ -15,6 +15,7 @@ from manip_sim.models.world import World
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.entities import Entities
+from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.spawning import (
     carry_over, LiveWorld, Plan, plan_world, start_live)
@@ -59,6 +60,8 @@ class Simulation:
         add_setpoint_activation(spec, [
             *(name for robot in world.robots for name in robot.all_actuators),
             *position_servos_without_dynamics(spec, world.gripper_actuators)])
+        if world.gravity_compensation:
+            compensate_free_robots(spec, world.robots)
         live = start_live(plan_world(spec, tuple(world.objects), world.name))
         self.plan, self.model, self.data = live.plan, live.model, live.data
         # Report divergence instead of letting MuJoCo reset silently.
@@ -68,6 +71,8 @@ class Simulation:
         self._start = world.init_qpos()
         self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
         self._interval_steps = max(1, round(_INTERVAL_S / self.timestep_s))
+        self._roots = [robot.root_body for robot in world.robots]
+        self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
         robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
                   for robot in world.robots]
@@ -76,7 +81,7 @@ class Simulation:
         self._settle_linkages()
         self.reset()
         self.start_defects = check_start(
-            self.model, self.data, [robot.root_body for robot in world.robots])
+            self.model, self.data, self._roots)
 
     def _look_at_model(self) -> None:
         self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
@@ -98,6 +103,7 @@ class Simulation:
         self.plan, self.model, self.data = live.plan, live.model, live.data
         for robot in self.robots.values():
             robot.rebind(self.model, self.data)
+        self._free_roots = FreeRoots(self.model, self._roots)
         self._look_at_model()
 
     @property
@@ -117,6 +123,7 @@ class Simulation:
         for joint, position in self._start.items():
             self.data.joint(joint).qpos[0] = position
         mujoco.mj_forward(self.model, self.data)
+        self._free_roots.bear(self.data)
 
     def _settle_linkages(self) -> None:
         """
@@ -185,6 +192,7 @@ class Simulation:
             chunk = -(-left // -(-left // self._interval_steps)) if moving else left
             for robot in self.robots.values():
                 robot.tick(chunk * self.timestep_s)
+            self._free_roots.bear(self.data)
             if resumes:
                 # What depends on positions and velocities alone is there already.
                 mujoco.mj_step2(self.model, self.data)

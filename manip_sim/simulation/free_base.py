@@ -1,0 +1,73 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Gravity compensation of robots whose root is free, which stand and fall by their own weight.
+
+MuJoCo compensates the weight of a body at all joints below it, so also at the free joint: the
+robot would float. Here the actuators of arms, torso and head carry what hangs on them, and what
+they exert on the root is left to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.robots import RobotModel
+
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: What carries a robot, such as legs and wheels, is left to its servos.
+_CARRIED = ('arm', 'torso', 'head')
+
+
+def compensate_free_robots(spec: Any, robots: Iterable[RobotModel]) -> None:
+    """
+    Let actuators carry what hangs on them, on robots whose root is free.
+
+    :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
+        :class:`FreeRoots`
+    :param robots: those in it
+    """
+    driven = {actuator.target for actuator in spec.actuators}
+    for robot in robots:
+        root = spec.body(robot.root_body)
+        bodies = [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]
+        if not any(int(joint.type) == _FREE for body in bodies for joint in body.joints):
+            continue
+        carried = {name for subsystem in _CARRIED for name in robot.joints_of(subsystem)} & driven
+        for body in bodies:
+            if any(joint.name in carried for joint in body.joints):
+                for hanging in (body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)):
+                    hanging.gravcomp = 1.0
+                    for joint in hanging.joints:
+                        joint.actgravcomp = True
+
+
+class FreeRoots:
+    """
+    Gives back to the roots of robots the weight that the actuators above them carry.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param roots: names of the root bodies of the robots
+    """
+
+    def __init__(self, model: Any, roots: Iterable[str]) -> None:
+        free_trees = {int(model.body_rootid[body]) for body in model.jnt_bodyid[
+            model.jnt_type == _FREE]} & {int(model.body(root).id) for root in roots}
+        joint = model.dof_jntid
+        self._dofs = np.flatnonzero(
+            np.isin(model.body_rootid[model.dof_bodyid], list(free_trees))
+            & (model.jnt_actgravcomp[joint] == 0))
+
+    def bear(self, data: Any) -> None:
+        """
+        Apply the weight as of the last ``mj_forward`` or step.
+
+        :param data: the ``mujoco.MjData``
+        """
+        if self._dofs.size:
+            data.qfrc_applied[self._dofs] = -data.qfrc_gravcomp[self._dofs]
