@@ -246,6 +246,24 @@ def test_cancelled_goal_does_not_drop_what_the_fingers_press(at_a_cube):
     assert at_a_cube.effort() <= pressed + 0.5
 
 
+def test_weak_servos_that_press_with_full_force_go_on_after_a_cancel(hand_sim):
+    servo = ('<position name="{0}" joint="{0}" kp="200" kv="9" ctrlrange="0 0.04"'
+             ' forcerange="-20 20"/>')
+    actor = Actor(hand_sim(servo.format('left') + servo.format('right')))
+    actor.run(goal=actor.start(0.04))
+    goal = actor.start(0.0)
+    # The fingers are stopped at 10 mm, where the stiffness alone would give 2 N.
+    for joint in ('gripper0_left', 'gripper0_right'):
+        actor.simulation.model.joint(joint).range[0] = 0.01
+    for _ in range(200):
+        actor.run(0.01)
+        if actor.effort('gripper0_left') < -4.0:
+            break
+    assert goal.outcome is None and goal.cancel()
+    actor.run(0.5)
+    assert actor.effort('gripper0_left') == pytest.approx(-20.0, rel=0.01)
+
+
 def action(panda):
     panda.robot.apply(panda.robot.parse.action(GRIPPER, [-1.0]))
 
