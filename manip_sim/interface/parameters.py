@@ -98,7 +98,7 @@ def node_parameters() -> list[ParameterSpec]:
                       'descriptions such as {name: box, shape: box, size: [0.1, 0.1, 0.1], '
                       'mass: 0.5, position: [0.5, 0.0, 0.05]}.'),
         ParameterSpec('cameras', [''], "Cameras whose images are published: names of the model's "
-                      'cameras, such as robot0_eye_in_hand, or descriptions such as {name: front, '
+                      'cameras, such as birdview, or descriptions such as {name: front, '
                       'position: [1.5, 0.0, 1.5], look_at: [0.0, 0.0, 0.8], fovy: 45}.'),
         ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of what is added to "
                       "the start of the robots' own joints.", choices=TYPES),
