@@ -301,7 +301,7 @@ def test_what_refers_to_the_root_refers_to_the_part_that_moves(tmp_path):
     assert [int(model.eq_obj1id[0]), int(model.eq_obj2id[0])] == [chest, mount]
     assert model.sensor_objid.tolist() == [mount, chest]
     assert model.sensor_refid.tolist()[1] == mount
-    assert int(model.cam_targetbodyid[0]) == mount
+    assert int(model.cam_targetbodyid[model.camera('robot0_eye').id]) == mount
 
 
 def test_actuator_sensors_survive_the_order_of_actuators(tmp_path):
