@@ -248,7 +248,10 @@ class RobotModel(Subsystems, MujocoXMLModel, ABC):
     def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
         if part is self and raw in self._subsystem_of_joint:
             return self._subsystem_of_joint[raw]
-        return classify(raw)
+        found = classify(raw)
+        if found == 'arm' and isinstance(part, RobotBaseModel):
+            return part.subsystem_of_others
+        return found
 
     def format_action(self, subsystem: str, action: ArrayLike,
                       ctrlrange: ArrayLike | None = None) -> FloatArray:
