@@ -72,8 +72,17 @@ def test_a_waist_is_of_the_arm_where_it_moves_nothing_else(tmp_path):
 def test_zero_outside_a_range_starts_inside_of_it(tmp_path):
     text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
     robot = load_robot(write(tmp_path / 'arm.xml', text.replace('range="0 1"', 'range="1 2"')))
-    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, 1.05])
-    assert 'start pose: zero, but inside the range for bend' in robot.inferred
+    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, 1.5])
+    assert 'start pose: zero, and the middle of the range for bend' in robot.inferred
+
+
+def test_a_start_in_which_links_overlap_is_avoided(tmp_path):
+    text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
+    # At zero the last link lies on the first one.
+    text = text.replace('pos="0 0 0.2" euler="0 0 0.5"', 'pos="0 0 0.2" euler="0 3.1 0"')
+    robot = load_robot(write(tmp_path / 'arm.xml', text.replace('0 0 0.07"', '0 0 0.3"')))
+    assert robot.init_qpos[2] == pytest.approx(0.25)
+    assert any('because links overlap at zero' in said for said in robot.inferred)
 
 
 def test_an_own_hand_is_the_gripper_of_its_arm(tmp_path):
@@ -209,6 +218,18 @@ def test_a_tendon_over_tied_joints_is_driven_by_one_of_them(tmp_path):
     actuator = model.actuator('robot0_bend')
     assert model.joint(actuator.trnid[0]).name == 'robot0_lift'
     assert actuator.gear[0] == pytest.approx(1.5)
+
+
+def test_a_light_joint_with_a_strong_motor_gets_rotor_inertia(tmp_path):
+    text = ARM.replace(' armature="0.1"', '')
+    text = text.replace('<position name="bend" joint="bend" kp="900" kv="60" ctrlrange="0 1"/>',
+                        '<motor name="bend" joint="bend" ctrlrange="-100 100"/>')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    model = robot.compile()
+    np.testing.assert_allclose(model.dof_armature, [0.0, 0.0, 100.0 / 5000.0])
+    assert any(said.endswith('light for their motors: bend') for said in robot.inferred)
+    weak = load_robot(write(tmp_path / 'weak.xml', text.replace('-100 100', '-1 1')))
+    np.testing.assert_allclose(weak.compile().dof_armature, np.zeros(3))
 
 
 def test_a_root_on_rails_is_a_base(tmp_path):
