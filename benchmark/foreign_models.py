@@ -49,7 +49,8 @@ LIMIT_S = 600.0
 _MARKS = {True: 'yes', False: 'no', None: '-'}
 HAND = re.compile(r'(hand|gripper|2f85|dexee)')
 NO_MODEL = re.compile(r'(scene|keyframe|_actuators)')
-POST = """<mujoco model="post"><worldbody><body name="base" pos="0 0 1"><geom size="0.02"/>
+POST = """<mujoco model="post"><default><geom contype="0" conaffinity="0"/></default>
+  <worldbody><body name="base" pos="0 0 1"><geom size="0.02"/>
   <body name="link" pos="0 0 0.05"><joint name="turn" axis="0 0 1" armature="1" range="-3 3"
     limited="true"/><geom size="0.02"/><body name="right_hand" pos="0 0 0.05"/></body></body>
   </worldbody><actuator><position joint="turn" kp="5000" kv="140"/></actuator></mujoco>"""

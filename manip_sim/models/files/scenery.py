@@ -17,8 +17,6 @@ from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-#: What is less deep only touches [m].
-_OVERLAP_M = 0.0005
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
@@ -80,7 +78,7 @@ def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> lis
         mover = int(model.body_weldid[other])
         neighbours = mover and fixed and not model.body_weldid[fixed] and not model.body_weldid[
             model.body_parentid[mover]]
-        if neighbours and contact.dist < -_OVERLAP_M:
+        if neighbours and contact.dist < 0.0:
             names = [str(model.body(body).name) for body in (fixed, other)]
             what = f"'{names[0]}' and '{names[1]}' overlap at the start, so they do not collide"
             if what not in told:
