@@ -19,6 +19,10 @@ _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _LAG_S = 0.013
 #: What no motor of a robot does to its own joint [rad/s^2 or m/s^2].
 _ABSURD_ACCELERATION = 5000.0
+#: A servo is stable at its force limit if its inertia over the damping is more than this [s].
+_DAMPED_S = 0.002 / 1.5
+#: It is not worth while to change what is less far from that.
+_MUCH_TOO_LIGHT = 4.0
 #: Rotor inertia of a servo that is added [kg m^2 or kg]: so much per force, within limits.
 _ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
 
@@ -66,18 +70,22 @@ def own_each_joint(spec: Any, tree: BodyTree, actuators: Collection[int],
 
 
 def _give_rotors(spec: Any, model: Any, owner: Mapping[int, int]) -> list[str]:
-    """Give rotor inertia to joints without that their motors could accelerate absurdly."""
+    """Give rotor inertia to joints without that are too light for their motor or servo."""
     light = []
     for joint, actuator in owner.items():
         dof = int(model.jnt_dofadr[joint])
-        is_motor = not model.actuator_biasprm[actuator, :3].any()
-        if model.dof_armature[dof] or not is_motor:
-            continue
-        rotor = min(_greatest_force(model, joint, actuator) / _ABSURD_ACCELERATION, _ARMATURE[1])
-        if rotor > model.dof_M0[dof]:
+        bias, gear = model.actuator_biasprm[actuator, :3], model.actuator_gear[actuator, 0]
+        if bias.any():
+            # Otherwise such a servo has to be softened, so that it is stable at its force limit.
+            needed, times = _DAMPED_S * max(-bias[2], 0.0) * gear**2, _MUCH_TOO_LIGHT
+        else:
+            needed = _greatest_force(model, joint, actuator) / _ABSURD_ACCELERATION
+            times = 1.0
+        rotor = min(needed, _ARMATURE[1])
+        if not model.dof_armature[dof] and rotor > times * model.dof_M0[dof]:
             spec.joint(model.joint(joint).name).armature = rotor
             light.append(str(model.joint(joint).name))
-    return [f'rotor inertia for joints without that are light for their motors: '
+    return [f'rotor inertia for joints without that are too light for their drives: '
             f'{", ".join(light)}'] if light else []
 
 
