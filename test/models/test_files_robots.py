@@ -227,7 +227,7 @@ def test_a_light_joint_with_a_strong_motor_gets_rotor_inertia(tmp_path):
     robot = load_robot(write(tmp_path / 'arm.xml', text))
     model = robot.compile()
     np.testing.assert_allclose(model.dof_armature[1:], [0.0, 100.0 / 5000.0])
-    assert any(said.endswith('too light for their drives: bend') for said in robot.inferred)
+    assert any('too light for their drives' in said and 'bend' in said for said in robot.inferred)
     damped = text.replace('joint="turn" kp="900" kv="60"', 'joint="turn" kp="900" kv="3000"')
     model = load_robot(write(tmp_path / 'damped.xml', damped)).compile()
     np.testing.assert_allclose(model.dof_armature[0], 0.1)
