@@ -243,8 +243,12 @@ def test_a_base_with_joints_carries_the_robot_on_the_body_that_is_said(tmp_path)
     robot = compose_robot(write(tmp_path / 'arm.xml', ARM), 'none', base)
     assert robot.base_joints == ['mobilebase0_mobile_x']
     model = robot.compile()
-    assert model.body('manipulator_mount' if 'manipulator_mount' in [
-        model.body(i).name for i in range(model.nbody)] else 'robot0_manipulator_mount')
+    assert model.body(model.body('robot0_link1').parentid[0]).name == 'robot0_manipulator_mount'
+    mount = model.body('robot0_manipulator_mount')
+    assert model.body(mount.parentid[0]).name == 'mobilebase0_deck'
+    write(tmp_path / 'plain.yaml', 'support: deck')
+    plain = load_base(write(tmp_path / 'plain.xml', CART.replace('mobile_x', 'joint_x')))
+    assert compose_robot('Panda', 'none', plain).base_joints == ['mobilebase0_joint_x']
     write(tmp_path / 'cart.yaml', 'support: dek')
     with pytest.raises(UnknownNameError, match="unknown body in 'support' of .*cart.yaml 'dek': "
                                                "did you mean 'deck'"):

@@ -72,8 +72,17 @@ def test_a_waist_is_of_the_arm_where_it_moves_nothing_else(tmp_path):
 def test_zero_outside_a_range_starts_inside_of_it(tmp_path):
     text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
     robot = load_robot(write(tmp_path / 'arm.xml', text.replace('range="0 1"', 'range="1 2"')))
-    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, 1.05])
-    assert 'start pose: zero, but inside the range for bend' in robot.inferred
+    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, 1.5])
+    assert 'start pose: zero, and the middle of the range for bend' in robot.inferred
+
+
+def test_a_start_in_which_links_overlap_is_avoided(tmp_path):
+    text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
+    # At zero the last link lies on the first one.
+    text = text.replace('pos="0 0 0.2" euler="0 0 0.5"', 'pos="0 0 0.2" euler="0 3.1 0"')
+    robot = load_robot(write(tmp_path / 'arm.xml', text.replace('0 0 0.07"', '0 0 0.3"')))
+    assert robot.init_qpos[2] == pytest.approx(0.25)
+    assert any('because links overlap at zero' in said for said in robot.inferred)
 
 
 def test_an_own_hand_is_the_gripper_of_its_arm(tmp_path):
@@ -104,7 +113,9 @@ def test_the_grasp_frame_of_an_own_hand_is_between_its_fingertips(tmp_path):
 
 @pytest.mark.parametrize('gripper', ['none', 'PandaGripper'])
 def test_an_own_hand_goes_when_another_gripper_or_none_is_wanted(tmp_path, gripper):
-    file = write(tmp_path / 'arm.xml', ARM_WITH_HAND)
+    text = ARM_WITH_HAND.replace('<geom name="palm"', '<inertial mass="0.4" pos="0 0 0" '
+                                 'diaginertia="1e-3 1e-3 1e-3"/><geom name="palm"')
+    file = write(tmp_path / 'arm.xml', text)
     robot = compose_robot(file, gripper)
     model = robot.compile()
     names = [model.joint(i).name for i in range(model.njnt)]
@@ -207,6 +218,75 @@ def test_a_tendon_over_tied_joints_is_driven_by_one_of_them(tmp_path):
     actuator = model.actuator('robot0_bend')
     assert model.joint(actuator.trnid[0]).name == 'robot0_lift'
     assert actuator.gear[0] == pytest.approx(1.5)
+
+
+def test_a_light_joint_with_a_strong_motor_gets_rotor_inertia(tmp_path):
+    text = ARM.replace(' armature="0.1"', '')
+    text = text.replace('<position name="bend" joint="bend" kp="900" kv="60" ctrlrange="0 1"/>',
+                        '<motor name="bend" joint="bend" ctrlrange="-100 100"/>')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    model = robot.compile()
+    np.testing.assert_allclose(model.dof_armature[1:], [0.0, 100.0 / 5000.0])
+    assert any('too light for their drives' in said and 'bend' in said for said in robot.inferred)
+    damped = text.replace('joint="turn" kp="900" kv="60"', 'joint="turn" kp="900" kv="3000"')
+    model = load_robot(write(tmp_path / 'damped.xml', damped)).compile()
+    np.testing.assert_allclose(model.dof_armature[0], 0.1)
+    weak = load_robot(write(tmp_path / 'weak.xml', text.replace('-100 100', '-1 1')))
+    np.testing.assert_allclose(weak.compile().dof_armature[1:], np.zeros(2))
+
+
+def test_a_root_on_rails_is_a_base(tmp_path):
+    rails = ''.join(
+        f'<joint name="joint_{name}" type="{kind}" axis="{axis}"/>' for name, kind, axis in
+        (('x', 'slide', '1 0 0'), ('y', 'slide', '0 1 0'), ('th', 'hinge', '0 0 1')))
+    text = ARM.replace('<geom name="foot"', f'{rails}<geom name="foot"')
+    text = text.replace('qpos="', 'qpos="0 0 0 ')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.base_joints == ['robot0_joint_x', 'robot0_joint_y', 'robot0_joint_th']
+    assert len(robot.arm_joints) == 3
+
+
+def test_actuators_that_are_no_servos_of_a_joint_hold_still_where_the_robot_starts(tmp_path):
+    text = ARM.replace('<actuator>', """<tendon><fixed name="both">
+    <joint joint="lift" coef="0.5"/><joint joint="bend" coef="1"/></fixed></tendon><actuator>
+    <position name="cable" tendon="both" kp="100"/><muscle name="muscle" joint="lift"/>""")
+    robot = load_robot(write(tmp_path / 'arm.xml', text.replace(' ctrl="', ' ctrl="0 0 ')))
+    assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
+    assert any('holding still: actuators cable, muscle' in said for said in robot.inferred)
+    model = robot.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = [0.1, 0.2, 0.3]
+    mujoco.mj_forward(model, data)
+    assert data.actuator('robot0_cable').force[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_left_and_right_fingers_are_one_hand(tmp_path):
+    text = ARM_WITH_HAND.replace('_tip"', '_knuckle"').replace('_finger"', '_driver"')
+    for side, sign in (('left', ''), ('right', '-')):
+        text = text.replace(f'pos="0 {sign}0.004 0" mass="0.02"/>', f"""mass="0.02"/>
+          <body name="{side}_end"><joint name="{side}_finger" range="0 1" armature="0.01"/>
+            <geom size="0.01" pos="0 0 0.02" mass="0.02"/></body>""")
+    text = text.replace('0.3 0.01 0.01"', '0.3 0.01 0 0.01 0"')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.eef_name == {'right': 'robot0_palm'}
+    assert len(robot.grippers['right'].joints) == 4
+
+
+def test_unnamed_chains_at_the_end_of_an_arm_are_its_hand(tmp_path):
+    text = ARM_WITH_HAND
+    for old, new in (('left_finger', 'j4'), ('right_finger', 'j5'), ('"pull"', '"m"'),
+                     ('palm', 'link4'), ('left_', 'a'), ('right_', 'b')):
+        text = text.replace(old, new)
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.grippers['right'].joints == ['robot0_j4', 'robot0_j5']
+    assert any('fingers hang on it' in sentence for sentence in robot.inferred)
+
+
+def test_an_own_hand_without_control_range_gets_one(tmp_path):
+    text = ARM_WITH_HAND.replace('ctrlrange="0 255" forcerange="-50 50"', '')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert "right hand: actuator 'pull' has no range, actions are its control" in robot.inferred
+    np.testing.assert_allclose(robot.compile().actuator('robot0_pull').ctrlrange, [-1.0, 1.0])
 
 
 def test_joints_without_actuators_get_servos(tmp_path):

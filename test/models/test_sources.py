@@ -65,11 +65,14 @@ def test_folders_join_the_catalogue(folder, monkeypatch, how, tmp_path_factory):
     assert create_arena('hall').arena_name == 'hall'
 
 
-def test_the_first_folder_counts_and_the_package_before_all(folder, tmp_path_factory):
+def test_the_first_folder_counts_and_the_package_before_all(folder, tmp_path_factory, monkeypatch):
     first = tmp_path_factory.mktemp('first')
     write(first / 'robots' / 'plain.xml', ARM.replace('"turn"', '"swing"'))
     write(first / 'robots' / 'Panda.xml', ARM)
     set_model_path([first, folder])
+    assert create_robot('plain').joints[0] == 'robot0_swing'
+    set_model_path([first])
+    monkeypatch.setenv('MANIP_SIM_PATH', str(folder))
     assert create_robot('plain').joints[0] == 'robot0_swing'
     assert type(create_robot('Panda')).__name__ == 'Panda'
 

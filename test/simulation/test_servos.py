@@ -408,3 +408,30 @@ def test_step_keeps_to_what_the_torque_can_do_against_the_damping(one_joint_arm,
     assert 0.3 < max(speeds) < 0.75
     assert max(efforts) < 30.0
     assert simulation.robot.state().position[0] == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+def test_dry_friction_that_a_weak_servo_could_not_overcome_is_overcome(one_joint_arm, mode):
+    arm = one_joint_arm('<position name="a" joint="joint1" kp="20" kv="4"/>')
+    arm.spec.joint('joint1').frictionloss = np.asarray(arm.spec.joint('joint1').frictionloss) + 1.0
+    simulation = Simulation(World([arm]))
+    simulation.robot.set_control_mode('arm', mode)
+    errors = []
+    for tick in range(400):
+        phase = np.pi * tick * 0.01
+        goal = 0.2 * np.sin(phase) if mode == 'position' else 0.2 * np.pi * np.cos(phase)
+        command(simulation, mode, simulation.robot.joint_names[0], goal)
+        simulation.advance(5)
+        errors.append(getattr(simulation.robot.state(), mode)[0] - goal)
+    # Alone the servo would be off by the friction over its stiffness, 0.05 rad.
+    assert np.sqrt(np.mean(np.square(errors[100:]))) < (0.012 if mode == 'position' else 0.1)
+
+
+def test_a_servo_much_too_damped_for_a_light_joint_stays_stiff(one_joint_arm, run):
+    arm = one_joint_arm('<position name="a" joint="joint1" kp="2000" kv="400"/>')
+    arm.spec.geom(arm.contact_geoms[1].removeprefix(arm.naming_prefix)).mass = 0.002
+    simulation = Simulation(World([arm]))
+    joint = simulation.robot.joint_names[0]
+    simulation.data.qfrc_applied[simulation.model.joint(joint).dofadr[0]] = 0.1
+    run(simulation, 2.0)
+    assert abs(simulation.robot.state().position[0]) < 0.05

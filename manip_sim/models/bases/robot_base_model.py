@@ -22,6 +22,8 @@ class RobotBaseModel(MujocoXMLModel):
     the robot's root when :attr:`top_offset` is zero.
     """
 
+    #: What joints belong to whose names tell nothing.
+    subsystem_of_others = 'arm'
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:

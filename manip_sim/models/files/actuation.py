@@ -17,6 +17,12 @@ _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 #: Lag of a servo that is added [s]: damping over stiffness.
 _LAG_S = 0.013
+#: What no motor of a robot does to its own joint [rad/s^2 or m/s^2].
+_ABSURD_ACCELERATION = 5000.0
+#: A servo is stable at its force limit if its inertia over the damping is more than this [s].
+_DAMPED_S = 0.002 / 1.5
+#: It is not worth while to change what is less far from that.
+_MUCH_TOO_LIGHT = 4.0
 #: Rotor inertia of a servo that is added [kg m^2 or kg]: so much per force, within limits.
 _ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
 
@@ -56,10 +62,43 @@ def own_each_joint(spec: Any, tree: BodyTree, actuators: Collection[int],
                         f"'{model.actuator(owner[joint]).name}'")
         else:
             owner[joint] = actuator
+    told += _give_rotors(spec, model, owner)
     if still:
         told.append(f'holding still: actuators {", ".join(sorted(still))}, which are neither '
                     'motors nor servos of one joint')
     return still, told
+
+
+def _give_rotors(spec: Any, model: Any, owner: Mapping[int, int]) -> list[str]:
+    """Give rotor inertia to joints without that are too light for their motor or servo."""
+    light = []
+    for joint, actuator in owner.items():
+        dof = int(model.jnt_dofadr[joint])
+        bias, gear = model.actuator_biasprm[actuator, :3], model.actuator_gear[actuator, 0]
+        if bias.any():
+            # Otherwise such a servo has to be softened, so that it is stable at its force limit.
+            needed, times = _DAMPED_S * max(-bias[2], 0.0) * gear**2, _MUCH_TOO_LIGHT
+        else:
+            needed = _greatest_force(model, joint, actuator) / _ABSURD_ACCELERATION
+            times = 1.0
+        rotor = min(needed, _ARMATURE[1])
+        if not model.dof_armature[dof] and rotor > times * model.dof_M0[dof]:
+            spec.joint(model.joint(joint).name).armature = rotor
+            light.append(str(model.joint(joint).name))
+    return [f'rotor inertia for joints without that are too light for their drives: '
+            f'{", ".join(light)}'] if light else []
+
+
+def _greatest_force(model: Any, joint: int, actuator: int) -> float:
+    gear, gain = abs(model.actuator_gear[actuator, 0]), abs(model.actuator_gainprm[actuator, 0])
+    limits = [np.inf]
+    if model.actuator_forcelimited[actuator]:
+        limits.append(gear * np.abs(model.actuator_forcerange[actuator]).max())
+    if model.actuator_ctrllimited[actuator]:
+        limits.append(gear * gain * np.abs(model.actuator_ctrlrange[actuator]).max())
+    if model.jnt_actfrclimited[joint]:
+        limits.append(np.abs(model.jnt_actfrcrange[joint]).max())
+    return float(min(limits))
 
 
 def _is_position_servo(model: Any, actuator: int) -> bool:

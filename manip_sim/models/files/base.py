@@ -60,6 +60,8 @@ class FileMount(FileBase, MountModel, registered=False):
 class FileMobileBase(FileBase, MobileBaseModel, registered=False):
     """A base with joints."""
 
+    subsystem_of_others = 'base'
+
 
 def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
                  ) -> FileBase:

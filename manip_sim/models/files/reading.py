@@ -15,6 +15,7 @@ import numpy as np
 
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.files.actuation import add_servos
+from manip_sim.models.files.posing import choose_pose
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
@@ -22,8 +23,6 @@ from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_eleme
 from manip_sim.typing import BoolArray, FloatArray
 
 _MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
-#: A joint that zero is out of reach for starts at so much of its range from the nearer end.
-_INSIDE = 0.05
 #: A free robot that starts farther below the floor was made for another floor [m].
 _BELOW_FLOOR_M = 0.05
 
@@ -53,7 +52,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     Read a robot, hand or base.
 
     :param keyframes: the first of these that exists is the start, else the only one there is,
-        else zero or what is nearest to it
+        else a pose near zero
     :param wanted: the keyframe that has to be taken
     :param servos: give joints position servos if the file has no actuators
     :raises ModelError: if the file cannot be read, does not compile or has not one tree of bodies
@@ -63,12 +62,14 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     name_unnamed_elements(spec)
     model = compile_alone(spec, str(file))
     key = _choose_key(model, keyframes, wanted, file)
-    start = _start_of(model, key)
-    if key is not None and wanted is None:
-        told.append(f"start pose: keyframe '{model.key(key).name}'")
-    elif key is None:
-        told += _zero_of(model, start)
-    told += _place_root(spec, model, start, model.qpos0 if key is None else model.key_qpos[key])
+    if key is None:
+        qpos, why = choose_pose(model)
+        told += why
+    else:
+        qpos = model.key_qpos[key]
+        told += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
+    start = _start_of(model, qpos)
+    told += _place_root(spec, model, qpos)
     for old in list(spec.keys):
         spec.delete(old)
     if servos and not model.nu and start:
@@ -109,40 +110,17 @@ def _choose_key(model: Any, preferred: Sequence[str], wanted: str | None, file: 
     return 0 if len(names) == 1 else None
 
 
-def _start_of(model: Any, key: int | None) -> dict[str, float]:
-    qpos: FloatArray = model.qpos0 if key is None else model.key_qpos[key]
-    tree, start = BodyTree(model), {}
-    for joint in range(model.njnt):
-        if not tree.is_scalar(joint):
-            continue
-        value = float(qpos[model.jnt_qposadr[joint]])
-        if key is None and model.jnt_limited[joint]:
-            value = _within(value, *model.jnt_range[joint])
-        start[str(model.joint(joint).name)] = value
-    return start
+def _start_of(model: Any, qpos: FloatArray) -> dict[str, float]:
+    """Return where scalar joints are in a pose, by name [rad or m]."""
+    tree = BodyTree(model)
+    return {str(model.joint(joint).name): float(qpos[model.jnt_qposadr[joint]])
+            for joint in range(model.njnt) if tree.is_scalar(joint)}
 
 
-def _within(value: float, low: float, high: float) -> float:
-    if low <= value <= high:
-        return value
-    inset = _INSIDE * (high - low)
-    return float(low + inset if value < low else high - inset)
-
-
-def _zero_of(model: Any, start: dict[str, float]) -> list[str]:
-    moved = [name for name, value in start.items()
-             if value != model.qpos0[model.joint(name).qposadr[0]]]
-    if not moved:
-        return []
-    return [f'start pose: zero, but inside the range for {", ".join(moved)}']
-
-
-def _place_root(spec: Any, model: Any, start: dict[str, float], qpos: FloatArray) -> list[str]:
-    """Put free bodies where a keyframe has them, but not below the floor."""
+def _place_root(spec: Any, model: Any, qpos: FloatArray) -> list[str]:
+    """Put free bodies where a pose has them, but not below the floor."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    for name, position in start.items():
-        data.joint(name).qpos[0] = position
     mujoco.mj_kinematics(model, data)
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     lowest = float(shape_heights(model, data, collides)[:, 0].min(initial=0.0))

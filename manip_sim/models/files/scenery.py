@@ -17,8 +17,8 @@ from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-#: What is less deep only touches [m].
-_OVERLAP_M = 0.0005
+#: Links that are nearer to each other touch [m].
+_TOUCHING_M = 1e-4
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
@@ -60,7 +60,7 @@ def single_tree(spec: Any, model: Any, file: object) -> tuple[Any, list[str]]:
 
 def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> list[str]:
     """
-    Let no links collide with what they turn on, if they overlap where they start.
+    Let no links collide with what they turn on, if they touch or overlap where they start.
 
     MuJoCo does so by itself, except with a link that cannot move.
 
@@ -72,7 +72,10 @@ def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> lis
     data = mujoco.MjData(model)
     for joint, position in start.items():
         data.joint(joint).qpos[0] = position
+    margins = model.geom_margin.copy()
+    model.geom_margin[:] += _TOUCHING_M
     mujoco.mj_forward(model, data)
+    model.geom_margin[:] = margins
     told = []
     for contact in data.contact:
         fixed, other = sorted(model.geom_bodyid[contact.geom].tolist(),
@@ -80,7 +83,7 @@ def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> lis
         mover = int(model.body_weldid[other])
         neighbours = mover and fixed and not model.body_weldid[fixed] and not model.body_weldid[
             model.body_parentid[mover]]
-        if neighbours and contact.dist < -_OVERLAP_M:
+        if neighbours and contact.dist < _TOUCHING_M:
             names = [str(model.body(body).name) for body in (fixed, other)]
             what = f"'{names[0]}' and '{names[1]}' overlap at the start, so they do not collide"
             if what not in told:

@@ -180,9 +180,6 @@ def _give_mass(spec: Any, robot: ElementTree.Element) -> list[str]:
                if link.find('inertial') is None}
     light = []
     for body in spec.bodies[1:]:
-        for geom in body.geoms:
-            if not (geom.contype or geom.conaffinity):
-                geom.mass = 0.0
         carried = [body, *body.find_all('body')]
         if (body.name in without and len(body.joints)
                 and not any(_has_mass(other, without) for other in carried)):

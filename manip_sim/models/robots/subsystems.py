@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.validation import finite_numbers
 from manip_sim.typing import FloatArray
@@ -136,7 +137,10 @@ class Subsystems(MujocoXMLModel):
     def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
         if part is self and raw in self._subsystem_of_joint:
             return self._subsystem_of_joint[raw]
-        return classify(raw)
+        found = classify(raw)
+        if found == 'arm' and isinstance(part, RobotBaseModel):
+            return part.subsystem_of_others
+        return found
 
     def format_action(self, subsystem: str, action: ArrayLike,
                       ctrlrange: ArrayLike | None = None) -> FloatArray:

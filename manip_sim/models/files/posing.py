@@ -1,0 +1,86 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Choose a start pose for a model that has none: zero, where that is in the ranges and free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.models.files.tree import SCALAR
+from manip_sim.typing import FloatArray
+
+#: A joint that is nearer to an end than this part of its range is at that end.
+_AT_END = 0.05
+#: Where a joint goes that is at an end, as a part of its range.
+_INSIDE = 0.25
+#: A pose has to spare so much overlap of links to be better [m].
+_BETTER_M = 1e-3
+
+
+def choose_pose(model: Any) -> tuple[FloatArray, list[str]]:
+    """
+    Return a pose in which joints are inside their ranges and links not inside each other.
+
+    Tried are zero with the middle of the range for joints that cannot be at zero, the same with
+    joints away from the ends of their ranges, and the middle of all ranges. The first one counts
+    unless another one has less overlap.
+
+    :param model: a ``mujoco.MjModel``
+    :returns: ``qpos``, shape (nq,), and what was done, in sentences
+    """
+    zero, moved = _with(model, lambda value, low, high: value if low <= value <= high
+                        else (low + high) / 2.0)
+    inside, _ = _with(model, _away_from_ends)
+    middle, _ = _with(model, lambda value, low, high: (low + high) / 2.0)
+    told = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
+            if moved else 'start pose: zero']
+    best, overlap = zero, _overlap(model, zero)
+    for pose, what in ((inside, 'zero, with joints away from the ends of their ranges'),
+                       (middle, 'the middle of all ranges')):
+        if overlap > 0.0 and _overlap(model, pose) < overlap - _BETTER_M:
+            best, overlap, told = pose, _overlap(model, pose), [
+                f'start pose: {what}, because links overlap at zero']
+    return best, told
+
+
+def _away_from_ends(value: float, low: float, high: float) -> float:
+    span = high - low
+    if value < low + _AT_END * span:
+        return low + _INSIDE * span
+    if value > high - _AT_END * span:
+        return high - _INSIDE * span
+    return value
+
+
+def _with(model: Any, choose: Callable[[float, float, float], float]
+          ) -> tuple[FloatArray, list[str]]:
+    """Return a pose with limited joints where a function wants them, and which it moved."""
+    qpos: FloatArray = model.qpos0.copy()
+    moved = []
+    for joint in range(model.njnt):
+        if int(model.jnt_type[joint]) not in SCALAR or not model.jnt_limited[joint]:
+            continue
+        address = int(model.jnt_qposadr[joint])
+        before = float(qpos[address])
+        qpos[address] = choose(before, *map(float, model.jnt_range[joint]))
+        if qpos[address] != before:
+            moved.append(str(model.joint(joint).name))
+    return qpos, moved
+
+
+def _overlap(model: Any, qpos: FloatArray) -> float:
+    """Return the sum of how deep pairs of bodies are inside each other [m]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    deepest: dict[tuple[int, ...], float] = {}
+    for contact in data.contact:
+        if min(contact.geom) >= 0:
+            pair = tuple(sorted(model.geom_bodyid[contact.geom].tolist()))
+            deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
+    return float(np.sum([depth for (first, _), depth in deepest.items() if first]))
