@@ -100,15 +100,19 @@ class Samples:
 @contextmanager
 def sampled(driven, wrench=False) -> Iterator[Samples]:
     """Record every physics step of a simulation meanwhile."""
-    samples, step = Samples(driven, wrench), mujoco.mj_step
+    samples, step, step2 = Samples(driven, wrench), mujoco.mj_step, mujoco.mj_step2
 
     def single_steps(model, data, nstep=1):
         for _ in range(nstep):
             step(model, data)
             samples.take(model, data)
 
-    mujoco.mj_step = single_steps
+    def second_half(model, data):
+        step2(model, data)
+        samples.take(model, data)
+
+    mujoco.mj_step, mujoco.mj_step2 = single_steps, second_half
     try:
         yield samples
     finally:
-        mujoco.mj_step = step
+        mujoco.mj_step, mujoco.mj_step2 = step, step2
