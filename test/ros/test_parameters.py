@@ -21,7 +21,7 @@ REFUSED = [
     ('arm.command_timeout:=1.0', "unknown parameter 'arm.command_timeout'",
      "did you mean 'command_timeout.arm'?"),
     ('base.command_timeout:=1.0', "unknown parameter 'base.command_timeout'", 'has no base'),
-    ('joint_prefix:=left_', "unknown parameter 'joint_prefix'", "did you mean 'prefix'?"),
+    ('joint_prefix:=left_', "unknown parameter 'joint_prefix'", "did you mean 'prefix' or"),
     ('prefix:=left/', "prefix 'left/'", 'a letter, then at most 63 letters, digits and under'),
     ('prefix:="left arm_"', "prefix 'left arm_'", 'cannot begin the names of joints and frames'),
     ('control_mode.head:=position', "unknown parameter 'control_mode.head'", 'has no head'),
