@@ -115,6 +115,13 @@ class Arm:
         return np.array([force.x, force.y, force.z])
 
     @property
+    def force_time_s(self) -> float:
+        """Simulation time of :attr:`force` [s]."""
+        assert self._wrench is not None
+        stamp = self._wrench.header.stamp
+        return float(stamp.sec + stamp.nanosec * 1e-9)
+
+    @property
     def sensor_frame(self) -> str:
         """The name of the frame of the force sensor."""
         assert self._wrench is not None

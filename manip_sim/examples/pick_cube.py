@@ -80,12 +80,13 @@ class CubePicker(Task):
         self.say('done')
 
     def _average_force(self, duration_s: float) -> FloatArray:
-        forces = []
-        end = self.now_s + duration_s
-        while self.now_s < end:
+        # A busy machine may bring the wrench of an instant long after its joint states.
+        begin_s, forces = self.now_s, {}
+        while self._arm.force_time_s < begin_s + duration_s:
             self.next_state()
-            forces.append(self._arm.force)
-        average: FloatArray = np.mean(forces, axis=0)
+            if self._arm.force_time_s > begin_s:
+                forces[self._arm.force_time_s] = self._arm.force
+        average: FloatArray = np.mean(list(forces.values()), axis=0)
         return average
 
 
