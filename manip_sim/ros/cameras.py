@@ -17,6 +17,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.models.image_settings import ImageSettings
+from manip_sim.models.urdf_writer.tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.ros import camera_messages
@@ -28,8 +29,6 @@ from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 
-#: After the name of a camera: the frame that looks along z, with y down (REP 103).
-OPTICAL = '_optical_frame'
 #: Images are large, and a late one is worth little.
 _DEPTH = 2
 #: How long the start waits for OpenGL [s].

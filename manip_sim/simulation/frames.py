@@ -19,14 +19,13 @@ import mujoco
 import numpy as np
 
 from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.models.urdf_writer.tree import OPTICAL
 from manip_sim.simulation.joint_frames import JointFrames
 from manip_sim.simulation.poses import Pose
 from manip_sim.typing import FloatArray
 
 #: The root of the tree.
 WORLD = 'world'
-#: After the name of a camera.
-OPTICAL = '_optical_frame'
 #: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
 #: along z with y down: half a turn about x, as w, x, y, z.
 _TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
