@@ -179,17 +179,18 @@ class Arm:
             self._task.next_state()
 
     def open(self) -> None:
-        """Open the gripper, without waiting."""
-        self._gripper.publish(Float64MultiArray(data=[-1.0]))
+        """Open the gripper, and wait until the fingers are still."""
+        self._grip(-1.0)
 
     def close(self) -> None:
-        """Close the gripper, without waiting."""
-        self._gripper.publish(Float64MultiArray(data=[1.0]))
+        """Close the gripper, and wait until the fingers are still."""
+        self._grip(1.0)
 
-    def wait_for_fingers(self) -> None:
-        """Wait until the fingers have not moved for a while."""
+    def _grip(self, action: float) -> None:
         last, since = self.fingers, self._task.now_s
         while self._task.now_s < since + _STILL_S:
+            # A subscriber that has just been found may miss the first message.
+            self._gripper.publish(Float64MultiArray(data=[action]))
             self._task.next_state()
             if np.abs(self.fingers - last).max() > _STILL:
                 last, since = self.fingers, self._task.now_s

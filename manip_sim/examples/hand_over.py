@@ -98,7 +98,6 @@ class HandOver(Task):
         arm.move(at_cube)
         fingers = arm.fingers
         arm.close()
-        arm.wait_for_fingers()
         if np.abs(arm.fingers - fingers).max() < _CLOSES:
             raise TaskFailed(f'the gripper of {arm.name} does not close')
         self.say(f'{arm.name} grips the cube at {_in_words(self._cube)}')
@@ -128,7 +127,6 @@ class HandOver(Task):
 
     def _let_go(self, arm: Arm, away: FloatArray) -> None:
         arm.open()
-        arm.wait_for_fingers()
         position, rotation = arm.grip
         arm.move(arm.posture(position + _AWAY_M * away, [rotation]))
 

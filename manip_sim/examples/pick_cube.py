@@ -60,7 +60,6 @@ class CubePicker(Task):
         arm.move(at_cube)
         self.say('closing the gripper')
         arm.close()
-        arm.wait_for_fingers()
         self.say(f'lifting by {_LIFT_M:.2f} m')
         arm.move(above)
         self.wait(_SETTLE_S)
