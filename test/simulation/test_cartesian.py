@@ -3,8 +3,6 @@
 
 """Cartesian targets of hands: poses, twists and actions, in all modes, against kinematics."""
 
-from pathlib import Path
-import re
 
 from hands import distance, hand_of, HandOperator, turned
 import numpy as np
@@ -342,16 +340,6 @@ POSE = ([0.5, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0])
 def test_what_cannot_be_meant_is_refused(make, what, panda_sim):
     with pytest.raises(CommandError, match=what):
         make(panda_sim.robot.parse_cartesian)
-
-
-def test_the_example_of_the_document_runs():
-    document = (Path(__file__).resolve().parents[2] / 'docs' / 'cartesian.md').read_text()
-    (script,) = [block for block in re.findall(r'```python\n(.*?)```', document, re.DOTALL)
-                 if 'rclpy' not in block]
-    names = {}
-    exec(script, names)
-    assert names['command'].handle.status is Status.DONE
-    assert np.abs(names['command'].handle.error).max() < 1e-3
 
 
 def test_an_arm_or_a_setting_that_is_not_there_is_told(panda_sim):
