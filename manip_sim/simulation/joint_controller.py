@@ -5,22 +5,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.simulation.active_commands import ActiveCommands
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
 from manip_sim.simulation.cartesian.targets import Hand
 from manip_sim.simulation.commands import (
-    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status, STOPPED,
+    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status,
     TrajectoryStop)
 from manip_sim.simulation.controlled_joints import ControlledJoints
 from manip_sim.simulation.numbers import clamp
-from manip_sim.simulation.ownership import JointOwners
 from manip_sim.simulation.parts import Part
 from manip_sim.typing import FloatArray, IntArray
 
@@ -42,6 +42,7 @@ class JointController(ControlledJoints):
     :param hands: of the arms that take Cartesian commands, by arm
     :ivar timeouts: how often each atomic part had no fresh command for too long
     :ivar cartesian: controls the hands
+    :ivar commands: those that have not ended
     """
 
     def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str],
@@ -50,10 +51,7 @@ class JointController(ControlledJoints):
         self.cartesian = CartesianController(
             model, data, hands or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
-        #: Each owns the joints of its indices; trajectories that start later own none yet.
-        self._running: list[Command] = []
-        self._waiting: list[JointTrajectory] = []
-        self._owners = JointOwners(len(self.names))
+        self.commands = ActiveCommands(len(self.names))
         self._timeout_s = dict.fromkeys(atomic, 0.0)
         self._last_command_s: dict[str, float] = {}
         self.timeouts = dict.fromkeys(atomic, 0)
@@ -62,10 +60,10 @@ class JointController(ControlledJoints):
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may, in the next interval."""
-        return bool(self._setpoints.moving or self._waiting or any(
+        return bool(self._setpoints.moving or self.commands.waiting or any(
             isinstance(c, (JointTrajectory, BaseTwist))
             or isinstance(c, CartesianCommand) and self.cartesian.moves(c)
-            for c in self._running))
+            for c in self.commands.running))
 
     def rebind(self, model: Any) -> None:
         """Go on with a model in which these actuators and joints are what and where they were."""
@@ -75,9 +73,8 @@ class JointController(ControlledJoints):
     @property
     def busy_parts(self) -> frozenset[str]:
         """The atomic parts that follow a trajectory, or wait for its start."""
-        trajectories = [*self._waiting,
-                        *(c for c in self._running if isinstance(c, JointTrajectory))]
-        return frozenset().union(*(self.parts_of(t.indices) for t in trajectories))
+        return frozenset().union(*(
+            self.parts_of(t.indices) for t in self.commands.trajectories))
 
     # ------------------------------------------------------------------ what is changed
 
@@ -103,7 +100,7 @@ class JointController(ControlledJoints):
         changed = np.array([i for i in self.indices_of(part) if self._mode[i] != mode],
                            dtype=np.int64)
         if changed.size:
-            self._release(changed, Status.ABORTED, f'the control mode is {mode} now')
+            self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
             for index in changed:
                 self._mode[index] = mode
             self._hold(changed, data)
@@ -124,7 +121,7 @@ class JointController(ControlledJoints):
     def reset(self, data: Any) -> None:
         """Abort all commands and rest where the joints are; modes stay."""
         everything = self._everything
-        self._release(everything, Status.ABORTED, 'the simulation was reset')
+        self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
         self._last_command_s.clear()
         self.cartesian.reset()
         self._effort[:] = 0.0
@@ -134,12 +131,6 @@ class JointController(ControlledJoints):
         self._setpoints.moving = False
         self._servos.start(data, everything, position, np.zeros(len(position)))
         self._written = False
-
-    def _release(self, indices: IntArray, status: Status, reason: str = '') -> None:
-        """Take joints from the commands that own or await them."""
-        self._owners.release(indices, reason)
-        self._running = list(_without(self._running, indices, status, reason))
-        self._waiting = list(_without(self._waiting, indices, status, reason))
 
     def apply(self, command: Command, data: Any, now_s: float, period_s: float) -> None:
         """
@@ -159,14 +150,14 @@ class JointController(ControlledJoints):
         for part in meant.parts:
             self._last_command_s[part] = now_s
         if isinstance(meant, JointTrajectory):
-            # What runs goes on until this one starts.
-            self._waiting = [*_without(self._waiting, meant.indices, Status.REPLACED), meant]
+            self.commands.await_start(meant)
         elif isinstance(meant, TrajectoryStop):
-            self._stop_trajectories(meant)
+            stopped = self.commands.stop(meant)
+            self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))
+            meant.handle.end(Status.DONE)
         else:
-            self._release(meant.indices, Status.REPLACED)
-            self._owners.take(meant.indices, meant.handle)
-            self._running.append(meant)
+            self.commands.take(meant)
+            self.commands.running.append(meant)
             if isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
             elif isinstance(meant, CartesianCommand):
@@ -198,15 +189,6 @@ class JointController(ControlledJoints):
                 self._servos.give_effort(indices, True)
                 self._setpoints.moving = True
 
-    def _stop_trajectories(self, stop: TrajectoryStop) -> None:
-        self._waiting = list(_without(self._waiting, stop.indices, *STOPPED))
-        for followed in [c.indices for c in self._running if isinstance(c, JointTrajectory)]:
-            named = np.intersect1d(stop.indices, followed)
-            self._release(named, *STOPPED)
-            self._setpoints.set_velocity(named, np.zeros(len(named)))
-        self._owners.release(stop.indices, STOPPED[1])
-        stop.handle.end(Status.DONE)
-
     def withdraw(self, handle: CommandHandle, data: Any, reason: str) -> None:
         """
         Abort a command; joints that it was the last to take come to rest, and press no more.
@@ -216,51 +198,15 @@ class JointController(ControlledJoints):
         :param handle: of the command
         :param reason: why, for the handle
         """
-        own = self._owners.of(handle)
-        self._running = [command for command in self._running if command.handle is not handle]
-        self._waiting = [command for command in self._waiting if command.handle is not handle]
-        handle.end(Status.ABORTED, reason)
-        self._owners.release(own, reason)
+        own = self.commands.withdraw(handle, reason)
         velocity = data.qvel[self._servos.dofs[own]]
         stop = data.qpos[self._servos.qpos[own]] + velocity * np.abs(velocity) / (
             2.0 * self._servos.acceleration_limit[own])
         self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
 
-    def rival(self, command: Command) -> CommandHandle | None:
-        """
-        Return what took joints from a command that has been applied, or None if it has them all.
-
-        A trajectory that starts later has its joints if no other trajectory took them.
-        """
-        for waiting in self._waiting:
-            if waiting.handle is command.handle:
-                return None if len(waiting.indices) == len(command.indices) else CommandHandle()
-        return self._owners.rival(command.handle, command.indices)
-
-    def awaits(self, handle: CommandHandle) -> bool:
-        """Tell whether a trajectory has been applied that starts later."""
-        return any(waiting.handle is handle for waiting in self._waiting)
-
     def measured(self, indices: IntArray, data: Any) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity of joints, copies, each of shape (n,)."""
         return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
-
-    def reference(self, handle: CommandHandle, now_s: float
-                  ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """
-        Return position, velocity and acceleration of a trajectory that runs, or None.
-
-        Unlike the setpoints, they do not wait for joints that are held up.
-
-        :param now_s: simulation time [s]
-        """
-        for command in self._running:
-            if command.handle is handle and isinstance(command, JointTrajectory):
-                position, velocity, acceleration = (
-                    values[command.columns]
-                    for values in command.trajectory.at(now_s - command.start_ns * 1e-9))
-                return position, velocity, acceleration
-        return None
 
     # ------------------------------------------------------------------ in the control loop
 
@@ -272,7 +218,7 @@ class JointController(ControlledJoints):
         :param period_s: length of the period [s]
         """
         self.cartesian.period_s = period_s
-        for command in list(self._running):
+        for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
             if (isinstance(command, JointSetpoint) and set(command.modes) == {'position'}
@@ -284,7 +230,7 @@ class JointController(ControlledJoints):
                 self._time_out(part)
 
     def _finish(self, command: Command, data: Any, goal: FloatArray) -> None:
-        self._running.remove(command)
+        self.commands.running.remove(command)
         measured = data.qpos[self._servos.qpos[command.indices]]
         command.handle.end(Status.DONE, error=goal - measured)
 
@@ -292,7 +238,7 @@ class JointController(ControlledJoints):
         indices = self.indices_of(part)
         del self._last_command_s[part]
         self.timeouts[part] += 1
-        self._release(indices, Status.ABORTED, 'no fresh command came in time')
+        self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
         gives = self._servos.gives_effort(indices)
         self._effort[indices[gives]] = 0.0
         self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
@@ -313,7 +259,7 @@ class JointController(ControlledJoints):
         setpoints.now_s = now_s
         self._start_trajectories(now_s, duration_s)
         self._turn_twist(data)
-        for command in self._running:
+        for command in self.commands.running:
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
         setpoints.advance(duration_s)
@@ -324,13 +270,12 @@ class JointController(ControlledJoints):
         self._written = True
 
     def _start_trajectories(self, now_s: float, duration_s: float) -> None:
-        for command in list(self._waiting):
+        for command in list(self.commands.waiting):
             start_s = command.start_ns * 1e-9 if command.start_ns else now_s
             if start_s >= now_s + duration_s - 1e-9:
                 continue
-            self._waiting.remove(command)
-            self._release(command.indices, Status.REPLACED)
-            self._owners.take(command.indices, command.handle)
+            self.commands.waiting.remove(command)
+            self.commands.take(command)
             own = command.own_trajectory()
             if own.trajectory.end_s <= now_s - start_s:
                 self._come_to(own.as_setpoint())
@@ -341,14 +286,14 @@ class JointController(ControlledJoints):
             except CommandError as error:
                 command.handle.end(Status.ABORTED, str(error))
                 continue
-            self._running.append(replace(own, start_ns=round(start_s * 1e9)))
+            self.commands.running.append(replace(own, start_ns=round(start_s * 1e9)))
 
     def _come_to(self, command: JointSetpoint) -> None:
         self._setpoints.come_back(command.indices, command.values)
-        self._running.append(command)
+        self.commands.running.append(command)
 
     def _follow_trajectories(self, data: Any, end_s: float) -> None:
-        for command in list(self._running):
+        for command in list(self.commands.running):
             if not isinstance(command, JointTrajectory):
                 continue
             since_s = end_s - command.start_ns * 1e-9
@@ -363,25 +308,14 @@ class JointController(ControlledJoints):
                     self._last_command_s.pop(part, None)
 
     def _commanded_parts(self) -> frozenset[str]:
-        return frozenset().union(*(self.parts_of(c.indices) for c in self._running))
+        return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
 
     def _turn_twist(self, data: Any) -> None:
         """Give the joints the velocities of the twist; the slides do not turn with the base."""
-        for command in self._running:
+        for command in self.commands.running:
             if isinstance(command, BaseTwist):
                 forward, side, turn = command.twist
                 yaw = data.qpos[self._servos.qpos[command.indices[2]]]
                 cos, sin = np.cos(yaw), np.sin(yaw)
                 velocity = np.array([cos * forward - sin * side, sin * forward + cos * side, turn])
                 self._setpoints.set_velocity(command.indices, velocity)
-
-
-def _without(commands: Iterable[C], indices: IntArray, status: Status, reason: str = ''
-             ) -> Iterator[C]:
-    """Yield what is left of commands that lose some joints; end those that lose all."""
-    for command in commands:
-        rest = command.without(indices)
-        if rest is None:
-            command.handle.end(status, reason)
-        else:
-            yield rest

@@ -118,7 +118,7 @@ class TrajectoryGoal(Goal):
         if self.command.handle.status is Status.WAITING:
             self._start_ns = time_ns
         position, velocity = joints.measured(self.command.indices, simulation.data)
-        reference = joints.reference(self.command.handle, time_ns * 1e-9)
+        reference = joints.commands.reference(self.command.handle, time_ns * 1e-9)
         self._on_the_way = reference is not None
         still = np.zeros(len(self._last))
         # Before it starts there is nothing to compare with.
@@ -128,10 +128,10 @@ class TrajectoryGoal(Goal):
     @property
     def _has_started(self) -> bool:
         return (self.command.handle.status is not Status.WAITING
-                and not self.robot.joints.awaits(self.command.handle))
+                and not self.robot.joints.commands.awaits(self.command.handle))
 
     def _rival(self) -> CommandHandle | None:
-        return self.robot.joints.rival(self.command)
+        return self.robot.joints.commands.rival(self.command)
 
     def _judge(self, simulation: Simulation) -> None:
         assert self.view is not None
