@@ -72,6 +72,12 @@ class Actions:
         for server in self._servers:
             server.tell_feedback()
 
+    def destroy(self) -> None:
+        """Destroy the servers."""
+        for server in self._servers:
+            server.destroy()
+        self._servers = []
+
     def end(self) -> None:
         """Abort all goals, and wait until their clients were told; the executor must still run."""
         with contextlib.suppress(SimulationEnded):

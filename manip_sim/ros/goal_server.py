@@ -100,6 +100,10 @@ class GoalServer:
                            f'{outcome.code.name} ({outcome.code.value}): {outcome.reason}')
         return self._messages.result_of(goal)
 
+    def destroy(self) -> None:
+        """Destroy the server."""
+        self._server.destroy()
+
     def tell_end(self, goal: Goal) -> bool:
         """
         Let the client of a goal that has ended know.

@@ -18,7 +18,7 @@ from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
-from manip_sim.ros.actions import offer_actions
+from manip_sim.ros.actions import Actions, offer_actions
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.commands import CommandSubscribers
@@ -45,6 +45,8 @@ class SimNode(Node):
         ``parameter_overrides``
     :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
     """
+
+    _actions: Actions | None = None
 
     def __init__(self, **arguments: Any) -> None:
         try:
@@ -209,6 +211,12 @@ class SimNode(Node):
         """Let the simulation run."""
         self.cameras.start()
         self.thread.start()
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its actions, which rclpy would leave, and the node with them."""
+        if self._actions is not None:
+            self._actions.destroy()
+        super().destroy_node()
 
     def end_goals(self) -> None:
         """Abort the goals of actions and let their clients know; the executor must still run."""

@@ -42,6 +42,7 @@ def run(client):
 
     def send(action_type, name, goal, cancel_after=None):
         action = ActionClient(client.node, action_type, name)
+        clients.append(action)
         client.spin_until(action.server_is_ready)
         told = []
         handle = wait(action.send_goal_async(goal, lambda m: told.append(m.feedback)))
@@ -52,7 +53,10 @@ def run(client):
             wait(handle.cancel_goal_async())
         answer = wait(handle.get_result_async())
         return answer.status, answer.result, told
-    return send
+    clients = []
+    yield send
+    for action in clients:
+        action.destroy()
 
 
 def trajectory(position=0.3, joint=J1, **fields):

@@ -60,6 +60,10 @@ class Swinger:
         client.spin_until(self.action.server_is_ready)
         self.told = []
 
+    def close(self):
+        # rclpy leaves this to the user, and the node with it.
+        self.action.destroy()
+
     def wait(self, future):
         self.client.spin_until(future.done)
         return future.result()
@@ -93,7 +97,9 @@ def served():
 
 @pytest.fixture
 def swinger(served, client):
-    yield Swinger(client)
+    swinger = Swinger(client)
+    yield swinger
+    swinger.close()
     assert served._actions.tracker.goals == ()
     client.spin_until(lambda: not any(s._running for s in served._actions._servers))
     # Without goals nothing wakes the executor.
@@ -152,6 +158,7 @@ def test_client_that_leaves_does_not_keep_others_from_the_action(served, swinger
     other = Client()
     leaving = Swinger(other)
     leaving.send(5).get_result_async()
+    leaving.close()
     other.close()
     swinger.client.spin_until(lambda: not served._actions.tracker.goals)
     assert swinger.run(1) == SUCCEEDED
@@ -175,3 +182,16 @@ def test_client_that_waits_for_its_goal_in_lockstep_gets_there(serve, client, mo
     ends = node.simulation.time_ns
     assert 500_000_000 < ends < 700_000_000
     assert swinger.run(5) == SUCCEEDED
+    swinger.close()
+
+
+def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
+    monkeypatch.setattr(sim_node, 'offer_actions', offer)
+
+    def nodes():
+        return client.node.get_node_names().count('manip_sim')
+    before = client.settled(nodes)
+    passing = Served({})
+    client.spin_until(lambda: nodes() == before + 1)
+    passing.close()
+    client.spin_until(lambda: nodes() == before, timeout_s=10.0)
