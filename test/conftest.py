@@ -56,6 +56,16 @@ def mjcf(tmp_path):
 
 
 @pytest.fixture
+def written(tmp_path):
+    """Return a function that writes a file of parameters and returns its path."""
+    def write(text):
+        file = tmp_path / 'parameters.yaml'
+        file.write_text(text)
+        return file
+    return write
+
+
+@pytest.fixture
 def arm_class():
     """Return a robot class with one arm that starts at zero; instances take a file."""
     class Arm(ManipulatorModel):

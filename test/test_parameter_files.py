@@ -9,16 +9,6 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameter_files import read_parameters
 
 
-@pytest.fixture
-def written(tmp_path):
-    """Return a function that writes a file and returns its path."""
-    def write(text):
-        file = tmp_path / 'parameters.yaml'
-        file.write_text(text)
-        return file
-    return write
-
-
 def test_a_node_in_a_namespace_has_its_own_section(written):
     file = written('cell:\n  manip_sim:\n    ros__parameters: {a: {b: 1}}\n')
     assert read_parameters(file, '/cell/manip_sim') == {'a.b': 1}

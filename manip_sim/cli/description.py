@@ -26,7 +26,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import MODES
 from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.parts import Part
-from manip_sim.simulation.servos import effort_range
+from manip_sim.simulation.actuator_properties import effort_range
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 Row = dict[str, Any]

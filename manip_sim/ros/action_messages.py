@@ -158,7 +158,7 @@ class GripperMessages(ActionMessages):
         return message
 
 
-class ParallelGripperMessages(ActionMessages):
+class ParallelGripperMessages(GripperMessages):
     """Messages of control_msgs/ParallelGripperCommand."""
 
     name = 'parallel_gripper_cmd'
@@ -180,10 +180,6 @@ class ParallelGripperMessages(ActionMessages):
         return GripperGoal(self.robot, self.part, GripperRequest(
             numbers['position'][0], *numbers['effort'] or (0.0,), *numbers['velocity'] or (0.0,),
             *numbers['name']))
-
-    def feedback_of(self, goal: GripperGoal) -> Any:
-        """Return where the gripper is."""
-        return self._filled(self.action_type.Feedback(), goal)
 
     def result_of(self, goal: GripperGoal) -> Any:
         """Return where the gripper is, and whether it was stopped on its way."""

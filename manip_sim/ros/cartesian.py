@@ -28,13 +28,15 @@ class CartesianSubscribers:
     :param commands: the subscriptions of the robot, which count
     :param parameters: those of ``cartesian_parameters`` are declared
     :param thread: the simulation's
+    :param frame_prefix: beginning of the names of frames, which commands may leave out
     """
 
     def __init__(self, commands: CommandSubscribers, parameters: Parameters,
-                 thread: SimulationThread) -> None:
+                 thread: SimulationThread, frame_prefix: str = '') -> None:
         self._robot = commands.robot
         self._parse = commands.robot.parse_cartesian
         self._thread = thread
+        self._frame_prefix = frame_prefix
         self._settings: dict[str, tuple[str, str]] = {}
         for arm, settings in self._robot.joints.cartesian.settings.items():
             commands.subscribe(PoseStamped, f'{arm}/target_pose', arm, partial(self._pose, arm))
@@ -57,12 +59,16 @@ class CartesianSubscribers:
     def _pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
         position, turn = message.pose.position, message.pose.orientation
         return [self._parse.pose(arm, [position.x, position.y, position.z],
-                                 [turn.x, turn.y, turn.z, turn.w], message.header.frame_id)]
+                                 [turn.x, turn.y, turn.z, turn.w], self._frame_of(message))]
 
     def _twist(self, arm: str, message: TwistStamped) -> Sequence[Command]:
         linear, angular = message.twist.linear, message.twist.angular
         return [self._parse.twist(arm, [linear.x, linear.y, linear.z],
-                                  [angular.x, angular.y, angular.z], message.header.frame_id)]
+                                  [angular.x, angular.y, angular.z], self._frame_of(message))]
+
+    def _frame_of(self, message: PoseStamped | TwistStamped) -> str:
+        frame_id: str = message.header.frame_id
+        return frame_id.removeprefix(self._frame_prefix)
 
     def _action(self, arm: str, message: Float64MultiArray) -> Sequence[Command]:
         return [self._parse.action(arm, message.data)]

@@ -26,6 +26,9 @@ from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.simulation import Simulation, SimulatedRobot
 
+#: For who comes later too.
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
 
 class Output:
     """
@@ -182,7 +185,6 @@ def publish_model(node: Node, world: World) -> None:
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
     """
-    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    node.create_publisher(String, '~/mjcf', latched).publish(String(data=world.to_xml()))
-    node.create_publisher(UInt8MultiArray, '~/mjcf_archive', latched).publish(
+    node.create_publisher(String, '~/mjcf', LATCHED).publish(String(data=world.to_xml()))
+    node.create_publisher(UInt8MultiArray, '~/mjcf_archive', LATCHED).publish(
         UInt8MultiArray(data=array('B', world.to_archive())))

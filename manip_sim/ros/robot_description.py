@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
+from manip_sim.ros.publishers import LATCHED
 from manip_sim.simulation import SimulatedRobot
 
 
@@ -36,10 +36,9 @@ def publish_descriptions(node: Any, world: World,
             node.resolve_topic_name(scope.topic('joint_command')))
             for scope, robot in robots.items()}
     urdfs = urdfs_of(world, hardware)
-    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     for scope, robot in robots.items():
         urdf = urdfs[robot.name]
-        node.create_publisher(String, scope.topic('robot_description'), latched).publish(
+        node.create_publisher(String, scope.topic('robot_description'), LATCHED).publish(
             String(data=urdf.xml))
         if urdf.notes:
             name = f'{scope.name}: ' if scope.name else ''

@@ -105,7 +105,7 @@ class SimNode(Node):
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
             self._cartesian.append(
-                CartesianSubscribers(self.commands[-1], self._declared, self.thread))
+                CartesianSubscribers(self.commands[-1], self._declared, self.thread, frame_prefix))
 
     def _show_world(self, world: World, frame_prefix: str) -> None:
         value = self._declared.value

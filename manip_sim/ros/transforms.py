@@ -11,10 +11,9 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.publishers import create_output, Output
+from manip_sim.ros.publishers import create_output, LATCHED, Output
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import Frame, FrameTree
 from manip_sim.typing import FloatArray
@@ -52,9 +51,8 @@ def create_outputs(node: Node, log: RejectionLog) -> tuple[Output, Output]:
 
     :param log: counts and tells what could not be published
     """
-    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     return (create_output(node, log, TFMessage, '/tf', _DEPTH),
-            Output(node.create_publisher(TFMessage, '/tf_static', latched), log))
+            Output(node.create_publisher(TFMessage, '/tf_static', LATCHED), log))
 
 
 class TransformPublisher:

@@ -17,17 +17,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.errors import ModelError
+from manip_sim.simulation.actuator_properties import (
+    check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
 from manip_sim.typing import BoolArray, FloatArray, IntArray
 
-#: Lag of a position servo whose gains are derived [s]: damping over stiffness.
-_LAG_S = 0.013
 #: Span of an unlimited hinge that an abstract action of -1 to 1 stands for [rad].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
 #: Span of the effort of a joint without a torque limit [N m or N].
 _UNLIMITED_EFFORT = 1e3
-#: Velocity limit of a joint that declares none [rad/s or m/s].
-_DEFAULT_VELOCITY = np.pi
 #: What steps may use of the torque that is left beside weight and damping.
 _TORQUE_SHARE = 0.6
 #: What the joint's damping may use of the torque that is left beside the weight.
@@ -71,8 +68,8 @@ class Servos:
 
     def __init__(self, model: Any, data: Any, actuators: Sequence[str], joints: Sequence[str]
                  ) -> None:
-        _check_single(actuators, joints)
-        _check_kinds(model, actuators)
+        check_single(actuators, joints)
+        check_kinds(model, actuators)
         self._model = model
         ids = self._ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
         joint_ids = np.array([model.joint(j).id for j in joints], dtype=np.int64)
@@ -80,7 +77,7 @@ class Servos:
         self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
         self._activation = model.actuator_actadr[ids].astype(np.int64)
         self._gear: FloatArray = model.actuator_gear[ids, 0].copy()
-        stiffness, damping = _stiffness_and_damping(model, ids, self.dofs)
+        stiffness, damping = stiffness_and_damping(model, ids, self.dofs)
         self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
         self._soften()
         passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
@@ -91,7 +88,7 @@ class Servos:
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
         self.ranges = {'position': self._position_range(joint_ids),
                        'effort': self._limit_effort(joint_ids)}
-        velocity = _velocity_limit(model, joint_ids, ids)
+        velocity = velocity_limit(model, joint_ids, ids)
         self.ranges['velocity'] = np.stack([-velocity, velocity], axis=1)
         torque = np.abs(self.ranges['effort']).max(axis=1)
         # What the weight leaves of the torque has to suffice for the joint's own damping.
@@ -242,71 +239,3 @@ class Servos:
         here = data.act[self._activation]
         data.ctrl[self._ids] = np.where(self._gives_effort, 0.0, (goal - here) / duration_s)
         data.act[self._activation] = np.where(self._gives_effort, effort / self._gear, here)
-
-
-def _check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
-    driver: dict[str, str] = {}
-    for actuator, joint in zip(actuators, joints):
-        if joint in driver:
-            raise ModelError(f"joint '{joint}' is driven by two actuators, '{driver[joint]}' and "
-                             f"'{actuator}': give it one")
-        driver[joint] = actuator
-
-
-def _check_kinds(model: Any, actuators: Sequence[str]) -> None:
-    biases = [int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)]
-    for name in actuators:
-        index = model.actuator(name).id
-        if (int(model.actuator_gaintype[index]) != int(mujoco.mjtGain.mjGAIN_FIXED)
-                or int(model.actuator_biastype[index]) not in biases):
-            raise ModelError(f"actuator '{name}' must be a motor, or a position or velocity servo:"
-                             ' its gain must be fixed and its bias none or affine')
-
-
-def _stiffness_and_damping(model: Any, ids: IntArray, dofs: IntArray
-                           ) -> tuple[FloatArray, FloatArray]:
-    kp = -model.actuator_biasprm[ids, 1].copy()
-    kv = -model.actuator_biasprm[ids, 2].copy()
-    affine = model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    position_servo = affine & (kp > 0.0)
-    velocity_servo = affine & (kp == 0.0) & (kv > 0.0)
-    # What the actuator sees of the joint through its gear.
-    inertia = model.dof_M0[dofs] / model.actuator_gear[ids, 0]**2
-    # Critical damping, kv = 2 sqrt(kp M), with the lag wanted, kv / kp, or the kv that is there.
-    derived_kp = 4.0 * inertia / _LAG_S**2
-    damped_kp = np.minimum(kv**2 / (4.0 * inertia), derived_kp)
-    kp = np.where(position_servo, kp, np.where(velocity_servo, damped_kp, derived_kp))
-    kv = np.where((position_servo | velocity_servo) & (kv > 0.0), kv,
-                  2.0 * np.sqrt(np.maximum(kp * inertia, 0.0)))
-    return kp, kv
-
-
-def _velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
-    limit = np.full(len(joint_ids), np.inf)
-    if model.nuser_jnt:
-        declared = model.jnt_user[joint_ids, 0]
-        limit = np.where(declared > 0.0, declared, limit)
-    velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
-    of_servo = np.where(velocity_servo & (model.actuator_ctrllimited[ids] != 0),
-                        np.abs(model.actuator_ctrlrange[ids]).min(axis=1)
-                        / np.abs(model.actuator_gear[ids, 0]), np.inf)
-    limit = np.minimum(limit, of_servo)
-    return np.where(np.isfinite(limit), limit, _DEFAULT_VELOCITY)
-
-
-def effort_range(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
-    """Return the lowest and highest effort at the joints, infinite where there is no limit."""
-    gear = model.actuator_gear[ids, :1]
-    motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
-    gain = np.where(motor, model.actuator_gainprm[ids, 0], 0.0)[:, None]
-    motor_limited = motor & (model.actuator_ctrllimited[ids] != 0)
-    ranges = [
-        np.where(model.actuator_forcelimited[ids, None] != 0,
-                 model.actuator_forcerange[ids] * gear, (-np.inf, np.inf)),
-        np.where(model.jnt_actfrclimited[joint_ids, None] != 0,
-                 model.jnt_actfrcrange[joint_ids], (-np.inf, np.inf)),
-        np.where(motor_limited[:, None], model.actuator_ctrlrange[ids] * gain * gear,
-                 (-np.inf, np.inf))]
-    # A negative gear turns a range round.
-    ordered = np.sort(np.stack(ranges), axis=2)
-    return np.stack([ordered[..., 0].max(axis=0), ordered[..., 1].min(axis=0)], axis=1)

@@ -3,6 +3,7 @@
 
 """The command as a process of its own, and in this one."""
 
+import json
 import os
 from pathlib import Path
 import subprocess
@@ -51,6 +52,16 @@ def here(capsys, monkeypatch):
         output, errors = capsys.readouterr()
         return code, output, errors
     return run
+
+
+@pytest.fixture
+def described(here):
+    """Return a function that returns what ``describe --json`` tells."""
+    def describe(*arguments):
+        code, text, errors = here('describe', '--json', *arguments)
+        assert (code, errors) == (0, '')
+        return json.loads(text)
+    return describe
 
 
 @pytest.fixture

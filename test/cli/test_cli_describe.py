@@ -20,16 +20,6 @@ DATASHEETS = json.loads(
 PARTS_OF_PANDA = ['arm', 'right', 'right/gripper']
 
 
-@pytest.fixture
-def described(here):
-    """Return a function that returns what ``describe --json`` tells."""
-    def describe(*arguments):
-        code, text, errors = here('describe', '--json', *arguments)
-        assert (code, errors) == (0, '')
-        return json.loads(text)
-    return describe
-
-
 def by_name(rows):
     return {row['name']: row for row in rows}
 

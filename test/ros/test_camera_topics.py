@@ -121,7 +121,7 @@ def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen,
 
 
 def test_a_compressed_image_is_a_jpeg_of_the_same(serve_seen, client):
-    pytest.importorskip('PIL.Image')
+    pytest.importorskip('PIL.Image', reason='pillow is in the extra cameras')
     from PIL.Image import open as open_image
     serve_seen(cameras=['agentview'], arena='table', start_paused=True,
                camera__agentview__depth=False)

@@ -19,16 +19,6 @@ NODES = ('/**', 'manip_sim', '/manip_sim', '/*', '**', '*', '/**/manip_sim', '/*
          '/cell/manip_sim')
 
 
-@pytest.fixture
-def written(tmp_path):
-    """Return a function that writes a file and returns its path."""
-    def write(text):
-        file = tmp_path / 'parameters.yaml'
-        file.write_text(text)
-        return file
-    return write
-
-
 def as_rclpy_has_them(file):
     context = rclpy.Context()
     rclpy.init(args=['--ros-args', '--params-file', str(file)], context=context,
