@@ -3,6 +3,8 @@
 
 """What the parameter ``frame_prefix`` puts before names is understood in commands too."""
 
+import copy
+
 from geometry_msgs.msg import PoseStamped, TwistStamped
 import pytest
 
@@ -12,7 +14,7 @@ def test_commands_take_frames_as_the_messages_of_the_node_call_them(prefix, serv
     serve(robot='UR5e', stepping='free', frame_prefix='cell/')
     poses = client.listen(PoseStamped, 'right/eef_pose')
     client.spin_until(lambda: poses)
-    target = poses[-1]
+    target = copy.deepcopy(poses[-1])
     assert target.header.frame_id == 'cell/world'
     target.header.frame_id = f'{prefix}world'
     goal = target.pose.position.z = target.pose.position.z + 0.05
@@ -20,5 +22,8 @@ def test_commands_take_frames_as_the_messages_of_the_node_call_them(prefix, serv
     client.spin_until(lambda: abs(poses[-1].pose.position.z - goal) < 1e-3, timeout_s=20.0)
     twist = TwistStamped()
     twist.header.frame_id, twist.twist.linear.z = f'{prefix}robot0_base', 0.05
-    client.publish('right/target_twist', twist)
-    client.spin_until(lambda: poses[-1].pose.position.z > goal + 2e-3, timeout_s=20.0)
+
+    def has_moved():
+        client.publish('right/target_twist', twist)
+        return poses[-1].pose.position.z > goal + 0.01
+    client.spin_until(has_moved, timeout_s=20.0)
