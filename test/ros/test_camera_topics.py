@@ -251,18 +251,24 @@ HANGS = """
 import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering.offscreen import OffscreenRenderer
-OffscreenRenderer.render = lambda *_, **__: threading.Event().wait()
+
+def render(*_, **__):
+    print('rendering', flush=True)
+    threading.Event().wait()
+
+OffscreenRenderer.render = render
 from manip_sim.ros import main
 sys.exit(main.run(['--ros-args', '-p', 'cameras:=[birdview]']))
 """
 
 
 def test_a_process_with_a_rendering_that_hangs_ends_cleanly(client, renderer):
-    node = subprocess.Popen([sys.executable, '-c', HANGS], text=True, stderr=subprocess.PIPE,
-                            env={'MUJOCO_GL': 'egl', **os.environ})
+    node = subprocess.Popen([sys.executable, '-c', HANGS], text=True, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, env={'MUJOCO_GL': 'egl', **os.environ})
     try:
         listen(client, 'birdview/color/image_raw')
-        client.spin_until(lambda: client.state().header.stamp.sec >= 1)
+        assert node.stdout is not None
+        assert node.stdout.readline() == 'rendering\n'
         node.send_signal(signal.SIGINT)
         begin = time.monotonic()
         _, errors = node.communicate(timeout=20.0)
