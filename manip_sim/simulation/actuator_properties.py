@@ -105,7 +105,7 @@ class DryFriction:
     def at(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Return what overcomes it, in SI units, shape (n,) as both of them."""
         force = self._damping * velocity + self._inertia * acceleration
-        return np.clip(force, -self._largest, self._largest)
+        return np.asarray(np.clip(force, -self._largest, self._largest))
 
 
 def velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
