@@ -18,6 +18,8 @@ from manip_sim.typing import FloatArray, IntArray
 _LAG_S = 0.013
 #: Velocity limit of a joint that declares none [rad/s or m/s].
 _DEFAULT_VELOCITY = np.pi
+#: At this velocity all of the dry friction of a joint is there, at the earliest [rad/s or m/s].
+_SLIDING = 0.05
 
 
 def check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
@@ -73,6 +75,37 @@ def stiffness_and_damping(model: Any, ids: IntArray, dofs: IntArray
     kv = np.where((position_servo | velocity_servo) & (kv > 0.0), kv,
                   2.0 * np.sqrt(np.maximum(kp * inertia, 0.0)))
     return kp, kv
+
+
+class DryFriction:
+    """
+    The friction that joints have at some velocity and acceleration.
+
+    MuJoCo's dry friction is a soft constraint: the force of a slow or light joint is the
+    constraint's damping times its velocity over the regularization, up to the ``frictionloss``
+    (MuJoCo documentation, Computation: constraint model).
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param dofs: of the joints, shape (n,)
+    """
+
+    def __init__(self, model: Any, dofs: IntArray) -> None:
+        self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
+        impedance = np.clip(model.dof_solimp[dofs, :2], 1e-4, 0.9999)
+        reference = model.dof_solref[dofs]
+        time = np.maximum(reference[:, 0], 2.0 * model.opt.timestep)
+        rate = np.where(reference[:, 0] > 0.0, 2.0 / time, -reference[:, 1]) / impedance[:, 1]
+        regularization = np.maximum(
+            (1.0 - impedance[:, 0]) / impedance[:, 0] * model.dof_invweight0[dofs], 1e-15)
+        # A heavy joint, whose friction is there at once, shall not be pushed to and fro.
+        share = np.minimum(1.0, self._largest * regularization / (_SLIDING * rate))
+        self._inertia = share / regularization
+        self._damping = rate * self._inertia
+
+    def at(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Return what overcomes it, in SI units, shape (n,) as both of them."""
+        force = self._damping * velocity + self._inertia * acceleration
+        return np.asarray(np.clip(force, -self._largest, self._largest))
 
 
 def velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:

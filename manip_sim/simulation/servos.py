@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.simulation.actuator_properties import (
-    check_kinds, check_single, effort_range, stiffness_and_damping, velocity_limit)
+    check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
 from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: Span of an unlimited hinge that an abstract action of -1 to 1 stands for [rad].
@@ -38,8 +38,6 @@ _QUANTILE = 0.15
 _EXPLICIT_DAMPING = 1.5
 #: Damping ratio that a servo keeps at most when its gains are lowered for that.
 _SOFT_RATIO = 3.0
-#: A setpoint that moves faster has to overcome all of the joint's dry friction [rad/s or m/s].
-_SLIDING = 0.05
 
 
 class Servos:
@@ -84,7 +82,7 @@ class Servos:
         self.passive_damping: FloatArray = passive.copy()
         #: Force per velocity of a setpoint, so that the joint moves as fast.
         self._drag = self._damping + passive
-        self._friction: FloatArray = model.dof_frictionloss[self.dofs].copy()
+        self._friction = DryFriction(model, self.dofs)
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
         self.ranges = {'position': self._position_range(joint_ids),
                        'effort': self._limit_effort(joint_ids)}
@@ -232,7 +230,7 @@ class Servos:
         self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
-        force += self._friction * np.clip(velocity / _SLIDING, -1.0, 1.0)
+        force += self._friction.at(velocity, acceleration)
         # The bias force less the weight, which the actuators carry already.
         force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
         goal = (position + force / self._stiffness) * self._gear
