@@ -17,8 +17,9 @@ from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.goals import target_of
 from manip_sim.simulation.cartesian.inverse_kinematics import (
-    approach, follow_twist, JointState, Solution, stop)
-from manip_sim.simulation.cartesian.operational_space import effort, wanted_twist
+    approach, follow_twist, JointState, stop)
+from manip_sim.simulation.cartesian.operational_space_controller import (
+    OperationalSpaceController)
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import Hand, pose_error, Target
@@ -26,15 +27,14 @@ from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
-from manip_sim.typing import FloatArray, IntArray
+from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: Where control periods are longer, inverse kinematics is solved so often [s].
 _LONGEST_INTERVAL_S = 0.012
-#: A pose is reached within this, by setpoints and by the measured hand [m, rad].
+#: A pose is reached by setpoints within this [m, rad].
 _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
-_REACHED_BY_EFFORT = np.array([1e-3] * 3 + [1e-2] * 3)
-#: A hand that is slower rests: as a share of joint velocity limits, and measured [m/s, rad/s].
-_SLOW_PACE, _SLOW_TWIST = 0.005, 2e-3
+#: Setpoints that are slower rest, as a share of joint velocity limits.
+_SLOW_PACE = 0.005
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
 #: What carries an arm has moved if it is farther from where it was [m, rad].
@@ -69,19 +69,18 @@ class CartesianController:
         self._setpoints = setpoints
         self._posture = data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
-        self._torque = servos.ranges['effort']
         self.settings = {arm: CartesianSettings() for arm in hands}
         self.reports = {arm: CartesianReport(arm) for arm in hands}
         self.period_s = float(model.opt.timestep)
         self._targets: dict[str, Target] = {}
+        self._operational = OperationalSpaceController(model, servos, self._posture)
         self.rebind(model)
 
     def rebind(self, model: Any) -> None:
         """Go on with a model in which the robot is what and where it was."""
         self._model = model
         self._scratch: Any = mujoco.MjData(model) if self._hands else None
-        self._jacobian = np.zeros((6, model.nv))
-        self._unit, self._column = np.zeros(model.nv), np.zeros(model.nv)
+        self._operational.rebind(model)
 
     def set(self, arm: str, name: str, value: float) -> None:
         """
@@ -187,19 +186,21 @@ class CartesianController:
         scratch.qpos[self._servos.qpos[indices]] = joints.position + ahead * joints.velocity
         mujoco.mj_kinematics(self._model, scratch)
         mujoco.mj_comPos(self._model, scratch)
+        tip = self._hands[command.arm].tip
+        jacobian = tip.jacobian(self._model, scratch, self._servos.dofs[indices])
         if target.until_s == -math.inf:
             velocity = stop(joints, interval_s)
         elif target.twist is not None:
-            solution = follow_twist(self._jacobian_of(command, scratch),
+            solution = follow_twist(jacobian,
                                     target.twist_in_world(scratch), joints, interval_s)
-            self._see(command, solution, 'the twist')
-            target.stay_at(self._hands[command.arm].tip.pose(scratch), scratch)
+            self._see(command, 'the twist', solution.held, solution.singular, solution.slowed)
+            target.stay_at(tip.pose(scratch), scratch)
             velocity = solution.velocity
         else:
-            error = pose_error(target.goal(scratch), self._hands[command.arm].tip.pose(scratch))
-            solution = approach(self._jacobian_of(command, scratch), error, joints, interval_s,
+            error = pose_error(target.goal(scratch), tip.pose(scratch))
+            solution = approach(jacobian, error, joints, interval_s,
                                 settings.linear_velocity, settings.angular_velocity)
-            self._see(command, solution, 'the way to the target')
+            self._see(command, 'the way to the target', solution.held, solution.singular)
             near = (np.abs(error) <= _REACHED).all() and solution.pace < _SLOW_PACE
             self._look(command, target, data, now_s, error, bool(near), solution.progress)
             velocity = solution.velocity
@@ -209,9 +210,10 @@ class CartesianController:
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
             target.settled_in = self._place(command, target, data)
 
-    def _see(self, command: CartesianCommand, solution: Solution, what: str) -> None:
+    def _see(self, command: CartesianCommand, what: str, held: BoolArray, singular: bool,
+             slowed: bool = False) -> None:
         self.reports[command.arm].see_motion(
-            solution, what, [self._names[i] for i in command.indices[solution.held]])
+            what, [self._names[i] for i in command.indices[held]], singular, slowed)
 
     def _joints(self, indices: IntArray) -> JointState:
         setpoints, servos = self._setpoints, self._servos
@@ -219,11 +221,6 @@ class CartesianController:
             setpoints.position[indices], setpoints.velocity[indices], self._low[indices],
             self._high[indices], servos.cruising_velocity[indices],
             servos.acceleration_limit[indices], self._posture[indices])
-
-    def _jacobian_of(self, command: CartesianCommand, data: Any) -> FloatArray:
-        mujoco.mj_jacSite(self._model, data, self._jacobian[:3], self._jacobian[3:],
-                          self._hands[command.arm].tip.site)
-        return self._jacobian[:, self._servos.dofs[command.indices]]
 
     def _look(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
               error: FloatArray, reached: bool, progress: float) -> None:
@@ -237,35 +234,13 @@ class CartesianController:
 
     def _effort(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
                 duration_s: float) -> FloatArray:
-        indices, tip = command.indices, self._hands[command.arm].tip
-        dofs = self._servos.dofs[indices]
-        twist = target.twist_in_world(data)
-        if target.twist is not None:
-            target.move(data, tip, twist, duration_s)
-        error = pose_error(target.goal(data), tip.pose(data))
-        jacobian, velocity = self._jacobian_of(command, data), data.qvel[dofs]
-        settings = self.settings[command.arm]
-        wanted = wanted_twist(jacobian, error, twist, settings,
-                              self._servos.velocity_limit[indices])
-        given = effort(jacobian, self._inertia(data, dofs), velocity, wanted,
-                       self._posture[indices] - data.qpos[self._servos.qpos[indices]],
-                       settings.damping)
-        # Gravity that is compensated counts as none.
-        given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
-        given += self._servos.passive_damping[indices] * velocity
-        if target.twist is None:
-            moved, goes = jacobian @ velocity, settings.stiffness / settings.damping * error
-            near = (np.abs(error) <= _REACHED_BY_EFFORT).all() and (
-                np.abs(moved) < _SLOW_TWIST).all()
-            self._look(command, target, data, now_s, error, bool(near),
-                       float(moved @ goes) / max(float(goes @ goes), 1e-12))
-        return np.clip(given, *self._torque[indices].T)
-
-    def _inertia(self, data: Any, dofs: IntArray) -> FloatArray:
-        inertia = np.empty((len(dofs), len(dofs)))
-        for index, dof in enumerate(dofs):
-            self._unit[dof] = 1.0
-            mujoco.mj_mulM(self._model, data, self._column, self._unit)
-            self._unit[dof] = 0.0
-            inertia[index] = self._column[dofs]
-        return inertia
+        streams = target.twist is not None
+        solution = self._operational.follow(
+            self._hands[command.arm].tip, target, command.indices, data, duration_s,
+            self.settings[command.arm])
+        self._see(command, 'the twist' if streams else 'the way to the target', solution.held,
+                  solution.singular, streams and solution.slowed)
+        if not streams:
+            self._look(command, target, data, now_s, solution.error, solution.rests,
+                       solution.progress)
+        return solution.effort

@@ -14,7 +14,7 @@ import numpy as np
 
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.quoting import quoted
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
 
 WORLD = 'world'
 
@@ -42,6 +42,17 @@ class Frame:
         if self.site is not None:
             return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
         return data.xpos[self.body].copy(), data.xmat[self.body].reshape(3, 3).copy()
+
+    def jacobian(self, model: Any, data: Any, dofs: IntArray) -> FloatArray:
+        """
+        Return how it moves and turns in the world with joints, shape (6, n).
+
+        :param data: the ``mujoco.MjData`` after ``mj_kinematics`` and ``mj_comPos``
+        :param dofs: addresses of the joints in ``qvel``, shape (n,)
+        """
+        jacobian = np.zeros((6, model.nv))
+        mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], self.pose(data)[0], self.body)
+        return jacobian[:, dofs]
 
 
 class Frames:

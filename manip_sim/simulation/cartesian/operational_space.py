@@ -10,6 +10,7 @@ that is wanted, and a redundant arm is drawn to a posture by efforts that do not
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -33,7 +34,7 @@ def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, want
     :param jacobian: of position and rotation of the hand, shape (6, n)
     :param inertia: of the joints, shape (n, n)
     :param velocity: of the joints [rad/s], shape (n,)
-    :param wanted: velocity of the hand, such as :func:`wanted_twist` [m/s, rad/s], shape (6,)
+    :param wanted: velocity of the hand, such as :func:`wanted_motion` [m/s, rad/s], shape (6,)
     :param posture_error: way of the joints to the posture [rad], shape (n,)
     :param damping: [1/s]
     :returns: [N m], shape (n,)
@@ -47,8 +48,25 @@ def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, want
     return np.asarray(jacobian.T @ force + own)
 
 
-def wanted_twist(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
-                 settings: CartesianSettings, velocity_limit: FloatArray) -> FloatArray:
+@dataclass(frozen=True)
+class WantedMotion:
+    """
+    How a hand shall move.
+
+    :ivar twist: in the world [m/s, rad/s], shape (6,)
+    :ivar joints: velocities of the joints that give it [rad/s], shape (n,)
+    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
+    :ivar slowed: whether joint velocity limits slow it down
+    """
+
+    twist: FloatArray
+    joints: FloatArray
+    singular: bool
+    slowed: bool
+
+
+def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
+                  settings: CartesianSettings, velocity_limit: FloatArray) -> WantedMotion:
     """
     Return the velocity of the hand at which spring and damper are in balance.
 
@@ -59,7 +77,6 @@ def wanted_twist(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     :param error: way [m] and rotation vector [rad] to where the hand shall be, shape (6,)
     :param twist: velocity that it shall have there [m/s, rad/s], shape (6,)
     :param velocity_limit: of the joints [rad/s], shape (n,)
-    :returns: [m/s, rad/s], shape (6,)
     """
     wanted = settings.stiffness / settings.damping * error
     for half, limit in ((wanted[:3], settings.linear_velocity),
@@ -70,7 +87,10 @@ def wanted_twist(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     parts = left.T @ (wanted + twist)
     joints = right.T @ (values / damped * parts)
     excess = max(1.0, float((np.abs(joints) / velocity_limit).max()))
-    return np.asarray(left @ (values**2 / damped * parts) / excess)
+    return WantedMotion(left @ (values**2 / damped * parts) / excess, joints / excess,
+                        values[-1] < _SINGULAR / 2.0
+                        and bool(abs(parts[-1]) > 0.5 * np.linalg.norm(parts) + 1e-9),
+                        excess > 1.0 + 1e-6)
 
 
 def _regular(jacobian: FloatArray, inertia: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 
-from manip_sim.simulation.cartesian.inverse_kinematics import Solution
 from manip_sim.typing import FloatArray
 
 #: What is farther from its target [m, rad] and does not come nearer for a while [s], by this share
@@ -50,18 +49,20 @@ class CartesianReport:
         return {kind: getattr(self, kind)
                 for kind in ('unreachable', 'joint_limit', 'singular', 'slowed')}
 
-    def see_motion(self, solution: Solution, what: str, held: Sequence[str]) -> None:
+    def see_motion(self, what: str, held: Sequence[str], singular: bool, slowed: bool) -> None:
         """
         See what limits a motion.
 
         :param what: the motion, in words
         :param held: names of the joints that are at the end of their range
+        :param singular: whether the hand can hardly move so
+        :param slowed: whether joint velocity limits slow a twist down
         """
         self._note('joint_limit', bool(held),
                    f'{what} is limited by the range of {", ".join(held)}')
-        self._note('singular', solution.singular,
+        self._note('singular', singular,
                    f'{what} leads to a singularity, where the hand hardly moves')
-        self._note('slowed', solution.slowed,
+        self._note('slowed', slowed,
                    f'{what} is slowed down to keep to the velocity limits of the joints')
 
     def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:

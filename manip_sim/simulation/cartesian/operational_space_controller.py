@@ -1,0 +1,111 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Operational space control of hands, on the measured joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.simulation.cartesian.frames import Frame
+from manip_sim.simulation.cartesian.operational_space import effort, wanted_motion
+from manip_sim.simulation.cartesian.settings import CartesianSettings
+from manip_sim.simulation.cartesian.targets import pose_error, Target
+from manip_sim.simulation.servos import Servos
+from manip_sim.typing import BoolArray, FloatArray, IntArray
+
+#: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
+_REACHED = np.array([1e-3] * 3 + [1e-2] * 3)
+_SLOW_TWIST = 2e-3
+#: A joint is at the end of its range, or beyond, from here on [rad].
+_END = 1e-3
+
+
+@dataclass(frozen=True)
+class EffortSolution:
+    """
+    Efforts of the joints of an arm, and how near its hand is to where it shall be.
+
+    :ivar effort: [N m], shape (n,)
+    :ivar error: way [m] and rotation vector [rad] to the target, shape (6,)
+    :ivar rests: whether the hand is there and rests
+    :ivar progress: which share of the motion that is wanted the hand makes
+    :ivar held: joints that the end of their range keeps from doing more, shape (n,)
+    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
+    :ivar slowed: whether joint velocity limits slow the motion down
+    """
+
+    effort: FloatArray
+    error: FloatArray
+    rests: bool
+    progress: float
+    held: BoolArray
+    singular: bool
+    slowed: bool
+
+
+class OperationalSpaceController:
+    """
+    Computes the efforts that let hands follow targets.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param servos: of all driven joints
+    :param posture: which redundant arms are drawn to [rad], shape (n,)
+    """
+
+    def __init__(self, model: Any, servos: Servos, posture: FloatArray) -> None:
+        self._servos = servos
+        self._posture = posture
+        self._low, self._high = servos.position_clamp().T
+        self._torque = servos.ranges['effort']
+        self.rebind(model)
+
+    def rebind(self, model: Any) -> None:
+        """Go on with a model in which the robot is what and where it was."""
+        self._model = model
+        self._unit, self._column = np.zeros(model.nv), np.zeros(model.nv)
+
+    def follow(self, tip: Frame, target: Target, indices: IntArray, data: Any, duration_s: float,
+               settings: CartesianSettings) -> EffortSolution:
+        """
+        Return the efforts for the next interval; the goal of a target with a twist moves.
+
+        :param tip: of the hand
+        :param indices: of the joints of the arm, shape (n,)
+        :param data: after ``mj_forward``
+        :param duration_s: length of the interval [s]
+        """
+        dofs, position = self._servos.dofs[indices], data.qpos[self._servos.qpos[indices]]
+        twist = target.twist_in_world(data)
+        if target.twist is not None:
+            target.move(data, tip, twist, duration_s)
+        error = pose_error(target.goal(data), tip.pose(data))
+        jacobian, velocity = tip.jacobian(self._model, data, dofs), data.qvel[dofs]
+        wanted = wanted_motion(jacobian, error, twist, settings,
+                               self._servos.velocity_limit[indices])
+        given = effort(jacobian, self._inertia(data, dofs), velocity, wanted.twist,
+                       self._posture[indices] - position, settings.damping)
+        # Gravity that is compensated counts as none.
+        given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
+        given += self._servos.passive_damping[indices] * velocity
+        moved, goes = jacobian @ velocity, settings.stiffness / settings.damping * error
+        rests = bool((np.abs(error) <= _REACHED).all() and (np.abs(moved) < _SLOW_TWIST).all())
+        held = (((position <= self._low[indices] + _END) & (wanted.joints < 0.0))
+                | ((position >= self._high[indices] - _END) & (wanted.joints > 0.0)))
+        return EffortSolution(
+            np.clip(given, *self._torque[indices].T), error, rests,
+            float(moved @ goes) / max(float(goes @ goes), 1e-12), held & (not rests),
+            wanted.singular and not rests, wanted.slowed)
+
+    def _inertia(self, data: Any, dofs: IntArray) -> FloatArray:
+        inertia = np.empty((len(dofs), len(dofs)))
+        for index, dof in enumerate(dofs):
+            self._unit[dof] = 1.0
+            mujoco.mj_mulM(self._model, data, self._column, self._unit)
+            self._unit[dof] = 0.0
+            inertia[index] = self._column[dofs]
+        return inertia
