@@ -23,8 +23,9 @@ from manip_sim.typing import FloatArray
 _SPEED, _SHORTEST_S = 0.9, 0.8
 #: A motion has ended when all joints are so near [rad]; later than planned by so much at most [s].
 _NEAR, _LATE_S = 0.01, 3.0
-#: Fingers that move less [rad or m] for so long [s] are still.
-_STILL, _STILL_S = 5e-4, 0.3
+#: Fingers that move less [rad or m] for so long [s], and in so many states, are still: a program
+#: that gets little time sees few states, and its command may come late.
+_STILL, _STILL_S, _STILL_STATES = 5e-4, 0.3, 20
 #: Further postures to start from where the present one leads to none.
 _STARTS = 40
 
@@ -187,10 +188,11 @@ class Arm:
         self._grip(1.0)
 
     def _grip(self, action: float) -> None:
-        last, since = self.fingers, self._task.now_s
-        while self._task.now_s < since + _STILL_S:
+        last, since, states = self.fingers, self._task.now_s, 0
+        while self._task.now_s < since + _STILL_S or states < _STILL_STATES:
             # A subscriber that has just been found may miss the first message.
             self._gripper.publish(Float64MultiArray(data=[action]))
             self._task.next_state()
+            states += 1
             if np.abs(self.fingers - last).max() > _STILL:
-                last, since = self.fingers, self._task.now_s
+                last, since, states = self.fingers, self._task.now_s, 0
