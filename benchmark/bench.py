@@ -76,12 +76,13 @@ def limited(seconds: float) -> Iterator[None]:
     """Raise :class:`MeasureError` in what takes longer than this; 0 is no limit."""
     def end(*_: object) -> None:
         raise MeasureError(f'not done after {seconds:g} s')
-    signal.signal(signal.SIGALRM, end)
+    before = signal.signal(signal.SIGALRM, end)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[str, str], bool]:
@@ -140,6 +141,8 @@ def main() -> int:
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['PYTHONPATH'] = os.pathsep.join(
         [str(_HERE.parent), *filter(None, [os.environ.get('PYTHONPATH')])])
+    # Byte code is kept, as it is where the node is installed.
+    os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
     stay_on_two_cores()
     begin, about = time.time(), machine()
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How well the node keeps real time, and what it takes: seen by a subscriber of its own process."""
+"""How well the node keeps real time, and what it takes, seen by a subscriber's process."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import tempfile
 
 import numpy as np
+from numpy.typing import NDArray
 from targets.figures import Figure, Settings, Target
 from targets.physics import Bare, panda
 from targets.watched import Watched, watched_loop, watched_node, Window
@@ -48,8 +49,8 @@ def _alternate(node: Watched, loop: Watched, length_s: float, rounds: int
     return ours, theirs
 
 
-def _periods_ms(window: Window) -> np.ndarray:
-    return np.diff(window.walls) * 1e3
+def _periods_ms(window: Window) -> NDArray[np.float64]:
+    return np.diff(np.asarray(window.walls)) * 1e3
 
 
 def _histogram(windows: Sequence[Window]) -> dict[str, list[float]]:
@@ -61,16 +62,24 @@ def _histogram(windows: Sequence[Window]) -> dict[str, list[float]]:
 
 def _figures(rate: int, most: float, ours: Sequence[Window], theirs: Sequence[Window]
              ) -> Iterator[Figure]:
-    def both(function: object) -> dict[str, list[float]]:
-        return {'rounds': [function(w) for w in ours],  # type: ignore[operator]
-                'plain': [function(w) for w in theirs]}  # type: ignore[operator]
     what = f'`realtime`, {rate} Hz'
-    yield Figure('realtime', f'{what}: real-time factor', target=Target('>=', 0.999), digits=4,
-                 **both(lambda w: w.simulated_s / w.wall_s))
-    yield Figure('realtime', f'{what}: 99 % of the periods below', unit='ms',
-                 target=Target('<=', 1.3) if rate == RUNS[0][0] else None, more_is_better=False,
-                 **both(lambda w: float(np.quantile(_periods_ms(w), 0.99))))
-    yield Figure('realtime', f'{what}: of a core', unit='%', target=Target('<=', most), digits=1,
-                 more_is_better=False, **both(lambda w: 100.0 * w.core))
+    p99 = Target('<=', 1.3) if rate == RUNS[0][0] else None
+    for words, unit, target, digits, value in (
+            ('real-time factor', '', Target('>=', 0.999), 4, _factor),
+            ('99 % of the periods below', 'ms', p99, 2, _p99_ms),
+            ('of a core', '%', Target('<=', most), 1, _core)):
+        yield Figure('realtime', f'{what}: {words}', [value(window) for window in ours], unit,
+                     target, digits, plain=[value(window) for window in theirs],
+                     more_is_better=value is _factor)
 
 
+def _factor(window: Window) -> float:
+    return window.simulated_s / window.wall_s
+
+
+def _p99_ms(window: Window) -> float:
+    return float(np.quantile(_periods_ms(window), 0.99))
+
+
+def _core(window: Window) -> float:
+    return 100.0 * window.core

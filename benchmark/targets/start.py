@@ -17,6 +17,8 @@ from targets.figures import Figure, Settings, Target
 from targets.processes import Process, start_node, start_script
 
 TARGET = 1.3
+#: Until a listener has told of itself what comes with its own start [s].
+_SETTLE_S = 0.7
 BARE = ('import sys, rclpy, mujoco, numpy; mujoco.MjModel.from_xml_path(sys.argv[1]); '
         "print('compiled', flush=True)")
 
@@ -54,6 +56,7 @@ def _first_state_s(model: Path | None = None) -> float:
         listener = stack.enter_context(
             start_script('listener.py', 'joint_states', namespace=namespace))
         listener.ask('begin')
+        time.sleep(_SETTLE_S)
         begin = time.monotonic()
         stack.enter_context(start_node() if model is None else start_script(
             'plain_loop.py', str(model), '5', '1', namespace=namespace, piped=False))

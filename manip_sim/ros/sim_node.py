@@ -116,8 +116,9 @@ class SimNode(Node):
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
-        self._descriptions = [ModelPublisher(self, world), DescriptionPublisher(
-            self, world, self._robots, value('ros2_control_tag'))]
+        self._descriptions: list[ModelPublisher | DescriptionPublisher] = [
+            ModelPublisher(self, world),
+            DescriptionPublisher(self, world, self._robots, value('ros2_control_tag'))]
 
     @staticmethod
     def _models(world: World) -> list[Any]:
