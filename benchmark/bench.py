@@ -49,8 +49,8 @@ ROWS = {
     'rates': ('free', 'measure_rates', True, 180.0),
 }
 _QUICK = 0.2
-#: Beyond this, others use the machine while it is measured.
-_IDLE_LOAD = 0.5
+#: Of the cores; where others use more, the figures are not to be trusted.
+_OF_OTHERS = 0.05
 
 
 def read_arguments() -> argparse.Namespace:
@@ -109,13 +109,12 @@ def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[st
 
 
 def machine() -> dict[str, Any]:
-    """Return what the figures depend on."""
+    """Return on what it is measured."""
     lines = Path('/proc/cpuinfo').read_text().splitlines()
     model = next((line.split(':', 1)[1].strip() for line in lines
                   if line.startswith('model name')), platform.machine())
     return {'processor': model, 'cores': len(os.sched_getaffinity(0)),
-            'python': platform.python_version(), 'mujoco': mujoco.__version__,
-            'load': os.getloadavg()[0]}
+            'python': platform.python_version(), 'mujoco': mujoco.__version__}
 
 
 def save(series: dict[str, Any], folder: Path) -> None:
@@ -127,14 +126,8 @@ def save(series: dict[str, Any], folder: Path) -> None:
         print('pictures skipped: matplotlib is not installed (pip install matplotlib)')
 
 
-def main() -> int:
-    """Measure, print and write."""
-    arguments = read_arguments()
-    folder: Path = arguments.output
-    if arguments.draw is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        save(json.loads(arguments.draw.read_text())['series'], folder)
-        return 0
+def settle_down() -> None:
+    """Set what this process and all that it starts have in common."""
     from domains import reserve_domain  # Of the tests.
     from targets.processes import stay_on_two_cores
     os.environ['ROS_DOMAIN_ID'] = str(reserve_domain()[0])
@@ -144,31 +137,54 @@ def main() -> int:
     # Byte code is kept, as it is where the node is installed.
     os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
     stay_on_two_cores()
-    begin, about = time.time(), machine()
+
+
+def report(figures: list[Figure], about: dict[str, Any], missing: dict[str, str]) -> None:
+    """Print the table, and what one must know of it."""
+    print(f'{about["processor"]}, {about["cores"]} cores, Python {about["python"]}, '
+          f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds'
+          f'{", quick" if about["quick"] else ""}\n')
+    if figures:
+        print(f'{table(figures)}\n')
+    for name, why in missing.items():
+        print(f'{name}: {why}')
+    if about['of_others'] > _OF_OTHERS:
+        print(f'others used {100 * about["of_others"]:.0f} % of the cores meanwhile: '
+              'measure again')
+
+
+def main() -> int:
+    """Measure, print and write."""
+    arguments = read_arguments()
+    folder: Path = arguments.output
+    folder.mkdir(parents=True, exist_ok=True)
+    if arguments.draw is not None:
+        save(json.loads(arguments.draw.read_text())['series'], folder)
+        return 0
+    settle_down()
+    from targets.processes import busy_s, own_s
+    begin, about, of_all_s = time.time(), machine(), busy_s()
+    about['rounds'] = arguments.rounds or (3 if arguments.quick else 5)
+    about['quick'] = arguments.quick
 
     def tell(what: str) -> None:
         print(f'{time.time() - begin:5.0f} s  {what}', file=sys.stderr, flush=True)
-    if about['load'] > _IDLE_LOAD:
-        tell(f'others use this machine (load {about["load"]:.1f}): expect a wide spread')
-    settings = Settings(arguments.rounds or (3 if arguments.quick else 5),
-                        _QUICK if arguments.quick else 1.0, arguments.hours, tell)
+    settings = Settings(about['rounds'], _QUICK if arguments.quick else 1.0, arguments.hours,
+                        tell)
     figures, missing, failed = measure(arguments.only, settings)
-    print(f'{about["processor"]}, {about["cores"]} cores, Python {about["python"]}, '
-          f'MuJoCo {about["mujoco"]}, {settings.rounds} rounds'
-          f'{", quick" if arguments.quick else ""}\n\n{table(figures)}\n')
-    for name, why in missing.items():
-        print(f'{name}: {why}')
-    folder.mkdir(parents=True, exist_ok=True)
+    about['seconds'] = round(time.time() - begin, 1)
+    of_others_s = max(0.0, busy_s() - of_all_s - own_s())
+    about['of_others'] = round(of_others_s / (about['cores'] * about['seconds']), 3)
+    report(figures, about, missing)
     (folder / 'bench.json').write_text(json.dumps({
-        'begin': time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime(begin)),
-        'seconds': round(time.time() - begin, 1), 'quick': arguments.quick, 'machine': about,
+        'begin': time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime(begin)), 'about': about,
         'figures': [figure.as_json() for figure in figures], 'missing': missing,
         'series': settings.series}, indent=1))
     print(f'written: {folder / "bench.json"}')
     save(settings.series, folder)
     missed = [figure for figure in figures if figure.missed]
-    print(f'{len(figures)} figures in {time.time() - begin:.0f} s: {len(missed)} miss their '
-          'target or are behind the plain loop')
+    print(f'{len(figures)} figures in {about["seconds"]:.0f} s: {len(missed)} miss their target '
+          'or are behind the plain loop')
     return 1 if missed or failed else 0
 
 

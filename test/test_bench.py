@@ -84,12 +84,12 @@ def test_a_row_without_ros_is_measured_and_written(tmp_path):
     assert '| 8 Pandas in one world' in done.stdout
     assert 'robots, a world of 8' in done.stderr
     written = json.loads((tmp_path / 'out' / 'bench.json').read_text())
-    assert set(written) == {'begin', 'seconds', 'quick', 'machine', 'figures', 'missing',
-                            'series'}
+    assert set(written) == {'begin', 'about', 'figures', 'missing', 'series'}
     for figure in written['figures']:
         assert figure['row'] == 'robots'
         assert figure['spread'][0] <= figure['figure'] <= figure['spread'][1]
-    assert written['machine']['cores'] <= 2
+    assert written['about']['cores'] <= 2
+    assert 0.0 <= written['about']['of_others'] <= 1.0
 
 
 def test_a_row_that_fails_leaves_the_others(bench, monkeypatch, capsys):

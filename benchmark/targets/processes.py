@@ -39,6 +39,24 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) * _TICK_S
 
 
+def busy_s() -> float:
+    """Return the CPU time that all processes together have used on the cores of this one [s]."""
+    cores = {f'cpu{core}' for core in os.sched_getaffinity(0)}
+    ticks = 0
+    for line in Path('/proc/stat').read_text().splitlines():
+        name, *fields = line.split()
+        if name in cores:
+            user, nice, system, _, _, interrupts, soft, stolen = map(int, fields[:8])
+            ticks += user + nice + system + interrupts + soft + stolen
+    return ticks * _TICK_S
+
+
+def own_s() -> float:
+    """Return the CPU time of this process and of all that it has started and that ended [s]."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
 class Process:
     """
     A process in a ``with`` statement.
