@@ -111,6 +111,15 @@ class Process:
                 stream.close()
         self._errors.close()
 
+    def check(self) -> None:
+        """
+        Check that it runs.
+
+        :raises MeasureError: if it has ended
+        """
+        if self._popen.poll() is not None:
+            raise self.failed(f'it ended with {self._popen.returncode}')
+
     def failed(self, what: str) -> MeasureError:
         """Return the error that this process did not do what was expected."""
         self._errors.seek(0)

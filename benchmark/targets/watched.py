@@ -83,6 +83,7 @@ class Watched:
         core = (self.server.cpu_s() - used_s) / (time.monotonic() - begin)
         simulated_ns, wall_s = self.listener.ask('report')
         came = tuple(self.listener.ask('walls')) if walls else ()
+        self.server.check()
         self._halt()
         return Window(simulated_ns * 1e-9, wall_s, core, came)
 
