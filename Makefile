@@ -2,6 +2,7 @@
 # make pick   in a second shell: pick the cube up
 # make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
+# make bench  how fast the node is, in a table of targets and figures (BENCH_ARGS=--help)
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
 #
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
@@ -16,6 +17,7 @@ RUN_ARGS ?= --ros-args -p arena:=table
 PYTEST_ARGS ?=
 TEST_JOBS ?= 2
 SOAK_ARGS ?=
+BENCH_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 ifeq ($(ROS_DISTRO),jazzy)
@@ -34,7 +36,7 @@ BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(ROS_FROM)
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 
-.PHONY: run pick test lint soak clean
+.PHONY: run pick test lint bench soak clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -48,7 +50,10 @@ test: $(TEST_READY)
 lint: $(TEST_READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
 	$(BIN)/python -m mypy
-	$(BIN)/python -m mypy benchmark/*.py
+	$(BIN)/python -m mypy benchmark/*.py benchmark/targets/*.py
+
+bench: $(READY)
+	$(BIN)/python benchmark/bench.py $(BENCH_ARGS)
 
 soak: $(TEST_READY)
 	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)

@@ -20,12 +20,12 @@ import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
-from node_rate import cpu_s
 import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import Image, JointState
+from targets.processes import cpu_s
 
 CAMERA, RATE, IMAGES = 'robot0_eye_in_hand', 500, 15
 LISTEN = 'listen'
@@ -75,9 +75,9 @@ class Rounds:
 
     def measure(self, duration_s: float) -> dict[str, float]:
         """Return figures of a round [s]."""
-        first, used, begin = len(self._wall), cpu_s(self._process), time.perf_counter()
+        first, used, begin = len(self._wall), cpu_s(self._process.pid), time.perf_counter()
         self.spin(duration_s)
-        used = (cpu_s(self._process) - used) / (time.perf_counter() - begin)
+        used = (cpu_s(self._process.pid) - used) / (time.perf_counter() - begin)
         wall, stamps = self._wall[first:], self._stamps[first:]
         took = self._of_cameras.get(f'{CAMERA}.milliseconds', '-')
         return {'factor': (stamps[-1] - stamps[0]) / (wall[-1] - wall[0]),

@@ -9,6 +9,7 @@ It imports little, so that a signal during the slow imports ends the process as 
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -40,6 +41,8 @@ def main() -> int:
         return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
+    # Nothing of what is imported and built is garbage; run() collects again.
+    gc.disable()
     try:
         _import_mujoco()
         from manip_sim.ros.main import run

@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
 MODULES = sorted(PACKAGE.rglob('*.py'))
-PURE = {'mujoco', 'numpy', 'pydantic', 'scipy', 'yaml'}
+PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 #: By folder or module: the layers and the libraries that it may import.
 MAY_IMPORT = {
     'models': ({'models'}, PURE),

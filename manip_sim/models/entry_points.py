@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
 import logging
+import re
 import sys
 from typing import Any
 
 from manip_sim.errors import ModelError
 
 _LOGGER = logging.getLogger('manip_sim.models')
+_OUR_GROUPS = re.compile(r'^\s*\[manip_sim\.', re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,12 @@ def offers(group: str) -> dict[str, Offer]:
 
 @lru_cache(maxsize=4)
 def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
+    distributions = list(metadata.distributions(path=list(path)))
+    # To learn their names takes long, and of two packages of a name only the first one counts.
+    if not any(_offers_some(distribution) for distribution in distributions):
+        return ()
     found, packages = [], set()
-    for distribution in metadata.distributions(path=list(path)):
+    for distribution in distributions:
         try:
             name, version = distribution.name, distribution.version
             offered = list(_of_ours(distribution, f'{name} {version}'))
@@ -82,8 +88,15 @@ def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
     return tuple(found)
 
 
+def _offers_some(distribution: metadata.Distribution) -> bool:
+    try:
+        return bool(_OUR_GROUPS.search(distribution.read_text('entry_points.txt') or ''))
+    except Exception:  # To be told with its name.
+        return True
+
+
 def _of_ours(distribution: metadata.Distribution, package: str) -> Iterator[tuple[str, Offer]]:
-    if 'manip_sim' not in (distribution.read_text('entry_points.txt') or ''):
+    if not _offers_some(distribution):
         return
     for point in distribution.entry_points:
         if point.group.startswith('manip_sim.'):

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import gc
 import os
 import select
 import signal
@@ -100,6 +101,9 @@ def _leave(code: int) -> int:
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
     node = SimNode()
+    # What lasts as long as the process need not be looked through while the simulation runs.
+    gc.freeze()
+    gc.enable()
     for warning in for_other_nodes(arguments, node.get_fully_qualified_name()):
         node.get_logger().warning(warning)
     executor = GuardedExecutor(node.rejections)

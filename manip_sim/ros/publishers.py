@@ -178,13 +178,27 @@ class StatePublishers:
                 twist.publish(messages.twist_stamped(stamp, end_effector.twist, self._world))
 
 
-def publish_model(node: Node, world: World) -> None:
+class ModelPublisher:
     """
-    Publish the composed model once, for everyone who comes later too.
+    Publishes the composed model, for everyone who comes later too.
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
+
+    :param node: the node
+    :param world: what is composed
     """
-    node.create_publisher(String, '~/mjcf', LATCHED).publish(String(data=world.to_xml()))
-    node.create_publisher(UInt8MultiArray, '~/mjcf_archive', LATCHED).publish(
-        UInt8MultiArray(data=array('B', world.to_archive())))
+
+    def __init__(self, node: Node, world: World) -> None:
+        self._world = world
+        self._mjcf = node.create_publisher(String, '~/mjcf', LATCHED)
+        self._archive = node.create_publisher(UInt8MultiArray, '~/mjcf_archive', LATCHED)
+
+    def publish(self) -> None:
+        """
+        Publish it, once.
+
+        :raises ModelError: if a file cannot be read
+        """
+        self._mjcf.publish(String(data=self._world.to_xml()))
+        self._archive.publish(UInt8MultiArray(data=array('B', self._world.to_archive())))

@@ -17,29 +17,43 @@ from manip_sim.ros.publishers import LATCHED
 from manip_sim.simulation import SimulatedRobot
 
 
-def publish_descriptions(node: Any, world: World,
-                         robots: Mapping[Scope, SimulatedRobot],
-                         ros2_control_tag: bool = False) -> None:
+class DescriptionPublisher:
     """
-    Publish ``robot_description`` of each robot once, for everyone who comes later too.
+    Publishes ``robot_description`` of each robot, for everyone who comes later too.
 
+    :param node: the node
     :param world: in which the robots are
     :param robots: by where their topics are
     :param ros2_control_tag: with a ``<ros2_control>`` tag for the present control modes, which
         names the topics as they are called after remapping
     """
-    hardware = {}
-    if ros2_control_tag:
-        hardware = {robot.name: Hardware(
-            robot.command_interfaces(),
-            node.resolve_topic_name(scope.topic('joint_states')),
-            node.resolve_topic_name(scope.topic('joint_command')))
-            for scope, robot in robots.items()}
-    urdfs = urdfs_of(world, hardware)
-    for scope, robot in robots.items():
-        urdf = urdfs[robot.name]
-        node.create_publisher(String, scope.topic('robot_description'), LATCHED).publish(
-            String(data=urdf.xml))
-        if urdf.notes:
-            name = f'{scope.name}: ' if scope.name else ''
-            node.notes.append(f'{name}robot_description: {"; ".join(urdf.notes)}')
+
+    def __init__(self, node: Any, world: World, robots: Mapping[Scope, SimulatedRobot],
+                 ros2_control_tag: bool = False) -> None:
+        self._node = node
+        self._world = world
+        self._robots = robots
+        self._publishers = {
+            scope: node.create_publisher(String, scope.topic('robot_description'), LATCHED)
+            for scope in robots}
+        self._hardware = {}
+        if ros2_control_tag:
+            self._hardware = {robot.name: Hardware(
+                robot.command_interfaces(),
+                node.resolve_topic_name(scope.topic('joint_states')),
+                node.resolve_topic_name(scope.topic('joint_command')))
+                for scope, robot in robots.items()}
+
+    def publish(self) -> None:
+        """
+        Publish them, once.
+
+        :raises ModelError: if the world does not compile
+        """
+        urdfs = urdfs_of(self._world, self._hardware)
+        for scope, robot in self._robots.items():
+            urdf = urdfs[robot.name]
+            self._publishers[scope].publish(String(data=urdf.xml))
+            if urdf.notes:
+                name = f'{scope.name}: ' if scope.name else ''
+                self._node.notes.append(f'{name}robot_description: {"; ".join(urdf.notes)}')

@@ -27,9 +27,9 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
-from manip_sim.ros.publishers import ClockPublisher, publish_model, StatePublishers
+from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
-from manip_sim.ros.robot_description import publish_descriptions
+from manip_sim.ros.robot_description import DescriptionPublisher
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -93,7 +93,7 @@ class SimNode(Node):
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
-        self._introduce(world)
+        self._world = world
 
     def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
@@ -116,8 +116,9 @@ class SimNode(Node):
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
-        publish_model(self, world)
-        publish_descriptions(self, world, self._robots, value('ros2_control_tag'))
+        self._descriptions: list[ModelPublisher | DescriptionPublisher] = [
+            ModelPublisher(self, world),
+            DescriptionPublisher(self, world, self._robots, value('ros2_control_tag'))]
 
     @staticmethod
     def _models(world: World) -> list[Any]:
@@ -208,9 +209,17 @@ class SimNode(Node):
                 yield f'    limits {limits} {unit[mode]}'
 
     def start(self) -> None:
-        """Let the simulation run."""
+        """
+        Let the simulation run, then describe it.
+
+        :raises ManipSimError: if the world cannot be described
+        """
         self.cameras.start()
         self.thread.start()
+        # Nobody should wait for these to get the first state.
+        for publisher in self._descriptions:
+            publisher.publish()
+        self._introduce(self._world)
 
     def destroy_node(self) -> None:
         """Destroy the node and its actions, which rclpy would leave, and the node with them."""

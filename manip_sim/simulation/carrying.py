@@ -16,7 +16,6 @@ import itertools
 from typing import Any
 
 import mujoco
-from mujoco.introspect import structs
 import numpy as np
 
 from manip_sim.typing import BoolArray, IntArray
@@ -123,6 +122,7 @@ def carry_edits(compiled: Any, edited: Any, target: Any, both: ElementMap) -> No
 @lru_cache(maxsize=2)
 def _arrays(struct: str) -> dict[str, str]:
     """Return what the rows of each array of a struct are counted by, such as ``nbody``."""
+    from mujoco.introspect import structs  # Only a world that changes needs it, and it is large.
     bound = getattr(mujoco, struct[:1].upper() + struct[1:])
     found: dict[str, str] = {}
     for field in structs.STRUCTS[struct].fields:

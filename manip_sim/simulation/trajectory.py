@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from manip_sim.errors import CommandError
 from manip_sim.typing import FloatArray, IntArray
@@ -147,12 +146,21 @@ def check_times(times: FloatArray) -> None:
 
 
 def _shape_preserving(times: FloatArray, positions: FloatArray) -> FloatArray:
-    if len(times) < 2:
-        return np.zeros_like(positions)
-    try:
-        return np.asarray(PchipInterpolator(times, positions, axis=0).derivative()(times))
-    except ValueError:  # Its differences are not finite; the caller tells.
-        return np.full_like(positions, np.nan)
+    """
+    Return the velocities of a cubic that does not overshoot, zero at both ends.
+
+    At the points between, the weighted harmonic mean of the slopes before and after, and zero
+    where these differ in sign (F. N. Fritsch and J. Butland, SIAM Journal on Scientific and
+    Statistical Computing 5, 1984). Importing the one of scipy would double the time of a start.
+    """
+    velocities = np.zeros_like(positions)
+    h = np.diff(times)[:, None]
+    slopes = np.diff(positions, axis=0) / h
+    before, after = slopes[:-1], slopes[1:]
+    of_before, of_after = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
+    mean = 1.0 / ((of_before / before + of_after / after) / (of_before + of_after))
+    velocities[1:-1] = np.where(np.sign(before) * np.sign(after) > 0.0, mean, 0.0)
+    return velocities
 
 
 def _cubic(times: FloatArray, p: FloatArray, v: FloatArray) -> FloatArray:

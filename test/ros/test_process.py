@@ -95,6 +95,39 @@ def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_pa
     assert told in errors.splitlines()[-1]
 
 
+#: The node; prints what has come of the start when it begins to describe its model, then fails.
+DESCRIBES = """
+import gc
+import sys
+from manip_sim import __main__
+from manip_sim.errors import ModelError
+from manip_sim.models import World
+from manip_sim.ros.publishers import StatePublishers
+
+shown = []
+publish = StatePublishers.publish
+StatePublishers.publish = lambda *arguments: (shown.append(1), publish(*arguments))
+
+def fail(world):
+    while not shown:
+        pass
+    print(gc.isenabled(), gc.get_freeze_count() > 50_000)
+    raise ModelError('no archive of this world')
+
+World.to_archive = fail
+sys.argv[1:] = []
+sys.exit(__main__.main())
+"""
+
+
+def test_the_first_state_waits_for_no_description_and_one_that_fails_ends_the_node():
+    done = subprocess.run([sys.executable, '-c', DESCRIBES], text=True, capture_output=True,
+                          timeout=60.0)
+    assert done.stdout == 'True True\n'
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == 'sim_node: no archive of this world'
+
+
 def rate(clock, wall):
     simulated_s = (clock[-1].clock.sec - clock[0].clock.sec
                    + (clock[-1].clock.nanosec - clock[0].clock.nanosec) * 1e-9)

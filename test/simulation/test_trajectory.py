@@ -5,6 +5,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from manip_sim.errors import CommandError
 from manip_sim.simulation.trajectory import Trajectory
@@ -75,6 +76,21 @@ def test_motion_without_velocities_does_not_overshoot_its_points():
     values = [position(trajectory, time)[0] for time in np.linspace(0, 3, 301)]
     assert (np.diff(values) >= -1e-12).all()
     assert max(values) <= 2.0 + 1e-12
+
+
+def test_velocities_that_are_not_given_are_those_of_scipy_to_the_last_bit():
+    random = np.random.default_rng(5)
+    times = np.cumsum(random.uniform(0.05, 1.5, size=40))
+    positions = np.round(random.normal(size=(40, 6)), 1)
+    positions[10:13] = positions[9]
+    positions[20:24] = np.arange(4.0)[:, None] * 1e-200
+    found = np.array([spline(times, positions, start=np.zeros(6), speed=np.zeros(6)).at(time)[1]
+                      for time in times[:-1]])
+    # The first point is not the first knot: the motion begins at time zero.
+    knots = np.concatenate([[0.0], times]), np.vstack([np.zeros(6), positions])
+    wanted = PchipInterpolator(*knots, axis=0).derivative()(times[:-1])
+    assert np.count_nonzero(wanted == 0.0) > 40
+    np.testing.assert_array_equal(found, wanted)
 
 
 def test_last_point_is_held_and_time_before_the_start_is_the_start():

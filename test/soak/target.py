@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
-import os
 from pathlib import Path
 import signal
 import subprocess
@@ -20,33 +18,11 @@ import numpy as np
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from usage import Usage
 
 
 class SoakError(Exception):
     """The node did not withstand."""
-
-
-@dataclass(frozen=True)
-class Usage:
-    """What a process holds: memory [MB], threads and open descriptors."""
-
-    memory_mb: float
-    threads: int
-    descriptors: int
-
-    @staticmethod
-    def of(pid: int) -> Usage:
-        """Read it for a process that runs."""
-        lines = Path(f'/proc/{pid}/status').read_text().splitlines()
-        status = dict(line.split(':', 1) for line in lines)
-        return Usage(int(status['VmRSS'].split()[0]) / 1024, int(status['Threads']),
-                     len(os.listdir(f'/proc/{pid}/fd')))
-
-    def since(self, before: Usage) -> str:
-        """Return the growth since a usage before, as the table shows it."""
-        return (f'{self.memory_mb - before.memory_mb:+.1f} MB, '
-                f'{self.threads - before.threads:+d} threads, '
-                f'{self.descriptors - before.descriptors:+d} descriptors')
 
 
 class Target:

@@ -1,0 +1,192 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Measure how fast the node is, and print a table of the figures against their targets.
+
+Every figure is a ratio to something bare in the same run, or the node as another process sees it,
+and the median of several rounds in which what is compared takes turns (A B A B). All processes
+stay on two cores of this machine, in a ROS domain that nobody else uses. The column "plain loop"
+is a loop of rclpy and MuJoCo without this package. What is measured: docs/performance.md.
+
+Writes bench.json and, where matplotlib is installed, pictures. The exit code is 0 if all targets
+are met, 1 if one is missed or could not be measured, 2 if the command line is wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+import contextlib
+import importlib
+import importlib.util
+import json
+import os
+from pathlib import Path
+import platform
+import signal
+import sys
+import time
+from typing import Any
+
+_HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(_HERE), str(_HERE.parent / 'test')]
+
+import mujoco  # noqa: E402
+from targets.figures import Figure, MeasureError, Settings, table  # noqa: E402
+from targets.pictures import draw  # noqa: E402
+
+#: By row: module, function, whether it needs ROS, and the most time that it may take [s].
+ROWS = {
+    'free': ('free', 'measure', True, 300.0),
+    'realtime': ('realtime', 'measure', True, 240.0),
+    'effect': ('answers', 'measure_effect', True, 90.0),
+    'lockstep': ('answers', 'measure_lockstep', True, 60.0),
+    'robots': ('robots', 'measure', False, 90.0),
+    'start': ('start', 'measure', True, 90.0),
+    'memory': ('memory', 'measure', True, 200.0),
+    'period': ('period', 'measure', False, 60.0),
+    'rates': ('free', 'measure_rates', True, 180.0),
+}
+_QUICK = 0.2
+#: Of the cores; where others use more, the figures are not to be trusted.
+_OF_OTHERS = 0.05
+
+
+def read_arguments() -> argparse.Namespace:
+    """Return the options of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--only', nargs='+', metavar='ROW', choices=ROWS, default=list(ROWS),
+                        help=f'rows to measure, of {", ".join(ROWS)}')
+    parser.add_argument('--quick', action='store_true',
+                        help='three short rounds, to look; figures are less certain')
+    parser.add_argument('--rounds', type=int, default=0, help='of each figure (5; quick: 3)')
+    parser.add_argument('--hours', type=float, default=0.0,
+                        help='simulated time of the row memory [h]; 0: what fits into 90 s')
+    parser.add_argument('--output', type=Path, default=Path('build/bench'), metavar='FOLDER',
+                        help='for bench.json and the pictures (%(default)s)')
+    parser.add_argument('--draw', type=Path, metavar='JSON',
+                        help='measure nothing, and draw the pictures of a bench.json')
+    return parser.parse_args()
+
+
+@contextlib.contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Raise :class:`MeasureError` in what takes longer than this; 0 is no limit."""
+    def end(*_: object) -> None:
+        raise MeasureError(f'not done after {seconds:g} s')
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[str, str], bool]:
+    """Return the figures, why rows are missing, and whether one has failed."""
+    figures: list[Figure] = []
+    missing: dict[str, str] = {}
+    failed = False
+    for name in names:
+        module, function, needs_ros, limit_s = ROWS[name]
+        if needs_ros and importlib.util.find_spec('rclpy') is None:
+            missing[name] = 'skipped: it needs ROS 2'
+            settings.tell(f'{name}: {missing[name]}')
+            continue
+        row: Callable[[Settings], Iterator[Figure]] = getattr(
+            importlib.import_module(f'targets.{module}'), function)
+        try:
+            with limited(0.0 if settings.hours and name == 'memory' else limit_s):
+                figures += row(settings)
+        except Exception as error:  # The other rows shall be measured.
+            failed = True
+            missing[name] = f'failed: {error}'
+            settings.tell(f'{name}: {missing[name]}')
+    return figures, missing, failed
+
+
+def machine() -> dict[str, Any]:
+    """Return on what it is measured."""
+    lines = Path('/proc/cpuinfo').read_text().splitlines()
+    model = next((line.split(':', 1)[1].strip() for line in lines
+                  if line.startswith('model name')), platform.machine())
+    return {'processor': model, 'cores': len(os.sched_getaffinity(0)),
+            'python': platform.python_version(), 'mujoco': mujoco.__version__}
+
+
+def save(series: dict[str, Any], folder: Path) -> None:
+    """Draw the pictures, or say why not."""
+    try:
+        for path in draw(series, folder):
+            print(f'drawn: {path}')
+    except ImportError:
+        print('pictures skipped: matplotlib is not installed (pip install matplotlib)')
+
+
+def settle_down() -> None:
+    """Set what this process and all that it starts have in common."""
+    from domains import reserve_domain  # Of the tests.
+    from targets.processes import stay_on_two_cores
+    os.environ['ROS_DOMAIN_ID'] = str(reserve_domain()[0])
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ['PYTHONPATH'] = os.pathsep.join(
+        [str(_HERE.parent), *filter(None, [os.environ.get('PYTHONPATH')])])
+    # Byte code is kept, as it is where the node is installed.
+    os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
+    stay_on_two_cores()
+
+
+def report(figures: list[Figure], about: dict[str, Any], missing: dict[str, str]) -> None:
+    """Print the table, and what one must know of it."""
+    print(f'{about["processor"]}, {about["cores"]} cores, Python {about["python"]}, '
+          f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds'
+          f'{", quick" if about["quick"] else ""}\n')
+    if figures:
+        print(f'{table(figures)}\n')
+    for name, why in missing.items():
+        print(f'{name}: {why}')
+    if about['of_others'] > _OF_OTHERS:
+        print(f'others used {100 * about["of_others"]:.0f} % of the cores meanwhile: '
+              'measure again')
+
+
+def main() -> int:
+    """Measure, print and write."""
+    arguments = read_arguments()
+    folder: Path = arguments.output
+    folder.mkdir(parents=True, exist_ok=True)
+    if arguments.draw is not None:
+        save(json.loads(arguments.draw.read_text())['series'], folder)
+        return 0
+    settle_down()
+    from targets.processes import busy_s, own_s
+    begin, about, of_all_s = time.time(), machine(), busy_s()
+    about['rounds'] = arguments.rounds or (3 if arguments.quick else 5)
+    about['quick'] = arguments.quick
+
+    def tell(what: str) -> None:
+        print(f'{time.time() - begin:5.0f} s  {what}', file=sys.stderr, flush=True)
+    settings = Settings(about['rounds'], _QUICK if arguments.quick else 1.0, arguments.hours,
+                        tell)
+    figures, missing, failed = measure(arguments.only, settings)
+    about['seconds'] = round(time.time() - begin, 1)
+    of_others_s = max(0.0, busy_s() - of_all_s - own_s())
+    about['of_others'] = round(of_others_s / (about['cores'] * about['seconds']), 3)
+    report(figures, about, missing)
+    (folder / 'bench.json').write_text(json.dumps({
+        'begin': time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime(begin)), 'about': about,
+        'figures': [figure.as_json() for figure in figures], 'missing': missing,
+        'series': settings.series}, indent=1))
+    print(f'written: {folder / "bench.json"}')
+    save(settings.series, folder)
+    missed = [figure for figure in figures if figure.missed]
+    print(f'{len(figures)} figures in {about["seconds"]:.0f} s: {len(missed)} miss their target '
+          'or are behind the plain loop')
+    return 1 if missed or failed else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,77 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How soon commands have an effect, and how fast a controller goes round in lock-step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import tempfile
+
+import numpy as np
+from targets.figures import Figure, Settings, Target
+from targets.physics import Bare, panda
+from targets.processes import Process, start_node, start_script
+
+PERIOD_S = 0.001
+JOINT = 'robot0_joint7'
+#: At 1000 Hz, a step of 1 ms in each period, efforts for the arm.
+NODE = ('timestep:=0.001', 'publish_rate:=1000.0', 'control_mode.arm:=effort')
+#: Targets of quantiles [periods].
+QUANTILES = ((50, 1.5), (99, 3.0))
+LOCKSTEP_TARGET = 0.8
+_COMMANDS, _ROUND_S = 300, 2.0
+
+
+def measure_effect(settings: Settings) -> Iterator[Figure]:
+    """Measure from the moment a controller publishes to that it sees the effect."""
+    settings.tell('effect, commands at 1000 Hz in real time')
+    count = round(_COMMANDS * settings.scale)
+    with tempfile.TemporaryDirectory() as folder:
+        model = Bare(panda(PERIOD_S, 'effort')).save(Path(folder))
+        with start_node(*NODE) as node, start_script('commander.py', 'effect', JOINT) as ours, \
+                start_script('plain_loop.py', model, '1', '1', namespace='plain',
+                             piped=False) as loop, \
+                start_script('commander.py', 'effect', JOINT, namespace='plain') as theirs:
+            pairs = ((node, ours), (loop, theirs))
+            for pair in pairs:
+                pair[1].line()
+                _halt(pair)
+            delays = [[_effect(pair, count) for pair in pairs] for _ in range(settings.rounds)]
+    for quantile, target in QUANTILES:
+        values = [[float(np.percentile(d, quantile)) / PERIOD_S for d in both] for both in delays]
+        yield Figure('effect', f'command to effect at 1000 Hz, {quantile} % of them within',
+                     [v[0] for v in values], 'periods', Target('<=', target),
+                     plain=[v[1] for v in values], more_is_better=False)
+
+
+def _halt(pair: tuple[Process, Process]) -> None:
+    for process in pair:
+        process.halt()
+
+
+def _effect(pair: tuple[Process, Process], count: int) -> list[float]:
+    for process in pair:
+        process.go()
+    # The first ones come while the two find their pace again.
+    pair[1].ask('effect 20')
+    delays: list[float] = pair[1].ask(f'effect {count}')
+    _halt(pair)
+    return delays
+
+
+def measure_lockstep(settings: Settings) -> Iterator[Figure]:
+    """Measure round trips with a controller in another process, against a bare ping-pong."""
+    settings.tell('lockstep, round trips')
+    words = f'rounds {_ROUND_S * settings.scale}'
+    with start_node('stepping:=lockstep', *NODE), start_script('commander.py', 'rounds') as ours, \
+            start_script('echo.py', namespace='echo', piped=False), \
+            start_script('commander.py', 'rounds', namespace='echo') as theirs:
+        ours.line()
+        theirs.line()
+        rates = [(ours.ask(words), theirs.ask(words)) for _ in range(settings.rounds + 1)][1:]
+    settings.tell(f'lockstep, round trips per second: {[round(r[0]) for r in rates]} of '
+                  f'{[round(r[1]) for r in rates]}')
+    yield Figure('lockstep', '`lockstep` round trips, of a bare ping-pong',
+                 [mine / bare for mine, bare in rates], target=Target('>=', LOCKSTEP_TARGET))

@@ -1,0 +1,90 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How fast the node steps in ``free``, as a part of what MuJoCo alone does on the same cores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import contextlib
+from pathlib import Path
+import statistics
+import tempfile
+
+from targets.figures import Figure, Settings, Target
+from targets.physics import Bare, panda
+from targets.watched import ONE_CLIENT, Watched, watched_loop, watched_node
+
+TIMESTEP_S = 0.001
+#: Who listens, and the targets for every tenth and for every step.
+SITUATIONS = (('one client', ONE_CLIENT, (0.80, 0.30)),
+              ('all topics subscribed', ('all',), (0.55, 0.12)),
+              ('nobody subscribed', ('nobody',), (0.95, 0.60)))
+EVERY = ((10, 'every 10th step'), (1, 'every step'))
+#: Of the picture: steps between two states.
+STEPS = (1, 2, 5, 10, 20, 50, 100)
+_OURS_S, _BARE_S = 1.8, 0.8
+
+
+class FreeRun:
+    """
+    Ratios of the node, and of the plain loop, to bare physics, round by round.
+
+    :param folder: for the model of the plain loop
+    :param settings: how often and how long
+    """
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        self._bare = Bare(panda(TIMESTEP_S))
+        self._model = self._bare.save(folder)
+        self._settings = settings
+
+    def ratios(self, topics: tuple[str, ...], every: int, rounds: int, plain: bool
+               ) -> tuple[list[float], list[float]]:
+        """Return the ratios of the node and of the plain loop."""
+        scale, ours, theirs = self._settings.scale, [], []
+        with contextlib.ExitStack() as stack:
+            node = stack.enter_context(watched_node(
+                topics, 'stepping:=free', f'timestep:={TIMESTEP_S}',
+                f'publish_rate:={1.0 / (TIMESTEP_S * every)}'))
+            loop = stack.enter_context(watched_loop(
+                topics, self._model, every, False)) if plain else None
+            for _ in range(rounds):
+                fast = _steps_per_s(node, _OURS_S * scale)
+                bare = self._bare.steps_per_s(_BARE_S * scale, every)
+                ours.append(fast / bare)
+                if loop is not None:
+                    theirs.append(_steps_per_s(loop, _OURS_S * scale) / bare)
+        return ours, theirs
+
+
+def _steps_per_s(watched: Watched, duration_s: float) -> float:
+    window = watched.watch(duration_s)
+    return window.simulated_s / TIMESTEP_S / window.wall_s
+
+
+def measure(settings: Settings) -> Iterator[Figure]:
+    """Measure the node with one client, with all topics subscribed and with nobody."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = FreeRun(Path(folder), settings)
+        for who, topics, targets in SITUATIONS:
+            for (every, words), target in zip(EVERY, targets):
+                settings.tell(f'free, {who}, {words}')
+                ours, theirs = run.ratios(topics, every, settings.rounds, topics != ('all',))
+                yield Figure('free', f'`free`, {who}, {words}, of bare `mj_step`', ours,
+                             target=Target('>=', target), plain=theirs)
+
+
+def measure_rates(settings: Settings) -> Iterator[Figure]:
+    """Measure the node with one client at several rates, for the picture."""
+    rounds = min(3, settings.rounds)
+    ours, theirs = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        run = FreeRun(Path(folder), settings)
+        for every in STEPS:
+            settings.tell(f'rates, a state every {every} steps')
+            node, loop = run.ratios(ONE_CLIENT, every, rounds, True)
+            ours.append(statistics.median(node))
+            theirs.append(statistics.median(loop))
+    settings.series['rates'] = {'steps': STEPS, 'node': ours, 'plain loop': theirs}
+    yield from ()

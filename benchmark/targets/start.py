@@ -1,0 +1,63 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How long until the first state comes, against importing what anyone needs and compiling."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import contextlib
+from pathlib import Path
+import sys
+import tempfile
+import time
+
+from manip_sim.models import compose
+from targets.figures import Figure, Settings, Target
+from targets.processes import Process, start_node, start_script
+
+TARGET = 1.3
+#: Until a listener has told of itself what comes with its own start [s].
+_SETTLE_S = 0.7
+BARE = ('import sys, rclpy, mujoco, numpy; mujoco.MjModel.from_xml_path(sys.argv[1]); '
+        "print('compiled', flush=True)")
+
+
+def measure(settings: Settings) -> Iterator[Figure]:
+    """Measure from the start of a process to its first state in another process."""
+    with tempfile.TemporaryDirectory() as folder:
+        model = Path(folder, 'model.xml')
+        model.write_text(compose('Panda').to_xml())
+        rounds = []
+        for n in range(settings.rounds + 1):
+            settings.tell(f'start, {n} of {settings.rounds}')
+            rounds.append((_bare_s(model), _first_state_s(), _first_state_s(model)))
+    # The first round reads from the disk.
+    rounds = rounds[1:]
+    settings.tell('start [s]: ' + '; '.join(
+        f'{what} {[round(times[n], 2) for times in rounds]}'
+        for n, what in enumerate(('bare', 'node', 'plain loop'))))
+    yield Figure('start', 'start to first `joint_states`, over imports and compiling',
+                 [node / bare for bare, node, _ in rounds], target=Target('<=', TARGET),
+                 plain=[plain / bare for bare, _, plain in rounds], more_is_better=False)
+
+
+def _bare_s(model: Path) -> float:
+    begin = time.monotonic()
+    with Process([sys.executable, '-c', BARE, str(model)], piped=True) as process:
+        process.line()
+        return time.monotonic() - begin
+
+
+def _first_state_s(model: Path | None = None) -> float:
+    """Start the node, or the plain loop with a model."""
+    namespace = '' if model is None else 'plain'
+    with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(
+            start_script('listener.py', 'joint_states', namespace=namespace))
+        listener.ask('begin')
+        time.sleep(_SETTLE_S)
+        begin = time.monotonic()
+        stack.enter_context(start_node() if model is None else start_script(
+            'plain_loop.py', str(model), '5', '1', namespace=namespace, piped=False))
+        return float(listener.ask('first')) - begin

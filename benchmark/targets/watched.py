@@ -1,0 +1,100 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Something that publishes states, with a listener: both stand still while others are measured."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+import time
+from types import TracebackType
+
+from targets.processes import Process, start_node, start_script
+
+#: What the targets call one client.
+ONE_CLIENT = ('joint_states', 'right/wrench')
+#: After it stood still, a process gets so long to find its pace again [s].
+_RECOVERY_S = 0.4
+
+
+@dataclass(frozen=True)
+class Window:
+    """
+    What was seen in a while.
+
+    :ivar simulated_s: simulation time [s]
+    :ivar wall_s: wall time [s]
+    :ivar core: part of a core that the publishing process used
+    :ivar walls: when states came, wall time [s], if that was asked for
+    """
+
+    simulated_s: float
+    wall_s: float
+    core: float
+    walls: tuple[float, ...] = ()
+
+
+class Watched:
+    """
+    A publishing process and its listener in a ``with`` statement; halted but in :meth:`watch`.
+
+    :param server: publishes states
+    :param topics: that are listened to
+    :param namespace: of the topics
+    """
+
+    def __init__(self, server: Process, topics: tuple[str, ...], namespace: str = '') -> None:
+        self._stack = contextlib.ExitStack()
+        self.server: Process = self._stack.enter_context(server)
+        try:
+            self.listener: Process = self._stack.enter_context(
+                start_script('listener.py', *topics, namespace=namespace))
+            self.listener.ask('ready', 60.0)
+        except BaseException:
+            self._stack.close()
+            raise
+        self._halt()
+
+    def __enter__(self) -> Watched:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._stack.close()
+
+    def _halt(self) -> None:
+        self.listener.halt()
+        self.server.halt()
+
+    def watch(self, duration_s: float, walls: bool = False) -> Window:
+        """
+        Let it run for a while.
+
+        :param duration_s: how long [s]
+        :param walls: also return when the states came
+        """
+        self.server.go()
+        self.listener.go()
+        time.sleep(_RECOVERY_S)
+        self.listener.ask('begin')
+        used_s, begin = self.server.cpu_s(), time.monotonic()
+        time.sleep(duration_s)
+        core = (self.server.cpu_s() - used_s) / (time.monotonic() - begin)
+        simulated_ns, wall_s = self.listener.ask('report')
+        came = tuple(self.listener.ask('walls')) if walls else ()
+        self.server.check()
+        self._halt()
+        return Window(simulated_ns * 1e-9, wall_s, core, came)
+
+
+def watched_node(topics: tuple[str, ...], *parameters: str) -> Watched:
+    """Start the node with parameters as ``NAME:=VALUE``, and a listener."""
+    return Watched(start_node(*parameters), topics)
+
+
+def watched_loop(topics: tuple[str, ...], model: str, every: int, realtime: bool) -> Watched:
+    """Start the plain loop with a model file, and a listener."""
+    loop = start_script('plain_loop.py', model, str(every), str(int(realtime)),
+                        namespace='plain', piped=False)
+    return Watched(loop, topics, 'plain')

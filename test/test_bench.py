@@ -1,0 +1,121 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""That ``benchmark/bench.py`` starts, and how it judges, prints and writes figures."""
+
+import json
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Return the modules of the figures and of the entrance."""
+    monkeypatch.syspath_prepend(str(ROOT / 'benchmark'))
+    from targets import figures
+    import bench
+    return figures, bench
+
+
+def test_help_names_every_row(bench):
+    _, entrance = bench
+    done = subprocess.run([sys.executable, ROOT / 'benchmark' / 'bench.py', '--help'],
+                          capture_output=True, text=True, timeout=60, check=True)
+    assert all(name in done.stdout for name in entrance.ROWS)
+
+
+def test_every_row_of_the_entrance_has_its_function(bench):
+    _, entrance = bench
+    for module, function, _, limit_s in entrance.ROWS.values():
+        source = (ROOT / 'benchmark' / 'targets' / f'{module}.py').read_text()
+        assert f'\ndef {function}(settings: Settings)' in source
+        assert limit_s > 0.0
+    # What is measured without more ado ends within twenty-five minutes, whatever hangs.
+    assert sum(limit_s for *_, limit_s in entrance.ROWS.values()) < 1500.0
+
+
+@pytest.mark.parametrize('sign, value, rounds, ok', [
+    ('>=', 0.8, [0.9, 0.79, 0.81], True), ('>=', 0.8, [0.9, 0.79, 0.7], False),
+    ('<=', 1.3, [1.2, 1.31, 1.3], True), ('<=', 1.3, [1.2, 1.31, 1.4], False)])
+def test_the_median_of_the_rounds_is_judged(bench, sign, value, rounds, ok):
+    figures, _ = bench
+    figure = figures.Figure('free', 'what', rounds, target=figures.Target(sign, value))
+    assert figure.ok is ok
+    assert figure.missed is not ok
+
+
+@pytest.mark.parametrize('ours, theirs, more, verdict', [
+    (0.5, 0.4, True, 'ahead'), (0.4, 0.5, True, 'behind'), (0.4, 0.5, False, 'ahead'),
+    (0.5, 0.4, False, 'behind'), (1.0, 0.99, True, 'level'), (0.99, 1.0, True, 'level')])
+def test_figures_are_compared_with_those_of_the_plain_loop(bench, ours, theirs, more, verdict):
+    figures, _ = bench
+    figure = figures.Figure('free', 'what', [ours], plain=[theirs], more_is_better=more)
+    assert figure.against_plain == verdict
+    assert figure.missed is (verdict == 'behind')
+
+
+def test_the_table_has_a_line_of_equal_length_for_each_figure(bench):
+    figures, _ = bench
+    lines = figures.table([
+        figures.Figure('free', 'of bare', [0.7, 0.9, 0.81], '', figures.Target('>=', 0.8),
+                       plain=[0.25]),
+        figures.Figure('effect', 'soon', [3.26, 3.0, 4.0], 'periods', figures.Target('<=', 3.0),
+                       more_is_better=False)]).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    cells = [re.split(r' *\| *', line)[1:-1] for line in lines]
+    assert cells[0] == list(figures.COLUMNS)
+    assert cells[2] == ['of bare', '>= 0.8', '0.81', '0.70 to 0.90', '0.25, ahead', 'ok']
+    assert cells[3] == ['soon', '<= 3 periods', '3.26 periods', '3.00 to 4.00', '-',
+                        '**misses**']
+
+
+def test_a_row_without_ros_is_measured_and_written(tmp_path):
+    done = subprocess.run(
+        [sys.executable, ROOT / 'benchmark' / 'bench.py', '--quick', '--rounds', '1',
+         '--only', 'robots', '--output', tmp_path / 'out'], capture_output=True, text=True,
+        timeout=100)
+    assert done.returncode in (0, 1), done.stderr
+    assert '| 8 Pandas in one world' in done.stdout
+    assert 'robots, a world of 8' in done.stderr
+    written = json.loads((tmp_path / 'out' / 'bench.json').read_text())
+    assert set(written) == {'begin', 'about', 'figures', 'missing', 'series'}
+    for figure in written['figures']:
+        assert figure['row'] == 'robots'
+        assert figure['spread'][0] <= figure['figure'] <= figure['spread'][1]
+    assert written['about']['cores'] <= 2
+    assert 0.0 <= written['about']['of_others'] <= 1.0
+
+
+def test_a_row_that_fails_leaves_the_others(bench, monkeypatch, capsys):
+    figures, entrance = bench
+    from targets import period, robots
+
+    def fail(settings):
+        raise figures.MeasureError('no answer')
+        yield
+
+    def measure(settings):
+        yield figures.Figure('period', 'what', [1.0])
+    monkeypatch.setattr(robots, 'measure', fail)
+    monkeypatch.setattr(period, 'measure', measure)
+    told = []
+    settings = figures.Settings(1, 1.0, 0.0, told.append)
+    found, missing, failed = entrance.measure(['robots', 'period'], settings)
+    assert [figure.row for figure in found] == ['period']
+    assert missing == {'robots': 'failed: no answer'}
+    assert failed
+    assert told == ['robots: failed: no answer']
+
+
+def test_a_row_that_takes_too_long_is_ended(bench):
+    figures, entrance = bench
+    with pytest.raises(figures.MeasureError, match='not done after 0.05 s'), \
+            entrance.limited(0.05):
+        while True:
+            pass
