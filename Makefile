@@ -1,5 +1,6 @@
 # make run    set up and run a Panda at a table with a cube
 # make pick   in a second shell: pick the cube up
+# make view   in another shell: see and drive it in the browser
 # make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
@@ -13,6 +14,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
+VIEW_ARGS ?=
 PYTEST_ARGS ?=
 TEST_JOBS ?= 2
 SOAK_ARGS ?=
@@ -22,25 +24,31 @@ ifeq ($(ROS_DISTRO),jazzy)
 ROS_FROM = sourced
 VENV_ARGS = --system-site-packages
 RUN_EXTRAS =
+VIEW_EXTRAS = [viewer]
 TEST_EXTRAS = [test]
 else
 ROS_FROM = wheels
 VENV_ARGS =
 RUN_EXTRAS = [jazzy]
+VIEW_EXTRAS = [jazzy,viewer]
 TEST_EXTRAS = [jazzy,jazzy-test,test]
 endif
 
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(ROS_FROM)
+VIEW_READY = $(VENV)/.ready-to-view-$(ROS_FROM)
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 
-.PHONY: run pick test lint soak clean
+.PHONY: run pick view test lint soak clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
 
 pick: $(READY)
 	$(BIN)/pick_cube
+
+view: $(VIEW_READY)
+	exec $(BIN)/sim_view $(VIEW_ARGS)
 
 test: $(TEST_READY)
 	$(BIN)/python -m pytest --numprocesses $(TEST_JOBS) --dist loadfile $(PYTEST_ARGS)
@@ -59,6 +67,10 @@ $(READY): setup.py
 	$(PYTHON) -m venv --clear $(VENV_ARGS) $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
 	$(BIN)/python -m pip install --editable '.$(RUN_EXTRAS)'
+	touch $@
+
+$(VIEW_READY): $(READY)
+	$(BIN)/python -m pip install --editable '.$(VIEW_EXTRAS)'
 	touch $@
 
 $(TEST_READY): $(READY)

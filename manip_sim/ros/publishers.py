@@ -178,13 +178,27 @@ class StatePublishers:
                 twist.publish(messages.twist_stamped(stamp, end_effector.twist, self._world))
 
 
-def publish_model(node: Node, world: World) -> None:
+class ModelPublisher:
     """
-    Publish the composed model once, for everyone who comes later too.
+    Publishes the composed model, and again when objects come or go; for everyone who comes later.
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
+
+    :param node: the node
+    :param world: the model, as it is at the start
     """
-    node.create_publisher(String, '~/mjcf', LATCHED).publish(String(data=world.to_xml()))
-    node.create_publisher(UInt8MultiArray, '~/mjcf_archive', LATCHED).publish(
-        UInt8MultiArray(data=array('B', world.to_archive())))
+
+    def __init__(self, node: Node, world: World) -> None:
+        self._world = world
+        self._mjcf = node.create_publisher(String, '~/mjcf', LATCHED)
+        self._archive = node.create_publisher(UInt8MultiArray, '~/mjcf_archive', LATCHED)
+        self._publish(world)
+
+    def _publish(self, world: World) -> None:
+        self._mjcf.publish(String(data=world.to_xml()))
+        self._archive.publish(UInt8MultiArray(data=array('B', world.to_archive())))
+
+    def follow(self, simulation: Simulation) -> None:
+        """Publish the model with the objects that a simulation has now."""
+        self._publish(self._world.with_objects(simulation.plan.objects))

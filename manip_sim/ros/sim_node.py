@@ -27,7 +27,7 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
-from manip_sim.ros.publishers import ClockPublisher, publish_model, StatePublishers
+from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.robot_description import publish_descriptions
 from manip_sim.ros.services import SimulationServices
@@ -112,11 +112,10 @@ class SimNode(Node):
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
-        self._followers = [self.objects.follow, *publish_scene(
+        self._followers = [ModelPublisher(self, world).follow, self.objects.follow, *publish_scene(
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
-        publish_model(self, world)
         publish_descriptions(self, world, self._robots, value('ros2_control_tag'))
 
     @staticmethod
