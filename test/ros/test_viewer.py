@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import io
-import os
 import shutil
 import signal
 import socket
@@ -73,7 +72,7 @@ def browser():
 @pytest.fixture(scope='module')
 def page(browser, address):
     """Return the page when the robot is on it."""
-    page = browser.new_page(viewport={'width': 600, 'height': 400})
+    page = browser.new_page(viewport={'width': 800, 'height': 400})
     page.set_default_timeout(PATIENCE_MS)
     page.goto(address)
     page.get_by_text('arm [rad]').wait_for()
@@ -129,7 +128,7 @@ def test_the_picture_shows_the_cube_and_the_robot(page):
     # The cube is the only thing that is red, and the mount the only one that is nearly black.
     for _ in range(20):
         pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
-        pixels = pixels[:, :280]  # Without the panel.
+        pixels = pixels[:, :460]  # Without the panel.
         red = (pixels[..., 0] > 150) & (pixels[..., 1:].max(axis=2) < 90)
         black = pixels.max(axis=2) < 60
         if red.sum() > 8 and black.sum() > 500:
@@ -139,25 +138,24 @@ def test_the_picture_shows_the_cube_and_the_robot(page):
 
 
 def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(browser):
-    domain = os.environ['ROS_DOMAIN_ID']
-    process, address = start_viewer('--node', 'late')
+    process, address = start_viewer('--node', 'late', '--ros-args', '-r', '__ns:=/cell')
     page = browser.new_page(viewport={'width': 480, 'height': 360})
     page.set_default_timeout(PATIENCE_MS)
     try:
         page.goto(address)
-        page.get_by_text('waiting for the node /late').wait_for()
+        page.get_by_text('waiting for the node /cell/late').wait_for()
         for _ in range(2):
             late = subprocess.Popen(
                 [sys.executable, '-m', 'manip_sim', '--ros-args', '-r', '__node:=late', '-r',
-                 '__ns:=/', '-p', 'robot:=UR5e', '-p', 'gripper:=none', '-p', 'idn:=3'],
-                env={**os.environ, 'ROS_DOMAIN_ID': domain}, stderr=subprocess.DEVNULL)
+                 '__ns:=/cell', '-p', 'robot:=UR5e', '-p', 'gripper:=none'],
+                stderr=subprocess.DEVNULL)
             try:
                 page.get_by_text('× real time').wait_for()
                 page.get_by_text('arm [rad]').wait_for()
             finally:
                 late.send_signal(signal.SIGINT)
                 late.wait(timeout=20.0)
-            page.get_by_text('/late is gone').wait_for()
+            page.get_by_text('/cell/late is gone').wait_for()
     finally:
         page.close()
         _, errors = end(process)

@@ -156,12 +156,12 @@ def test_only_what_has_moved_in_its_parent_is_sent(omron):
 
 
 @pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'GR1'])
-@pytest.mark.parametrize('aspect', [16 / 9, 1.0, 9 / 19])
-def test_the_first_view_shows_the_whole_robot(robot, aspect):
+@pytest.mark.parametrize(('aspect', 'covered'), [(16 / 9, 0.0), (1.5, 0.4), (9 / 19, 0.0)])
+def test_the_first_view_shows_the_whole_robot(robot, aspect, covered):
     model = compose(robot).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    position, target = first_view(model, data, aspect)
+    position, target = first_view(model, data, aspect, covered)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -170,8 +170,9 @@ def test_the_first_view_shows_the_whole_robot(robot, aspect):
     assert (depth > 0.0).all()
     tangent = math.tan(FIELD_OF_VIEW / 2.0)
     assert (np.abs(seen @ np.cross(right, forward)) < depth * tangent).all()
-    assert (np.abs(seen @ right) < depth * tangent * aspect).all()
+    assert (seen @ right > -depth * tangent * aspect).all()
+    assert (seen @ right < depth * tangent * aspect * (1.0 - 2.0 * covered)).all()
     # It does not look from afar, either.
-    widest = max(np.ptp(seen @ right / depth / aspect), np.ptp(seen @ forward * 0.0),
+    widest = max(np.ptp(seen @ right / depth) / aspect / (1.0 - covered),
                  np.ptp(seen @ np.cross(right, forward) / depth))
-    assert widest > 0.3 * tangent
+    assert widest > 0.7 * tangent

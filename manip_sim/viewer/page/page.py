@@ -28,6 +28,8 @@ _MANY_JOINTS, _UNFOLDED = 8, 2
 _POSITION = 'position'
 #: Sliders follow the robot so often at most [s].
 _SLIDERS_S = 0.1
+#: What the panel covers of a window, and windows that have it below.
+_PANEL_PIXELS, _PHONE_PIXELS = 340, 576
 #: Of the first view where no client has told the shape of its window.
 _ASPECT = 1.4
 
@@ -94,8 +96,11 @@ class Page:
     def _aim(self, client: Any) -> None:
         """Let the camera of a browser that has just come see everything."""
         if self._posture is not None:
-            aspect = client.camera.image_width / max(1, client.camera.image_height)
-            position, target = first_view(self._posture.model, self._posture.data, aspect)
+            width, height = client.camera.image_width, max(1, client.camera.image_height)
+            # On a phone the panel is below the picture.
+            covered = min(0.5, _PANEL_PIXELS / width) if width > _PHONE_PIXELS else 0.0
+            position, target = first_view(
+                self._posture.model, self._posture.data, width / height, covered)
             client.camera.fov = FIELD_OF_VIEW
             client.camera.position = position
             client.camera.look_at = target

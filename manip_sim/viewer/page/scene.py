@@ -21,6 +21,11 @@ _AXES_M, _AXES_RADIUS_M = 0.12, 0.003
 _COLLISION = (255, 140, 40)
 _GRID = {'cell_color': (150, 150, 150), 'section_color': (120, 120, 120)}
 _FADE_M = 12.0
+#: Of the first view, upwards and downwards together [rad].
+FIELD_OF_VIEW = math.radians(40.0)
+#: It is from the front and the right of the robot, and a little farther away than need be.
+_FROM = np.array([0.78, -0.82, 0.42])
+_ROOM = 1.1
 
 
 class Scene:
@@ -149,27 +154,28 @@ def local_poses(model: Any, data: Any) -> tuple[FloatArray, FloatArray]:
     return positions, quats
 
 
-def first_view(model: Any, data: Any, aspect: float) -> tuple[FloatArray, FloatArray]:
+def first_view(model: Any, data: Any, aspect: float, covered: float = 0.0
+               ) -> tuple[FloatArray, FloatArray]:
     """
     Return where to look from, and where to, so that robots and objects are seen.
 
     :param aspect: width by height of the picture
+    :param covered: how much of its width something covers on the right, from 0 to 1
     :returns: two positions in ``world`` [m]
     """
     moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] > 0)
     if not moving.size:
         moving = np.arange(model.ngeom)
-    reach = model.geom_rbound[moving, None]
-    low = (data.geom_xpos[moving] - reach).min(axis=0)
-    high = (data.geom_xpos[moving] + reach).max(axis=0)
-    low[2] = max(low[2] - 0.3, 0.0)
-    center = (low + high) / 2.0
-    # The field of view of the page is half of this upwards and downwards.
-    distance = 0.5 * float(np.linalg.norm(high - low)) / math.tan(FIELD_OF_VIEW / 2.0)
-    distance *= 1.15 / min(1.0, aspect)
-    direction = np.array([0.78, -0.82, 0.42])
-    return center + distance * direction / np.linalg.norm(direction), center
-
-
-#: Upwards and downwards together [rad].
-FIELD_OF_VIEW = math.radians(40.0)
+    at, reach = data.geom_xpos[moving], model.geom_rbound[moving]
+    center = ((at - reach[:, None]).min(axis=0) + (at + reach[:, None]).max(axis=0)) / 2.0
+    direction = _FROM / np.linalg.norm(_FROM)
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    tangent = math.tan(FIELD_OF_VIEW / 2.0)
+    # Each sphere around a shape is to be between the four planes that bound the view.
+    distance = _ROOM * max(float((
+        (np.abs((at - center) @ axis) + reach) / slope + (at - center) @ direction).max())
+        for axis, slope in ((right, tangent * aspect * (1.0 - covered)),
+                            (np.cross(direction, right), tangent)))
+    center = center + right * distance * tangent * aspect * covered
+    return center + distance * direction, center
