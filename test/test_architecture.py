@@ -48,6 +48,7 @@ def test_a_module_imports_from_its_own_layer_or_below(path):
         first, _, rest = name.partition('.')
         if first == 'manip_sim' and layers is not None:
             assert rest.split('.')[0] in layers | TOP_LEVEL, f'{path} imports {name}'
+            assert layer != 'viewer/page' or not rest.startswith('viewer.ros'), f'{path}: {name}'
         elif libraries is not None and not _is_standard(first):
             assert first in libraries, f'{path} imports {name}'
         elif first == 'rclpy':

@@ -25,7 +25,7 @@ _FADE_M = 12.0
 FIELD_OF_VIEW = math.radians(40.0)
 #: It is from the front and the right of the robot, and a little farther away than need be.
 _FROM = np.array([0.78, -0.82, 0.42])
-_ROOM = 1.1
+_ROOM = 1.4
 
 
 class Scene:

@@ -12,6 +12,7 @@ from typing import Any
 
 from manip_sim.errors import ManipSimError
 
+_LAST_PORT = 65535
 #: Of the whole page, in buttons and sliders.
 _BRAND = (40, 110, 180)
 
@@ -49,6 +50,9 @@ def set_theme(server: Any, dark: bool) -> None:
 
 def _check_free(host: str, port: int) -> None:
     """Try to listen, as the server would take the next port without a word."""
+    if not 0 <= port <= _LAST_PORT:
+        raise ManipSimError(f'there is no port {port}: choose one from 0 to {_LAST_PORT} with '
+                            '--port')
     try:
         for family, kind, protocol, _, address in socket.getaddrinfo(
                 host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE):
@@ -58,7 +62,7 @@ def _check_free(host: str, port: int) -> None:
                     probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
                 probe.bind(address)
                 probe.listen()
-    except (OSError, OverflowError) as error:
-        what = getattr(error, 'strerror', None) or error
+    except OSError as error:
+        what = error.strerror or error
         raise ManipSimError(f'cannot listen on {host}:{port}: {what}; choose another port with '
                             '--port, or another address with --host') from error
