@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 
+from manip_sim.models.objects import create_object
+from manip_sim.simulation.spawning import plan_with, plan_without
+
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 #: OpenGL in software, and no sandbox, which a container does not have.
@@ -135,6 +138,40 @@ def test_the_picture_shows_the_cube_and_the_robot(page):
             return
         page.wait_for_timeout(500)
     pytest.fail(f'{red.sum()} red and {black.sum()} black pixels')
+
+
+def change_objects(node, change):
+    """Change the objects of a node as the services of simulation_interfaces do."""
+    simulation = node.simulation
+
+    def serve():
+        plan = change(simulation.plan)
+        node.thread.call(lambda: simulation.change_objects(plan))
+        node._objects_changed(simulation)
+    node.executor.create_task(serve)
+
+
+def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page, node):
+    image = pytest.importorskip('PIL.Image')
+    ball = create_object({'name': 'ball', 'shape': 'sphere', 'size': 0.15, 'mass': 0.1,
+                          'position': [0.0, 0.0, 1.0], 'rgba': [0.0, 1.0, 0.0, 1.0]})
+
+    def greens():
+        pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+        return ((pixels[..., 1] > 120) & (pixels[:, :, ::2].max(axis=2) < 100))[:, :460].sum()
+
+    def wait(condition):
+        for _ in range(40):
+            if condition(greens()):
+                return
+            page.wait_for_timeout(500)
+        pytest.fail(f'{greens()} green pixels')
+
+    wait(lambda count: count == 0)
+    change_objects(node, lambda plan: plan_with(plan, ball))
+    wait(lambda count: count > 100)
+    change_objects(node, lambda plan: plan_without(plan, 'ball'))
+    wait(lambda count: count == 0)
 
 
 def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(browser):

@@ -162,5 +162,5 @@ def test_a_server_listens_where_it_is_told_and_refuses_a_port_that_is_taken():
         close_server(server)
     with pytest.raises(ManipSimError, match='cannot listen on no.such.host:'):
         open_server('no.such.host', 8080)
-    with pytest.raises(ManipSimError, match='there is no port 99999999: choose one from 0 to 65535'):
+    with pytest.raises(ManipSimError, match='there is no port 99999999: choose one'):
         open_server('127.0.0.1', 99999999)

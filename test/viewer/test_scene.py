@@ -156,12 +156,13 @@ def test_only_what_has_moved_in_its_parent_is_sent(omron):
 
 
 @pytest.mark.parametrize('robot', ['Panda', 'Baxter', 'GR1'])
-@pytest.mark.parametrize(('aspect', 'covered'), [(16 / 9, 0.0), (1.5, 0.4), (9 / 19, 0.0)])
-def test_the_first_view_shows_the_whole_robot(robot, aspect, covered):
+@pytest.mark.parametrize(('aspect', 'covered', 'below'), [
+    (16 / 9, 0.0, 0.0), (1.5, 0.4, 0.0), (9 / 19, 0.0, 0.5)])
+def test_the_first_view_shows_the_whole_robot(robot, aspect, covered, below):
     model = compose(robot).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    position, target = first_view(model, data, aspect, covered)
+    position, target = first_view(model, data, aspect, covered, below)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -169,10 +170,12 @@ def test_the_first_view_shows_the_whole_robot(robot, aspect, covered):
     depth = seen @ forward
     assert (depth > 0.0).all()
     tangent = math.tan(FIELD_OF_VIEW / 2.0)
-    assert (np.abs(seen @ np.cross(right, forward)) < depth * tangent).all()
+    above = seen @ np.cross(right, forward)
+    assert (above < depth * tangent).all()
+    assert (above > -depth * tangent * (1.0 - 2.0 * below)).all()
     assert (seen @ right > -depth * tangent * aspect).all()
     assert (seen @ right < depth * tangent * aspect * (1.0 - 2.0 * covered)).all()
     # It does not look from afar, either.
     widest = max(np.ptp(seen @ right / depth) / aspect / (1.0 - covered),
-                 np.ptp(seen @ np.cross(right, forward) / depth))
+                 np.ptp(above / depth) / (1.0 - below))
     assert widest > 0.5 * tangent

@@ -32,11 +32,13 @@ class JointPanel:
     :param mode: its control mode
     :param commands: takes what people ask for
     :param events: hands it to the thread that acts
-    :ivar mode: that
+    :param folded: whether it begins folded up
+    :param order: among the folders
+    :ivar mode: its control mode
     """
 
     def __init__(self, gui: Any, robot: Robot, part: Part, mode: str, commands: Commands,
-                 events: Events, folded: bool = False) -> None:
+                 events: Events, folded: bool = False, order: float = 0.0) -> None:
         self.mode = mode
         self._robot, self._part = robot, part
         self._commands, self._events = commands, events
@@ -50,7 +52,7 @@ class JointPanel:
         if mode != 'position':
             title = f'{title} {mode}'
         self.folder = gui.add_folder(f'{title} [{units.pop()}]' if len(units) == 1 else title,
-                                     expand_by_default=not folded)
+                                     expand_by_default=not folded, order=order)
         with self.folder:
             if part.is_gripper:
                 self._add_actions(gui)
@@ -147,7 +149,7 @@ class DrivePanel:
         self._robot, self._commands = robot, commands
         self._stopped = True
         self._sent_s = 0.0
-        self.folder = gui.add_folder(robot.titled('base'))
+        self.folder = gui.add_folder(robot.titled('base'), order=-1.0)
         with self.folder:
             self._sliders = [gui.add_slider(
                 f'{label} [{unit}]', min=-limit, max=limit, step=limit / 50.0, initial_value=0.0,

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
+import time
 from typing import Any
 
 from manip_sim.viewer.page.cameras import CameraPanel
@@ -30,6 +32,10 @@ _POSITION = 'position'
 _SLIDERS_S = 0.1
 #: What the panel covers of a window, and windows that have it below.
 _PANEL_PIXELS, _PHONE_PIXELS = 340, 576
+#: What the panel of a phone covers of its height, when it is open.
+_SHEET = 0.55
+#: A browser that has come is aimed again after so long [s].
+_AIM_S = 1.0
 #: Of the first view where no client has told the shape of its window.
 _ASPECT = 1.4
 
@@ -55,7 +61,8 @@ class Page:
         self._sliders_s = 0.0
         set_theme(server, dark)
         server.gui.set_panel_label('manip_sim')
-        server.on_client_connect(self._aim)
+        self._arrived: dict[int, float] = {}
+        server.on_client_connect(self._welcome)
         self._build((), ())
 
     @property
@@ -93,14 +100,26 @@ class Page:
         self._dark = dark
         set_theme(self._server, dark)
 
+    def _welcome(self, client: Any) -> None:
+        self._aim(client)
+        # The view that the server gives to all who come may arrive after this one.
+        self._arrived[client.client_id] = time.monotonic()
+
+    def _aim_again(self, now_s: float) -> None:
+        for number, client in self._server.get_clients().items():
+            if now_s > self._arrived.get(number, math.inf) + _AIM_S:
+                del self._arrived[number]
+                self._aim(client)
+
     def _aim(self, client: Any) -> None:
         """Let the camera of a browser that has just come see everything."""
         if self._posture is not None:
             width, height = client.camera.image_width, max(1, client.camera.image_height)
             # On a phone the panel is below the picture.
-            covered = min(0.5, _PANEL_PIXELS / width) if width > _PHONE_PIXELS else 0.0
+            phone = width <= _PHONE_PIXELS
             position, target = first_view(
-                self._posture.model, self._posture.data, width / height, covered)
+                self._posture.model, self._posture.data, width / height,
+                0.0 if phone else min(0.5, _PANEL_PIXELS / width), _SHEET if phone else 0.0)
             client.camera.fov = FIELD_OF_VIEW
             client.camera.position = position
             client.camera.look_at = target
@@ -131,7 +150,7 @@ class Page:
         camera.fov, camera.position, camera.look_at = FIELD_OF_VIEW, position, target
         if first:
             for client in self._server.get_clients().values():
-                self._aim(client)
+                self._welcome(client)
 
     def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
         """Show how the simulation is; as :meth:`SimulationPanel.show`."""
@@ -156,6 +175,7 @@ class Page:
         :param paused: whether the simulation is paused
         """
         self.events.run()
+        self._aim_again(now_s)
         for panel in self._joints.values():
             panel.send(now_s)
         for drive in self._drives.values():
@@ -211,7 +231,8 @@ class Page:
             folded = len(part.joints) > _MANY_JOINTS or number >= _UNFOLDED
             with self._control:
                 found = self._joints[key] = JointPanel(
-                    self._server.gui, robot, part, mode, self._commands, self.events, folded)
+                    self._server.gui, robot, part, mode, self._commands, self.events, folded,
+                    order=float(number))
         return found
 
     def _change_drive(self, robot: Robot, wanted: bool) -> None:

@@ -154,13 +154,14 @@ def local_poses(model: Any, data: Any) -> tuple[FloatArray, FloatArray]:
     return positions, quats
 
 
-def first_view(model: Any, data: Any, aspect: float, covered: float = 0.0
-               ) -> tuple[FloatArray, FloatArray]:
+def first_view(model: Any, data: Any, aspect: float, covered: float = 0.0,
+               below: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """
     Return where to look from, and where to, so that robots and objects are seen.
 
     :param aspect: width by height of the picture
     :param covered: how much of its width something covers on the right, from 0 to 1
+    :param below: how much of its height something covers below, from 0 to 1
     :returns: two positions in ``world`` [m]
     """
     moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] > 0)
@@ -171,11 +172,12 @@ def first_view(model: Any, data: Any, aspect: float, covered: float = 0.0
     direction = _FROM / np.linalg.norm(_FROM)
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)
+    up = np.cross(direction, right)
     tangent = math.tan(FIELD_OF_VIEW / 2.0)
     # Each sphere around a shape is to be between the four planes that bound the view.
     distance = _ROOM * max(float((
         (np.abs((at - center) @ axis) + reach) / slope + (at - center) @ direction).max())
         for axis, slope in ((right, tangent * aspect * (1.0 - covered)),
-                            (np.cross(direction, right), tangent)))
-    center = center + right * distance * tangent * aspect * covered
+                            (up, tangent * (1.0 - below))))
+    center = center + distance * tangent * (aspect * covered * right - below * up)
     return center + distance * direction, center
