@@ -30,6 +30,8 @@ ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
 SIZE = {'width': 960, 'height': 540}
 #: Simulation time per second of wall time, between two frames [s], and how fast it is shown.
 FACTOR, STEP_S, SPEED = 0.1, 0.2, 2.0
+#: The browser's notice of slow graphics, and the time, which runs slowly, are of no interest.
+STYLE = '[role=status] { visibility: hidden }'
 CLOSE = "document.querySelector('.mantine-Notification-closeButton')?.click()"
 
 
@@ -70,9 +72,10 @@ def main() -> None:
             page = browser.new_page(viewport=SIZE)
             page.goto(address)
             page.get_by_text('arm [rad]').wait_for(timeout=60_000)
-            page.wait_for_timeout(5000)
+            page.wait_for_timeout(8000)
             page.evaluate(CLOSE)
-            page.wait_for_timeout(2000)
+            page.add_style_tag(content=STYLE)
+            page.wait_for_timeout(4000)
             picker = subprocess.Popen([*run, 'manip_sim.examples.pick_cube'], text=True)
             frames = record(page, picker)
             browser.close()
