@@ -54,7 +54,7 @@ test: $(TEST_READY)
 	$(BIN)/python -m pytest --numprocesses $(TEST_JOBS) --dist loadfile $(PYTEST_ARGS)
 
 lint: $(TEST_READY)
-	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
+	$(BIN)/python -m ruff check manip_sim test benchmark docs setup.py
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy benchmark/*.py
 

@@ -4,8 +4,9 @@
 """
 Draw the animation of the README: the example pick_cube in the viewer, seen by a browser.
 
-It needs the extras viewer and test, and chromium. The simulation runs slowly, so that a machine
-without a graphics card keeps up; the animation plays it at twice real time.
+It needs the extras viewer and test, and chromium. The simulation runs slowly and is stopped while
+the browser draws, so that a machine without a graphics card keeps up; the animation plays it at
+twice real time.
 
 usage: python3 docs/animate_viewer.py [FILE]
 """
@@ -29,29 +30,35 @@ ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
              '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist']
 SIZE = {'width': 960, 'height': 540}
 #: Simulation time per second of wall time, between two frames [s], and how fast it is shown.
-FACTOR, STEP_S, SPEED = 0.1, 0.2, 2.0
+FACTOR, STEP_S, SPEED = 0.25, 0.18, 2.0
+#: How long the page takes to show the newest state [ms].
+SETTLE_MS = 300
 #: The browser's notice of slow graphics, and the time, which runs slowly, are of no interest.
 STYLE = '[role=status] { visibility: hidden }'
 CLOSE = "document.querySelector('.mantine-Notification-closeButton')?.click()"
 
 
-def record(page: Any, picker: subprocess.Popen[str]) -> list[Image.Image]:
-    """Return frames until the example has ended."""
+def record(page: Any, node_process: subprocess.Popen[bytes], picker: subprocess.Popen[str]
+           ) -> tuple[list[Image.Image], list[float]]:
+    """Return frames until the example has ended, and their simulation times [s]."""
     rclpy.init()
     node = rclpy.create_node('animate_viewer')
     now = [0.0]
     node.create_subscription(Clock, '/clock', lambda message: now.__setitem__(
         0, message.clock.sec + message.clock.nanosec * 1e-9), 1)
     frames: list[Image.Image] = []
-    due_s = 0.0
+    times_s: list[float] = []
     while picker.poll() is None:
         rclpy.spin_once(node, timeout_sec=0.1)
-        if now[0] >= due_s:
-            due_s = now[0] + STEP_S
+        if not times_s or now[0] >= times_s[-1] + STEP_S:
+            node_process.send_signal(signal.SIGSTOP)
+            page.wait_for_timeout(SETTLE_MS)
             frames.append(Image.open(io.BytesIO(page.screenshot(timeout=60_000))).convert('RGB'))
+            node_process.send_signal(signal.SIGCONT)
+            times_s.append(now[0])
     node.destroy_node()
     rclpy.shutdown()
-    return frames
+    return frames, times_s
 
 
 def main() -> None:
@@ -77,14 +84,15 @@ def main() -> None:
             page.add_style_tag(content=STYLE)
             page.wait_for_timeout(4000)
             picker = subprocess.Popen([*run, 'manip_sim.examples.pick_cube'], text=True)
-            frames = record(page, picker)
+            frames, times_s = record(page, node, picker)
             browser.close()
     finally:
         for process in (viewer, node):
             process.send_signal(signal.SIGINT)
             process.wait(timeout=20.0)
     frames[0].save(file, save_all=True, append_images=frames[1:], loop=0, quality=70, method=6,
-                   duration=round(1000.0 * STEP_S / SPEED))
+                   duration=[round(1000.0 * (b - a) / SPEED)
+                             for a, b in zip(times_s, [*times_s[1:], times_s[-1] + 1.0])])
     print(f'{file}: {len(frames)} frames, {file.stat().st_size / 1e6:.2f} MB')
 
 
