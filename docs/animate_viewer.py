@@ -50,7 +50,7 @@ def record(page: Any, node_process: subprocess.Popen[bytes], picker: subprocess.
     times_s: list[float] = []
     while picker.poll() is None:
         rclpy.spin_once(node, timeout_sec=0.1)
-        if not times_s or now[0] >= times_s[-1] + STEP_S:
+        if now[0] >= (times_s[-1] + STEP_S if times_s else 1e-9):
             node_process.send_signal(signal.SIGSTOP)
             page.wait_for_timeout(SETTLE_MS)
             frames.append(Image.open(io.BytesIO(page.screenshot(timeout=60_000))).convert('RGB'))
@@ -83,7 +83,10 @@ def main() -> None:
             page.evaluate(CLOSE)
             page.add_style_tag(content=STYLE)
             page.wait_for_timeout(4000)
-            picker = subprocess.Popen([*run, 'manip_sim.examples.pick_cube'], text=True)
+            picker = subprocess.Popen([*run, 'manip_sim.examples.pick_cube'], text=True,
+                                      stdout=subprocess.PIPE)
+            assert picker.stdout is not None
+            print(picker.stdout.readline(), end='')  # It has found the node.
             frames, times_s = record(page, node, picker)
             browser.close()
     finally:

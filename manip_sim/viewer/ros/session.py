@@ -143,4 +143,3 @@ class Session:
         factor = self._pace.factor
         text = f'{time_s:.1f} s' + ('' if factor is None else f', {factor:.3f} × real time')
         return ('trouble' if self._level else 'running'), text, False
-
