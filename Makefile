@@ -1,5 +1,6 @@
 # make run    set up and run a Panda at a table with a cube
 # make pick   in a second shell: pick the cube up
+# make view   in another shell: see and drive it in the browser
 # make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
 # make bench  how fast the node is, in a table of targets and figures (BENCH_ARGS=--help)
@@ -14,6 +15,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
+VIEW_ARGS ?=
 PYTEST_ARGS ?=
 TEST_JOBS ?= 2
 SOAK_ARGS ?=
@@ -24,19 +26,22 @@ ifeq ($(ROS_DISTRO),jazzy)
 ROS_FROM = sourced
 VENV_ARGS = --system-site-packages
 RUN_EXTRAS =
+VIEW_EXTRAS = [viewer]
 TEST_EXTRAS = [test]
 else
 ROS_FROM = wheels
 VENV_ARGS =
 RUN_EXTRAS = [jazzy]
+VIEW_EXTRAS = [jazzy,viewer]
 TEST_EXTRAS = [jazzy,jazzy-test,test]
 endif
 
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(ROS_FROM)
+VIEW_READY = $(VENV)/.ready-to-view-$(ROS_FROM)
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 
-.PHONY: run pick test lint bench soak clean
+.PHONY: run pick view test lint bench soak clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -44,11 +49,14 @@ run: $(READY)
 pick: $(READY)
 	$(BIN)/pick_cube
 
+view: $(VIEW_READY)
+	exec $(BIN)/sim_view $(VIEW_ARGS)
+
 test: $(TEST_READY)
 	$(BIN)/python -m pytest --numprocesses $(TEST_JOBS) --dist loadfile $(PYTEST_ARGS)
 
 lint: $(TEST_READY)
-	$(BIN)/python -m ruff check manip_sim test benchmark setup.py
+	$(BIN)/python -m ruff check manip_sim test benchmark docs setup.py
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy benchmark/*.py benchmark/targets/*.py
 
@@ -64,6 +72,10 @@ $(READY): setup.py
 	$(PYTHON) -m venv --clear $(VENV_ARGS) $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
 	$(BIN)/python -m pip install --editable '.$(RUN_EXTRAS)'
+	touch $@
+
+$(VIEW_READY): $(READY)
+	$(BIN)/python -m pip install --editable '.$(VIEW_EXTRAS)'
 	touch $@
 
 $(TEST_READY): $(READY)

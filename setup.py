@@ -36,9 +36,10 @@ setup(
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],
+        'viewer': ['viser>=1.1,<2'],
         'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pin',
-                 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'scipy',
-                 'yourdfpy'],
+                 'playwright', 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
+                 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer='manip_sim maintainers',
@@ -48,6 +49,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'sim_node = {PACKAGE}.__main__:main',
+            f'sim_view = {PACKAGE}.viewer.__main__:main',
             f'manip_sim = {PACKAGE}.cli.main:run',
             f'pick_cube = {PACKAGE}.examples.pick_cube:main',
             f'hand_over = {PACKAGE}.examples.hand_over:main',

@@ -21,6 +21,9 @@ MAY_IMPORT = {
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
     'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
+    'viewer/page': ({'viewer'}, PURE | {'trimesh', 'viser'}),
+    'viewer/ros': ({'viewer'}, None),
+    'viewer': ({'viewer'}, PURE | {'viser'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
 TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}
@@ -38,16 +41,18 @@ def imports(path):
 
 @pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_a_module_imports_from_its_own_layer_or_below(path):
-    layer = path.relative_to(PACKAGE).parts[0]
+    parts = path.relative_to(PACKAGE).parts
+    layer = '/'.join(parts[:2]) if '/'.join(parts[:2]) in MAY_IMPORT else parts[0]
     layers, libraries = MAY_IMPORT.get(layer, (None, None))
     for name in imports(path):
         first, _, rest = name.partition('.')
         if first == 'manip_sim' and layers is not None:
             assert rest.split('.')[0] in layers | TOP_LEVEL, f'{path} imports {name}'
-        elif layers is not None and not _is_standard(first):
+            assert layer != 'viewer/page' or not rest.startswith('viewer.ros'), f'{path}: {name}'
+        elif libraries is not None and not _is_standard(first):
             assert first in libraries, f'{path} imports {name}'
         elif first == 'rclpy':
-            assert layer in ('ros', 'examples'), f'{path} imports {name}'
+            assert layer in ('ros', 'examples', 'viewer/ros'), f'{path} imports {name}'
 
 
 def _is_standard(name):

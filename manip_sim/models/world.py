@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+import copy
 import math
 from typing import Any
 
@@ -133,6 +134,12 @@ class World:
                 body.gravcomp = 1.0
                 for joint in body.joints:
                     joint.actgravcomp = True
+
+    def with_objects(self, objects: Iterable[ObjectModel]) -> World:
+        """Return a world that differs in its objects; robots, arena and cameras are shared."""
+        other: World = copy.copy(self)
+        other.objects = list(objects)
+        return other
 
     def compile(self, visual: bool = True) -> mujoco.MjModel:
         """

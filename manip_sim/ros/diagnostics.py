@@ -184,6 +184,7 @@ class Diagnostics:
             'clamped': statistics.clamped, 'slowed': statistics.slowed}
         if part in robot.grippers:
             values['control_mode'] = 'position'
+            values['action_size'] = robot.grippers[part].dof
             values['faults'] = robot.grippers[part].faults
         elif part in robot.parts:
             joints = robot.joints

@@ -180,13 +180,13 @@ class StatePublishers:
 
 class ModelPublisher:
     """
-    Publishes the composed model, for everyone who comes later too.
+    Publishes the composed model, and again when objects come or go; for everyone who comes later.
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
 
     :param node: the node
-    :param world: what is composed
+    :param world: the model, as it is at the start
     """
 
     def __init__(self, node: Node, world: World) -> None:
@@ -196,9 +196,16 @@ class ModelPublisher:
 
     def publish(self) -> None:
         """
-        Publish it, once.
+        Publish it as it is at the start.
 
         :raises ModelError: if a file cannot be read
         """
-        self._mjcf.publish(String(data=self._world.to_xml()))
-        self._archive.publish(UInt8MultiArray(data=array('B', self._world.to_archive())))
+        self._publish(self._world)
+
+    def follow(self, simulation: Simulation) -> None:
+        """Publish the model with the objects that a simulation has now."""
+        self._publish(self._world.with_objects(simulation.plan.objects))
+
+    def _publish(self, world: World) -> None:
+        self._mjcf.publish(String(data=world.to_xml()))
+        self._archive.publish(UInt8MultiArray(data=array('B', world.to_archive())))

@@ -112,13 +112,13 @@ class SimNode(Node):
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish)
-        self._followers = [self.objects.follow, *publish_scene(
+        model = ModelPublisher(self, world)
+        self._followers = [model.follow, self.objects.follow, *publish_scene(
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             self.thread.observe(ClockPublisher(self, self.rejections).publish)
         self._descriptions: list[ModelPublisher | DescriptionPublisher] = [
-            ModelPublisher(self, world),
-            DescriptionPublisher(self, world, self._robots, value('ros2_control_tag'))]
+            model, DescriptionPublisher(self, world, self._robots, value('ros2_control_tag'))]
 
     @staticmethod
     def _models(world: World) -> list[Any]:

@@ -3,12 +3,20 @@
 
 """Free bodies over topics and parameters, arenas of another size, starts with noise."""
 
+import io
+
 from geometry_msgs.msg import PoseStamped, TwistStamped
+import mujoco
 import numpy as np
 import pytest
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import String, UInt8MultiArray
 from std_srvs.srv import Trigger
+import yaml
 
 from manip_sim.errors import ManipSimError
+from manip_sim.models.objects import create_object
+from manip_sim.simulation.spawning import plan_with
 
 BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2, position: [1.5, 0.0, 2.0]}'
 
@@ -38,6 +46,31 @@ def test_the_cube_of_the_table_is_published(serve, client):
     poses = client.listen(PoseStamped, 'objects/cube/pose')
     client.spin_until(lambda: len(poses) > 5)
     assert numbers(poses[-1].pose.position)[2] == pytest.approx(0.625, abs=1e-3)
+
+
+def test_the_latched_model_is_published_again_with_objects_that_come_and_go(serve, client):
+    node = serve(arena='table')
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    archives = client.listen(UInt8MultiArray, 'manip_sim/mjcf_archive', latched)
+    texts = client.listen(String, 'manip_sim/mjcf', latched)
+
+    def bodies():
+        model = mujoco.MjSpec.from_zip(io.BytesIO(bytes(archives[-1].data))).compile()
+        assert model.nbody == mujoco.MjModel.from_xml_string(texts[-1].data).nbody
+        return {model.body(i).name for i in range(model.nbody)}
+
+    client.spin_until(lambda: archives and texts)
+    start = bodies()
+    assert 'cube' in start
+    simulation = node.simulation
+    for plan, difference in (
+            (plan_with(simulation.plan, create_object(yaml.safe_load(BALL))), {'ball'}),
+            (simulation.plan, set())):
+        count = len(texts)
+        node.thread.call(lambda plan=plan: simulation.change_objects(plan))
+        node.executor.create_task(node._objects_changed, simulation)
+        client.spin_until(lambda n=count: len(texts) == len(archives) == n + 1)
+        assert bodies() - start == difference
 
 
 def test_noise_of_the_start_is_that_of_the_seed(serve, client):

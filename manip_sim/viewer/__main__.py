@@ -1,0 +1,86 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Entry point of ``sim_view`` and ``python3 -m manip_sim.viewer``.
+
+It imports little, so that a signal during the slow imports ends the process as cleanly as later.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+
+_EPILOG = """\
+ROS arguments come last: '--ros-args -r __ns:=/cell' looks for the node in a namespace.
+"""
+_PORT = 8080
+
+
+def main() -> int:
+    """
+    Show a node in the browser.
+
+    :returns: the exit code: 0 after SIGINT or SIGTERM, 1 if it cannot start
+    """
+    words = sys.argv[1:]
+    begin = words.index('--ros-args') if '--ros-args' in words else len(words)
+    options = _parser().parse_args(words[:begin])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))
+    try:
+        from manip_sim.errors import ManipSimError
+        from manip_sim.viewer.display import check_display, import_mujoco
+        if options.native:
+            check_display()
+        else:
+            import viser  # noqa: F401
+        import_mujoco()
+        from manip_sim.viewer.ros.main import show
+    except ModuleNotFoundError as error:
+        return _missing(error)
+    except ManipSimError as error:
+        return _fail(str(error))
+    try:
+        return show(options, words[begin:])
+    except ManipSimError as error:
+        return _fail(str(error))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Show a running sim_node on a page for the browser, and drive it from there.')
+    parser.add_argument('--host', default='127.0.0.1', metavar='ADDRESS',
+                        help='where to listen, %(default)s by default: this machine alone; '
+                        '0.0.0.0 lets everyone on the network drive the robot')
+    parser.add_argument('--port', type=int, default=_PORT, help='%(default)s by default')
+    parser.add_argument('--node', default='manip_sim', metavar='NAME',
+                        help='the node to show, %(default)s by default; relative names are in '
+                        'the namespace')
+    parser.add_argument('--dark', action='store_true', help='begin with a dark page')
+    parser.add_argument('--native', action='store_true',
+                        help="open MuJoCo's own viewer in a window instead; it only shows")
+    return parser
+
+
+def _missing(error: ModuleNotFoundError) -> int:
+    module = (error.name or '').partition('.')[0]
+    if module == 'manip_sim':
+        raise error
+    if module in ('viser', 'trimesh'):
+        return _fail(f"no module '{module}': install it with pip install 'manip_sim[viewer]'")
+    return _fail(f"no module '{module}': source ROS 2 Jazzy, or install it from wheels with "
+                 "pip install 'manip_sim[jazzy]'")
+
+
+def _fail(message: str) -> int:
+    print(f'sim_view: {message}', file=sys.stderr)
+    return 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

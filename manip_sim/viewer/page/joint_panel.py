@@ -1,0 +1,180 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Sliders for the joints of a part; they follow the robot while nobody moves them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import time
+from typing import Any
+
+from manip_sim.viewer.page.commands import Commands, Events
+from manip_sim.viewer.page.following import Following
+from manip_sim.viewer.page.robots import Joint, Part, Robot
+
+#: Steps of a slider.
+_STEPS = 500
+#: What is slower than so many steps per second is still.
+_STILL = 2.0
+#: Velocities are commanded anew so often while they are not zero [s]; the node's time-outs are
+#: longer.
+_REPEAT_S = 0.1
+
+
+class JointPanel:
+    """
+    A folder with a slider for each joint of a part.
+
+    :param gui: ``viser.ViserServer.gui``
+    :param robot: that has the part
+    :param part: with its joints
+    :param mode: its control mode
+    :param commands: takes what people ask for
+    :param events: hands it to the thread that acts
+    :param folded: whether it begins folded up
+    :param order: among the folders
+    :ivar mode: its control mode
+    """
+
+    def __init__(self, gui: Any, robot: Robot, part: Part, mode: str, commands: Commands,
+                 events: Events, folded: bool = False, order: float = 0.0) -> None:
+        self.mode = mode
+        self._robot, self._part = robot, part
+        self._commands, self._events = commands, events
+        self._sliders: dict[str, Any] = {}
+        self._following: dict[str, Following] = {}
+        self._asked: dict[str, float] = {}
+        self._repeat_s = 0.0
+        units = {joint.unit(mode) for joint in part.joints}
+        self._unit_shown = len(units) > 1
+        title = robot.titled(part.name.replace('/', ' '))
+        if mode != 'position':
+            title = f'{title} {mode}'
+        self.folder = gui.add_folder(f'{title} [{units.pop()}]' if len(units) == 1 else title,
+                                     expand_by_default=not folded, order=order)
+        with self.folder:
+            if part.is_gripper:
+                self._add_actions(gui)
+            for joint in part.joints:
+                self._add_slider(gui, joint)
+            if mode != 'position':
+                gui.add_button('Stop').on_click(lambda _: events.add(self.stop))
+
+    def _add_actions(self, gui: Any) -> None:
+        group = gui.add_button_group('Fingers', ('Open', 'Close'),
+                                     hint='an action of -1 or +1 on all fingers')
+        group.on_click(lambda event: self._act(event.target.value))
+
+    def _act(self, value: str) -> None:
+        self._events.add(lambda: self._commands.act(
+            self._robot.space, self._part.name, 1.0 if value == 'Close' else -1.0))
+
+    def _add_slider(self, gui: Any, joint: Joint) -> None:
+        low, high = joint.ranges[self.mode]
+        unit = joint.unit(self.mode)
+        slider = gui.add_slider(
+            f'{joint.label} [{unit}]' if self._unit_shown else joint.label,
+            min=round(low, 4), max=round(high, 4),
+            step=max(1e-4, round((high - low) / _STEPS, 4)),
+            initial_value=round(min(max(0.0, low), high), 4),
+            marks=((round(low, 4), f'{low:.3g}'), (round(high, 4), f'{high:.3g}')),
+            hint=f'{self.mode} of {joint.name} [{unit}]')
+        self._sliders[joint.name], self._following[joint.name] = slider, Following()
+
+        def moved(event: Any) -> None:
+            if event.client_id is not None:  # Otherwise it is us who have changed it.
+                self._following[joint.name].asked(time.monotonic())
+                self._events.add(lambda: self._ask(joint.name))
+        slider.on_update(moved)
+
+    def _ask(self, name: str) -> None:
+        self._asked[name] = float(self._sliders[name].value)
+
+    def stop(self) -> None:
+        """Command zero for all joints."""
+        for name, slider in self._sliders.items():
+            slider.value = 0.0
+            self._asked[name] = 0.0
+
+    def send(self, now_s: float) -> None:
+        """Send what people have asked for since the last time; wall time [s]."""
+        asked, self._asked = self._asked, {}
+        if self.mode == 'velocity' and now_s > self._repeat_s + _REPEAT_S:
+            asked = {**{name: float(slider.value) for name, slider in self._sliders.items()
+                        if slider.value != 0.0}, **asked}
+        if asked:
+            self._repeat_s = now_s
+            self._commands.move_joints(self._robot.space, self._part.name, self.mode, asked)
+
+    def show(self, now_s: float, positions: Mapping[str, float], velocities: Mapping[str, float],
+             paused: bool) -> None:
+        """
+        Let the sliders follow the measured positions, in position mode.
+
+        :param now_s: wall time [s]
+        :param positions: by joint [rad or m]
+        :param velocities: by joint [rad/s or m/s]
+        :param paused: nothing can move
+        """
+        if self.mode != 'position':
+            return
+        for name, slider in self._sliders.items():
+            if name not in positions:
+                continue
+            moving = paused or abs(velocities.get(name, 0.0)) > _STILL * slider.step
+            if not self._following[name].follows(now_s, moving):
+                continue
+            value = min(max(positions[name], slider.min), slider.max)
+            if abs(value - slider.value) > 0.5 * slider.step:
+                slider.value = round(value / slider.step) * slider.step
+
+    def remove(self) -> None:
+        """Take the folder away."""
+        self.folder.remove()
+
+
+class DrivePanel:
+    """
+    Sliders for the velocity of a mobile base in its own frame.
+
+    :param gui: ``viser.ViserServer.gui``
+    :param robot: that has the base
+    :param commands: takes what people ask for
+    :param events: hands it to the thread that acts
+    """
+
+    def __init__(self, gui: Any, robot: Robot, commands: Commands, events: Events) -> None:
+        assert robot.twist is not None
+        self._robot, self._commands = robot, commands
+        self._stopped = True
+        self._sent_s = 0.0
+        self.folder = gui.add_folder(robot.titled('base'), order=-1.0)
+        with self.folder:
+            self._sliders = [gui.add_slider(
+                f'{label} [{unit}]', min=-limit, max=limit, step=limit / 50.0, initial_value=0.0,
+                marks=((-limit, f'{-limit:.3g}'), (limit, f'{limit:.3g}')),
+                hint=f'velocity of the base {what} [{unit}]')
+                for label, what, unit, limit in zip(
+                    ('forward', 'left', 'turn'),
+                    ('along its x', 'along its y', 'about its z, to the left'),
+                    ('m/s', 'm/s', 'rad/s'), robot.twist)]
+            gui.add_button('Stop').on_click(lambda _: events.add(self.stop))
+
+    def stop(self) -> None:
+        """Command zero."""
+        for slider in self._sliders:
+            slider.value = 0.0
+
+    def send(self, now_s: float) -> None:
+        """Send the velocity as long as it is not zero, and zero once; wall time [s]."""
+        x, y, yaw = (float(slider.value) for slider in self._sliders)
+        still = x == y == yaw == 0.0
+        if still and self._stopped or not still and now_s < self._sent_s + _REPEAT_S:
+            return
+        self._stopped, self._sent_s = still, now_s
+        self._commands.drive(self._robot.space, (x, y, yaw))
+
+    def remove(self) -> None:
+        """Take the folder away."""
+        self.folder.remove()

@@ -1,0 +1,76 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What has last come from the node, in plain numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manip_sim.typing import FloatArray
+from manip_sim.viewer.page.diagnosis import Status
+
+
+@dataclass(frozen=True)
+class JointStates:
+    """
+    The joints of one robot at one instant.
+
+    :ivar names: of the joints
+    :ivar position: [rad or m]
+    :ivar velocity: [rad/s or m/s]
+    :ivar effort: [N m or N]
+    :ivar time_s: simulation time [s]
+    """
+
+    names: Sequence[str]
+    position: Sequence[float]
+    velocity: Sequence[float]
+    effort: Sequence[float]
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """
+    Where something is in ``world``.
+
+    :ivar position: [m], shape (3,)
+    :ivar quat_wxyz: shape (4,)
+    """
+
+    position: FloatArray
+    quat_wxyz: FloatArray
+
+
+@dataclass
+class Latest:
+    """
+    The newest of each kind.
+
+    :ivar joints: by the space of the robot's topics
+    :ivar hands: by space and arm
+    :ivar wrenches: what the world does to a tool, force and torque [N, N m], shape (6,), by space
+        and arm
+    :ivar objects: by name
+    :ivar contacts: where bodies touch, in ``world`` [m], shape (n, 3)
+    :ivar arrows: by what they are: from and to, in ``world`` [m], shape (n, 2, 3)
+    :ivar images: by camera, shape (h, w, 3); taken away when they are shown
+    :ivar diagnostics: the statuses of the node
+    :ivar joints_s: wall time of the newest joint states [s]
+    """
+
+    joints: dict[str, JointStates] = field(default_factory=dict)
+    hands: dict[tuple[str, str], Pose] = field(default_factory=dict)
+    wrenches: dict[tuple[str, str], FloatArray] = field(default_factory=dict)
+    objects: dict[str, Pose] = field(default_factory=dict)
+    contacts: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    arrows: dict[str, FloatArray] = field(default_factory=dict)
+    images: dict[str, NDArray[Any]] = field(default_factory=dict)
+    diagnostics: list[Status] = field(default_factory=list)
+    joints_s: float = 0.0

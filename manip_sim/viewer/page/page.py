@@ -1,0 +1,244 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The whole page: the scene, the panels, and what changes in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+import time
+from typing import Any
+
+from manip_sim.viewer.page.cameras import CameraPanel
+from manip_sim.viewer.page.commands import Commands, Events
+from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status
+from manip_sim.viewer.page.hand_target import HandTarget
+from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
+from manip_sim.viewer.page.latest import Latest
+from manip_sim.viewer.page.overlays import Overlays
+from manip_sim.viewer.page.plots import PlotPanel
+from manip_sim.viewer.page.posture import Posture
+from manip_sim.viewer.page.robots import Part, Robot
+from manip_sim.viewer.page.scene import FIELD_OF_VIEW, first_view, Scene
+from manip_sim.viewer.page.server import set_theme
+from manip_sim.viewer.page.simulation_panel import SimulationPanel
+from manip_sim.viewer.page.view_panel import ViewPanel
+
+#: Parts with more joints, and all parts after the first ones, are folded up at first.
+_MANY_JOINTS, _UNFOLDED = 8, 2
+_POSITION = 'position'
+#: Sliders follow the robot so often at most [s].
+_SLIDERS_S = 0.1
+#: What the panel covers of a window, and windows that have it below.
+_PANEL_PIXELS, _PHONE_PIXELS = 340, 576
+#: What the panel of a phone covers of its height, when it is open.
+_SHEET = 0.55
+#: A browser that has come is aimed again after so long [s].
+_AIM_S = 1.0
+#: Of the first view where no client has told the shape of its window.
+_ASPECT = 1.4
+
+
+class Page:
+    """
+    What is on the page.
+
+    :param server: the ``viser.ViserServer``
+    :param commands: takes what people ask for
+    :param dark: whether it begins dark
+    """
+
+    def __init__(self, server: Any, commands: Commands, dark: bool = False) -> None:
+        self._server, self._commands = server, commands
+        self.events = Events()
+        self._dark = dark
+        self._posture: Posture | None = None
+        self._scene: Scene | None = None
+        self._overlays = Overlays(server.scene)
+        self._robots: tuple[Robot, ...] = ()
+        self._modes: dict[str, str] = {}
+        self._sliders_s = 0.0
+        set_theme(server, dark)
+        server.gui.set_panel_label('manip_sim')
+        self._arrived: dict[int, float] = {}
+        server.on_client_connect(self._welcome)
+        self._build((), ())
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether any browser shows it."""
+        return bool(self._server.get_clients())
+
+    @property
+    def wants_markers(self) -> bool:
+        """Whether contacts or wrenches are shown."""
+        return self._view.wants_markers
+
+    def _build(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
+        gui, scene = self._server.gui, self._server.scene
+        self._robots, self._modes = tuple(robots), {}
+        self._simulation = SimulationPanel(gui, self._commands, self.events)
+        tabs = gui.add_tab_group()
+        self._control = tabs.add_tab('Control')
+        self._joints: dict[tuple[str, str], JointPanel] = {}
+        self._drives: dict[str, DrivePanel] = {}
+        self._targets = {(robot.space, arm): HandTarget(scene, robot.space, arm, self._commands)
+                         for robot in robots for arm in robot.hands}
+        with tabs.add_tab('View'):
+            self._view = ViewPanel(gui, self._dark, {
+                robot.titled(arm): self._targets[robot.space, arm]
+                for robot in robots for arm in robot.hands}, self._set_dark)
+        with tabs.add_tab('Plots'):
+            self._plots = PlotPanel(gui, robots)
+        with tabs.add_tab('Health'):
+            self._health = gui.add_markdown(in_words([]))
+        with tabs.add_tab('Cameras'):
+            self._cameras = CameraPanel(gui, cameras, self._commands, self.events)
+
+    def _set_dark(self, dark: bool) -> None:
+        self._dark = dark
+        set_theme(self._server, dark)
+
+    def _welcome(self, client: Any) -> None:
+        self._aim(client)
+        # The view that the server gives to all who come may arrive after this one.
+        self._arrived[client.client_id] = time.monotonic()
+
+    def _aim_again(self, now_s: float) -> None:
+        for number, client in self._server.get_clients().items():
+            if now_s > self._arrived.get(number, math.inf) + _AIM_S:
+                del self._arrived[number]
+                self._aim(client)
+
+    def _aim(self, client: Any) -> None:
+        """Let the camera of a browser that has just come see everything."""
+        if self._posture is not None:
+            width, height = client.camera.image_width, max(1, client.camera.image_height)
+            # On a phone the panel is below the picture.
+            phone = width <= _PHONE_PIXELS
+            position, target = first_view(
+                self._posture.model, self._posture.data, width / height,
+                0.0 if phone else min(0.5, _PANEL_PIXELS / width), _SHEET if phone else 0.0)
+            client.camera.fov = FIELD_OF_VIEW
+            client.camera.position = position
+            client.camera.look_at = target
+
+    def show_robots(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
+        """Put panels for robots and cameras in the place of those that were there."""
+        self._server.gui.reset()
+        for target in self._targets.values():
+            target.remove()
+        self._build(robots, cameras)
+
+    def show_model(self, model: Any, latest: Latest) -> None:
+        """
+        Put a model into the scene in the place of the one that was there.
+
+        :param model: the ``mujoco.MjModel``
+        :param latest: where its joints and objects are
+        """
+        first = self._posture is None
+        if self._scene is not None:
+            self._scene.remove()
+        self._posture = Posture(model)
+        self._take(latest)
+        self._scene = Scene(self._server, model, self._posture.data)
+        self._view.attach(self._scene)
+        position, target = first_view(model, self._posture.data, _ASPECT)
+        camera = self._server.initial_camera
+        camera.fov, camera.position, camera.look_at = FIELD_OF_VIEW, position, target
+        if first:
+            for client in self._server.get_clients().values():
+                self._welcome(client)
+
+    def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
+        """Show how the simulation is; as :meth:`SimulationPanel.show`."""
+        self._simulation.show(state, text, paused)
+
+    def show_trouble(self, text: str) -> None:
+        """Tell everybody who looks of something that could not be done."""
+        for client in self._server.get_clients().values():
+            client.add_notification('Not done', text, color='orange', auto_close_seconds=8.0)
+
+    def show_diagnostics(self, statuses: Sequence[Status]) -> None:
+        """Show the diagnostics, and sliders for the control modes that they tell."""
+        self._health.content = in_words(statuses)
+        self._modes = control_modes(statuses)
+
+    def update(self, now_s: float, latest: Latest, paused: bool) -> None:
+        """
+        Send what people have asked for, and show the newest states.
+
+        :param now_s: wall time [s]
+        :param latest: the newest states
+        :param paused: whether the simulation is paused
+        """
+        self.events.run()
+        self._aim_again(now_s)
+        for panel in self._joints.values():
+            panel.send(now_s)
+        for drive in self._drives.values():
+            drive.send(now_s)
+        for key, target in self._targets.items():
+            target.send()
+            if key in latest.hands:
+                hand = latest.hands[key]
+                target.follow(now_s, hand.position, hand.quat_wxyz, paused)
+        if self._posture is not None and self._scene is not None:
+            self._take(latest)
+            self._scene.update(self._posture.data)
+        self._overlays.show(*self._view.chosen(latest))
+        self._cameras.show(now_s, latest.images, self.is_watched)
+        self._plots.show(now_s, latest)
+        if now_s > self._sliders_s + _SLIDERS_S:
+            self._sliders_s = now_s
+            self._follow(now_s, latest, paused)
+
+    def _take(self, latest: Latest) -> None:
+        assert self._posture is not None
+        for states in latest.joints.values():
+            self._posture.set_joints(states.names, states.position)
+        for name, pose in latest.objects.items():
+            self._posture.place(name, pose.position, pose.quat_wxyz)
+        self._posture.compute()
+
+    def _follow(self, now_s: float, latest: Latest, paused: bool) -> None:
+        if not self._modes:  # Sliders depend on the control modes.
+            return
+        number = 0
+        for robot in self._robots:
+            states = latest.joints.get(robot.space)
+            for part in robot.parts:
+                panel = self._panel(robot, part, number)
+                number += 1
+                if states is not None and panel is not None:
+                    panel.show(now_s, dict(zip(states.names, states.position)),
+                               dict(zip(states.names, states.velocity)), paused)
+
+    def _panel(self, robot: Robot, part: Part, number: int) -> JointPanel | None:
+        """Return the panel of a part in its present control mode; None if it needs none."""
+        mode = self._modes.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)
+        drives = part.name == 'base' and robot.twist is not None and mode == 'velocity'
+        if drives != (robot.space in self._drives) and part.name == 'base':
+            self._change_drive(robot, drives)
+        key = robot.space, part.name
+        found = self._joints.get(key)
+        if found is not None and (found.mode != mode or drives):
+            self._joints.pop(key).remove()
+            found = None
+        if found is None and not drives:
+            folded = len(part.joints) > _MANY_JOINTS or number >= _UNFOLDED
+            with self._control:
+                found = self._joints[key] = JointPanel(
+                    self._server.gui, robot, part, mode, self._commands, self.events, folded,
+                    order=float(number))
+        return found
+
+    def _change_drive(self, robot: Robot, wanted: bool) -> None:
+        if wanted:
+            with self._control:
+                self._drives[robot.space] = DrivePanel(
+                    self._server.gui, robot, self._commands, self.events)
+        else:
+            self._drives.pop(robot.space).remove()

@@ -1,0 +1,139 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What was measured in the last ten seconds, and plots of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from manip_sim.typing import FloatArray
+from manip_sim.viewer.page.latest import JointStates, Latest
+from manip_sim.viewer.page.robots import Part, Robot
+
+#: How long the plots look back in simulation time [s].
+WINDOW_S = 10.0
+#: Most instants in a plot.
+_POINTS = 200
+#: So often plots are drawn anew [s].
+_PERIOD_S = 0.25
+_COLORS = ('#2e7bd6', '#e8590c', '#2f9e44', '#c2255c', '#7048e8', '#0c8599', '#f08c00', '#868e96')
+_HEIGHT = 170
+#: The scale of a plot shows as much at least, in its unit.
+_SMALL = 0.05
+_WRENCH = 'wrench'
+
+
+class History:
+    """Rows of numbers of the last ten seconds of simulation time, at most :data:`_POINTS`."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, FloatArray]] = deque()
+
+    def add(self, time_s: float, row: FloatArray) -> None:
+        """Take the numbers of an instant, unless it follows the last one too closely."""
+        if self._rows and time_s < self._rows[-1][0]:  # The simulation began anew.
+            self._rows.clear()
+        if self._rows and time_s < self._rows[-1][0] + WINDOW_S / _POINTS:
+            return
+        self._rows.append((time_s, row))
+        while self._rows[0][0] < time_s - WINDOW_S:
+            self._rows.popleft()
+
+    def columns(self) -> tuple[FloatArray, FloatArray]:
+        """Return times before the newest instant [s], shape (n,), and the rows, shape (n, k)."""
+        if not self._rows:
+            return np.zeros(0), np.zeros((0, 0))
+        times = np.array([time_s for time_s, _ in self._rows])
+        return times - times[-1], np.array([row for _, row in self._rows])
+
+
+class PlotPanel:
+    """
+    Plots of one part, or of the wrench of one hand, that a person chooses.
+
+    :param gui: ``viser.ViserServer.gui``
+    :param robots: of the node
+    """
+
+    def __init__(self, gui: Any, robots: Sequence[Robot]) -> None:
+        self._gui = gui
+        self._next_s = 0.0
+        self._plots: list[tuple[Any, slice]] = []
+        self._history = History()
+        self._choices: dict[str, tuple[Robot, Part | str]] = {}
+        for robot in robots:
+            self._choices.update({robot.titled(part.name.replace('/', ' ')): (robot, part)
+                                  for part in robot.parts if part.joints})
+            self._choices.update({robot.titled(f'{arm} {_WRENCH}'): (robot, arm)
+                                  for arm in robot.hands})
+        self._live = gui.add_checkbox('Live', True, hint='the last ten seconds')
+        self._choice = gui.add_dropdown('Show', tuple(self._choices) or ('nothing',))
+        self._folder = gui.add_folder('Last 10 s')
+        self._shown = ''
+
+    def show(self, now_s: float, latest: Latest) -> None:
+        """Draw what was chosen anew, if it is time; wall time [s]."""
+        found = self._choices.get(self._choice.value)
+        if found is None or not self._live.value:
+            return
+        if self._choice.value != self._shown:
+            self._shown = self._choice.value
+            self._history = History()
+            self._rebuild(*found)
+        self._record(found[0], found[1], latest)
+        if now_s >= self._next_s:
+            self._next_s = now_s + _PERIOD_S
+            times, rows = self._history.columns()
+            if len(times) > 1:
+                for plot, columns in self._plots:
+                    plot.data = (times, *np.ascontiguousarray(rows[:, columns].T))
+
+    def _record(self, robot: Robot, what: Part | str, latest: Latest) -> None:
+        states = latest.joints.get(robot.space)
+        if states is None:
+            return
+        if isinstance(what, Part):
+            self._history.add(states.time_s, _row(states, what))
+        elif (robot.space, what) in latest.wrenches:
+            self._history.add(states.time_s, latest.wrenches[robot.space, what])
+
+    def _rebuild(self, robot: Robot, what: Part | str) -> None:
+        for plot, _ in self._plots:
+            plot.remove()
+        self._plots = []
+        if isinstance(what, Part):
+            labels = [joint.label for joint in what.joints]
+            units = {(joint.unit('position'), joint.unit('velocity'), joint.unit('effort'))
+                     for joint in what.joints}
+            plots = list(zip(('position', 'velocity', 'effort'), zip(*sorted(units))))
+        else:
+            labels = ['x', 'y', 'z']
+            plots = [('external force', ('N',)), ('external torque', ('N m',))]
+        count = len(labels)
+        with self._folder:
+            for number, (title, unit) in enumerate(plots):
+                self._plots.append((self._plot(f'{title} [{" or ".join(unit)}]', labels),
+                                    slice(number * count, (number + 1) * count)))
+
+    def _plot(self, title: str, labels: Sequence[str]) -> Any:
+        nothing = np.zeros(2)
+        return self._gui.add_uplot(
+            (np.array([-WINDOW_S, 0.0]), *([nothing] * len(labels))),
+            ({'label': 's'}, *({'label': label, 'stroke': _COLORS[i % len(_COLORS)], 'width': 1.5}
+                               for i, label in enumerate(labels))),
+            title=title, scales={'x': {'time': False, 'range': (-WINDOW_S, 0.0)},
+                                 'y': {'range': {'min': {'pad': 0.1, 'soft': -_SMALL, 'mode': 1},
+                                                 'max': {'pad': 0.1, 'soft': _SMALL, 'mode': 1}}}},
+            height=_HEIGHT, legend={'show': len(labels) <= len(_COLORS), 'live': False})
+
+
+def _row(states: JointStates, part: Part) -> FloatArray:
+    index = {name: i for i, name in enumerate(states.names)}
+    rows = [index[joint.name] for joint in part.joints]
+    return np.concatenate([np.asarray(values, dtype=float)[rows] for values in (
+        states.position, states.velocity, states.effort)])

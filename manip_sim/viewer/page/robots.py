@@ -1,0 +1,141 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the page has to know of the robots of a node; nothing here moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import math
+import os.path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+
+#: A joint that turns without an end, and one that slides without, have sliders that go so far
+#: [rad, m].
+_TURN, _WAY_M = math.pi, 2.0
+#: Where nothing is declared [rad/s or m/s, N m or N].
+_SPEED, _EFFORT = 1.0, 10.0
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+_OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+MODES = ('position', 'velocity', 'effort')
+
+
+@dataclass(frozen=True)
+class Joint:
+    """
+    A joint that can be commanded.
+
+    :ivar name: in messages
+    :ivar label: short, for people
+    :ivar slides: in metres and newtons, not in radians
+    :ivar ranges: of goals by control mode: position [rad or m], velocity [rad/s or m/s] and
+        effort [N m or N], each lowest and highest
+    """
+
+    name: str
+    label: str
+    slides: bool
+    ranges: dict[str, tuple[float, float]] = field(hash=False)
+
+    def unit(self, mode: str) -> str:
+        """Return the unit of goals in a control mode."""
+        units = (('m', 'm/s', 'N') if self.slides else ('rad', 'rad/s', 'N m'))
+        return units[MODES.index(mode)]
+
+
+@dataclass(frozen=True)
+class Part:
+    """
+    A subsystem, an arm or a gripper.
+
+    :ivar name: ``arm``, ``right``, ``right/gripper`` ...
+    :ivar joints: those that can be commanded
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+
+    @property
+    def is_gripper(self) -> bool:
+        """Whether it takes actions of which +1 closes."""
+        return self.name.endswith('/gripper')
+
+
+@dataclass(frozen=True)
+class Robot:
+    """
+    A robot of the node.
+
+    :ivar space: what the names of its topics begin with, such as ``/left/``
+    :ivar title: for people; empty for the only robot
+    :ivar parts: that do not overlap
+    :ivar hands: the arms that take Cartesian targets
+    :ivar twist: velocities that the base takes along x and y and about z at most [m/s, m/s,
+        rad/s]; None where there is no such base
+    """
+
+    space: str
+    title: str
+    parts: tuple[Part, ...]
+    hands: tuple[str, ...]
+    twist: tuple[float, float, float] | None = None
+
+    def titled(self, what: str) -> str:
+        """Return the name of something of this robot, for people."""
+        return f'{self.title} {what}'.strip()
+
+
+def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
+    """Return ``lower``, ``upper``, ``velocity`` and ``effort`` of joints, as far as declared."""
+    return {str(joint.get('name')): {key: float(value) for key, value in limit.attrib.items()}
+            for joint in ElementTree.fromstring(urdf).iter('joint')
+            if (limit := joint.find('limit')) is not None}
+
+
+def commanded_joints(model: Any, names: list[str], urdf: str, gripper: bool) -> tuple[Joint, ...]:
+    """
+    Return those joints that have an actuator of their own.
+
+    :param model: the ``mujoco.MjModel``
+    :param names: of the joints of a part
+    :param urdf: tells their limits
+    :param gripper: whether the part is a gripper, whose joints take positions only where the
+        actuator is a position servo
+    """
+    limits = declared_limits(urdf)
+    driven = {int(model.actuator_trnid[i, 0]) for i in range(model.nu)
+              if int(model.actuator_trntype[i]) in _OF_JOINTS
+              and (not gripper or model.actuator_biasprm[i, 1] < 0.0)}
+    labels = dict(zip(names, short_labels(names)))
+    found = []
+    for name in names:
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if index in driven:
+            slides = int(model.jnt_type[index]) == _SLIDE
+            found.append(Joint(name, labels[name], slides,
+                               _ranges(limits.get(name, {}), slides)))
+    return tuple(found)
+
+
+def _ranges(limits: dict[str, float], slides: bool) -> dict[str, tuple[float, float]]:
+    far = _WAY_M if slides else _TURN
+    low, high = limits.get('lower', -far), limits.get('upper', far)
+    if high - low > 100.0 * far:
+        low, high = -far, far
+    speed, effort = limits.get('velocity') or _SPEED, limits.get('effort') or _EFFORT
+    return {'position': (low, high), 'velocity': (-speed, speed), 'effort': (-effort, effort)}
+
+
+def short_labels(names: list[str]) -> list[str]:
+    """Return names without what all of them begin with, up to a whole word, and ``joint``."""
+    common = os.path.commonprefix(names) if len(names) > 1 else names[0] if names else ''
+    begin = common.rfind('_') + 1
+    if len(names) == 1:
+        begin = common.find('_') + 1
+    labels = [name[begin:].removesuffix('_joint').replace('_', ' ') for name in names]
+    if all(label.isdigit() for label in labels):
+        return [f'joint {label}' for label in labels]
+    return labels

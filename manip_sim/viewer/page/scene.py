@@ -1,0 +1,183 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The robots and objects in the scene: a node for each body below that of its parent."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.typing import FloatArray
+from manip_sim.viewer.page.shapes import body_meshes, planes
+
+ROOT = '/world'
+#: A pose that differs less [m, and of quaternions] is not sent again.
+_SAME = 2e-5
+_AXES_M, _AXES_RADIUS_M = 0.12, 0.003
+_COLLISION = (255, 140, 40)
+_GRID = {'cell_color': (150, 150, 150), 'section_color': (120, 120, 120)}
+_FADE_M = 12.0
+#: Of the first view, upwards and downwards together [rad].
+FIELD_OF_VIEW = math.radians(40.0)
+#: It is from the front and the right of the robot, and a little farther away than need be.
+_FROM = np.array([0.78, -0.82, 0.42])
+_ROOM = 1.4
+
+
+class Scene:
+    """
+    A model in the scene of a page.
+
+    :param server: the ``viser.ViserServer``
+    :param model: the ``mujoco.MjModel``
+    :param data: where its bodies are at first
+    """
+
+    def __init__(self, server: Any, model: Any, data: Any) -> None:
+        self._server = server
+        self._model = model
+        self._paths = _paths(model)
+        self._frames = [server.scene.add_frame(
+            path, show_axes=False, axes_length=_AXES_M, axes_radius=_AXES_RADIUS_M)
+            for path in self._paths]
+        self._sites = [self._add_site(i) for i in range(model.nsite)
+                       if model.site(i).name.endswith(('ft_frame', 'grip_site'))]
+        self._collision: list[Any] = []
+        self._visual: list[Any] = []
+        self._labels: list[Any] = []
+        for number, mesh in enumerate(body_meshes(model)):
+            self._add_mesh(f'{self._paths[mesh.body]}/shape{number}', mesh)
+        for geom in planes(model):
+            self._add_plane(geom, data)
+        self._positions = np.full((model.nbody, 3), np.nan)
+        self._quats = np.full((model.nbody, 4), np.nan)
+        self.update(data)
+
+    def _add_site(self, site: int) -> Any:
+        return self._server.scene.add_frame(
+            f'{self._paths[int(self._model.site_bodyid[site])]}/{self._model.site(site).name}',
+            show_axes=False, axes_length=0.7 * _AXES_M, axes_radius=_AXES_RADIUS_M,
+            position=self._model.site_pos[site], wxyz=self._model.site_quat[site])
+
+    def _add_mesh(self, name: str, mesh: Any) -> None:
+        color = _COLLISION if mesh.collides else tuple(
+            round(255 * value) for value in mesh.rgba[:3])
+        opacity = 0.35 if mesh.collides else mesh.rgba[3] if mesh.rgba[3] < 1.0 else None
+        handle = self._server.scene.add_mesh_simple(
+            name, mesh.vertices, mesh.faces, color=color, opacity=opacity,
+            visible=not mesh.collides, cast_shadow=not mesh.collides)
+        (self._collision if mesh.collides else self._visual).append(handle)
+
+    def _add_plane(self, geom: int, data: Any) -> None:
+        half = self._model.geom_size[geom, :2]
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
+        self._server.scene.add_grid(
+            f'{ROOT}/plane{geom}', position=data.geom_xpos[geom], wxyz=quat,
+            width=2.0 * half[0] or 20.0, height=2.0 * half[1] or 20.0,
+            infinite_grid=not half.all(), cell_size=0.25, section_size=1.0, cell_thickness=0.5,
+            section_thickness=1.0, fade_distance=_FADE_M, shadow_opacity=0.25, **_GRID)
+
+    def update(self, data: Any) -> None:
+        """
+        Show where the bodies are; only those that have moved in their parent are sent.
+
+        :param data: the ``mujoco.MjData``
+        """
+        positions, quats = local_poses(self._model, data)
+        moved = ~(np.abs(positions - self._positions) <= _SAME).all(axis=1)
+        turned = ~(np.abs(quats - self._quats) <= _SAME).all(axis=1)
+        self._positions[moved], self._quats[turned] = positions[moved], quats[turned]
+        with self._server.atomic():
+            for body in np.flatnonzero(moved).tolist():
+                self._frames[body].position = positions[body]
+            for body in np.flatnonzero(turned).tolist():
+                self._frames[body].wxyz = quats[body]
+
+    def show_frames(self, shown: bool) -> None:
+        """Show the axes of the bodies that have joints, and of the hands."""
+        jointed = set(self._model.jnt_bodyid.tolist())
+        for body, frame in enumerate(self._frames):
+            frame.show_axes = shown and body in jointed
+        for site in self._sites:
+            site.show_axes = shown
+
+    def show_collision(self, shown: bool) -> None:
+        """Show the shapes that collide."""
+        for handle in self._collision:
+            handle.visible = shown
+
+    def show_names(self, shown: bool) -> None:
+        """Show the names of the bodies that have joints."""
+        for label in self._labels:
+            label.remove()
+        self._labels = []
+        if shown:
+            self._labels = [self._server.scene.add_label(
+                f'{self._paths[body]}/label', self._model.body(body).name,
+                font_screen_scale=0.8) for body in sorted(set(self._model.jnt_bodyid.tolist()))]
+
+    def remove(self) -> None:
+        """Take all of it out of the scene."""
+        self._server.scene.remove_by_name(ROOT)
+
+
+def _paths(model: Any) -> list[str]:
+    paths = [ROOT]
+    for body in range(1, model.nbody):
+        name = model.body(body).name or f'body{body}'
+        paths.append(f'{paths[int(model.body_parentid[body])]}/{name.replace("/", "_")}')
+    return paths
+
+
+def local_poses(model: Any, data: Any) -> tuple[FloatArray, FloatArray]:
+    """
+    Return where each body is in the frame of its parent.
+
+    :returns: positions [m], shape (n, 3), and quaternions (w, x, y, z), shape (n, 4), w >= 0
+    """
+    parents = model.body_parentid
+    rotations = data.xmat.reshape(-1, 3, 3)
+    positions = np.einsum('nji,nj->ni', rotations[parents], data.xpos - data.xpos[parents])
+    inverse = data.xquat[parents] * [1.0, -1.0, -1.0, -1.0]
+    a, b = inverse, data.xquat
+    quats = np.stack([
+        a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1),
+        a[:, 0] * b[:, 1] + a[:, 1] * b[:, 0] + a[:, 2] * b[:, 3] - a[:, 3] * b[:, 2],
+        a[:, 0] * b[:, 2] - a[:, 1] * b[:, 3] + a[:, 2] * b[:, 0] + a[:, 3] * b[:, 1],
+        a[:, 0] * b[:, 3] + a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1] + a[:, 3] * b[:, 0]], axis=1)
+    quats *= np.where(quats[:, :1] < 0.0, -1.0, 1.0)
+    return positions, quats
+
+
+def first_view(model: Any, data: Any, aspect: float, covered: float = 0.0,
+               below: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """
+    Return where to look from, and where to, so that robots and objects are seen.
+
+    :param aspect: width by height of the picture
+    :param covered: how much of its width something covers on the right, from 0 to 1
+    :param below: how much of its height something covers below, from 0 to 1
+    :returns: two positions in ``world`` [m]
+    """
+    moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] > 0)
+    if not moving.size:
+        moving = np.arange(model.ngeom)
+    at, reach = data.geom_xpos[moving], model.geom_rbound[moving]
+    center = ((at - reach[:, None]).min(axis=0) + (at + reach[:, None]).max(axis=0)) / 2.0
+    direction = _FROM / np.linalg.norm(_FROM)
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    up = np.cross(direction, right)
+    tangent = math.tan(FIELD_OF_VIEW / 2.0)
+    # Each sphere around a shape is to be between the four planes that bound the view.
+    distance = _ROOM * max(float((
+        (np.abs((at - center) @ axis) + reach) / slope + (at - center) @ direction).max())
+        for axis, slope in ((right, tangent * aspect * (1.0 - covered)),
+                            (up, tangent * (1.0 - below))))
+    center = center + distance * tangent * (aspect * covered * right - below * up)
+    return center + distance * direction, center

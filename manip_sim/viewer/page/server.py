@@ -1,0 +1,68 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The server of the page: where it listens and what the page looks like before all else."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+from typing import Any
+
+from manip_sim.errors import ManipSimError
+
+_LAST_PORT = 65535
+#: Of the whole page, in buttons and sliders.
+_BRAND = (40, 110, 180)
+
+
+def open_server(host: str, port: int) -> Any:
+    """
+    Return a ``viser.ViserServer``.
+
+    :param host: name or address of the interface to listen on
+    :param port: 0 takes one that is free
+    :raises ManipSimError: if it cannot listen there
+    """
+    _check_free(host, port)
+    import viser
+    with contextlib.redirect_stdout(io.StringIO()):  # It prints its address in a frame.
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    if port and server.get_port() != port:
+        close_server(server)
+        raise ManipSimError(f'cannot listen on {host}:{port}: it was taken in this moment')
+    server.scene.configure_environment_map('warehouse', environment_intensity=0.7)
+    return server
+
+
+def close_server(server: Any) -> None:
+    """End the server and the connections to it."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def set_theme(server: Any, dark: bool) -> None:
+    """Let the page be dark or light."""
+    server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False,
+                               brand_color=_BRAND)
+
+
+def _check_free(host: str, port: int) -> None:
+    """Try to listen, as the server would take the next port without a word."""
+    if not 0 <= port <= _LAST_PORT:
+        raise ManipSimError(f'there is no port {port}: choose one from 0 to {_LAST_PORT} with '
+                            '--port')
+    try:
+        for family, kind, protocol, _, address in socket.getaddrinfo(
+                host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE):
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                if family == socket.AF_INET6:
+                    probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                probe.bind(address)
+                probe.listen()
+    except OSError as error:
+        what = error.strerror or error
+        raise ManipSimError(f'cannot listen on {host}:{port}: {what}; choose another port with '
+                            '--port, or another address with --host') from error

@@ -1,0 +1,64 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The top of the page: how the simulation is, and the buttons that pause, step and reset it."""
+
+from __future__ import annotations
+
+import html
+from typing import Any
+
+from manip_sim.viewer.page.commands import Commands, Events
+
+_COLORS = {'running': '#2f9e44', 'paused': '#f08c00', 'waiting': '#868e96', 'gone': '#e03131',
+           'trouble': '#e8590c'}
+#: The labels of the page are grey and narrow otherwise.
+_STYLE = ('<style>.mantine-Text-root{color:inherit!important;letter-spacing:-0.1px!important}'
+          '</style>')
+
+
+class SimulationPanel:
+    """
+    A line of state and the buttons of the whole simulation.
+
+    :param gui: ``viser.ViserServer.gui``
+    :param commands: takes what people ask for
+    :param events: hands it to the thread that acts
+    """
+
+    def __init__(self, gui: Any, commands: Commands, events: Events) -> None:
+        self._paused = False
+        self._text = ''
+        self._state = gui.add_html(_STYLE)
+        self._buttons = gui.add_button_group(
+            'Simulation', ('Pause', 'Step'),
+            hint='Step: one control period of a paused simulation')
+        self._again = gui.add_button_group(
+            'Start again', ('Reset', 'Tare'),
+            hint='Reset: back to the start. Tare: let the external wrenches read zero now')
+
+        def pressed(event: Any) -> None:
+            what = event.target.value
+            if what == 'Step':
+                events.add(commands.step)
+            else:
+                events.add(lambda: commands.pause(what == 'Pause'))
+        self._buttons.on_click(pressed)
+        self._again.on_click(lambda event: events.add(
+            commands.reset if event.target.value == 'Reset' else commands.tare))
+
+    def show(self, state: str, text: str, paused: bool | None = None) -> None:
+        """
+        Show how the simulation is.
+
+        :param state: ``running``, ``paused``, ``trouble``, ``waiting`` or ``gone``
+        :param text: more of it
+        :param paused: whether the button lets it go on; None where nobody is there
+        """
+        shown = (f'{_STYLE}<div style="padding:0 0.7em 0.5em;font-size:0.9em" role="status">'
+                 f'<span style="color:{_COLORS[state]}">●</span> {html.escape(text)}</div>')
+        if shown != self._text:
+            self._text = self._state.content = shown
+        if paused is not None and paused != self._paused:
+            self._paused = paused
+            self._buttons.options = ('Resume' if paused else 'Pause', 'Step')

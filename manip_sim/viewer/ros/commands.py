@@ -1,0 +1,131 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Send what people ask for on the page to the node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from manip_sim.typing import FloatArray
+from manip_sim.viewer.page.diagnosis import Status
+
+_ACTION_SIZE = 'action_size'
+_SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger}
+
+
+class CommandSender:
+    """
+    Publishers and clients, made when they are first needed.
+
+    :param node: the viewer's own
+    :param simulation: full name of the node that is seen, without the first slash
+    :param frames: in which the node tells the poses of hands, by space and arm
+    :param tell: tells people what could not be done
+    :ivar cameras: whose images are wanted
+    :ivar paused: is called when the simulation has been paused or goes on
+    """
+
+    def __init__(self, node: Node, simulation: str, frames: Mapping[tuple[str, str], str],
+                 tell: Callable[[str], None]) -> None:
+        self._node, self._name, self._frames, self._tell = node, simulation, frames, tell
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self._action_sizes: dict[str, int] = {}
+        self.cameras: set[str] = set()
+        self.paused: Callable[[bool], None] = lambda paused: None
+
+    def notice(self, base: str, statuses: list[Status]) -> None:
+        """Take from the diagnostics how many numbers the actions of grippers have."""
+        self._action_sizes = {f'{base}{status.name}': int(status.values[_ACTION_SIZE])
+                              for status in statuses if _ACTION_SIZE in status.values}
+
+    def prepare(self, topics: Mapping[str, Any]) -> None:
+        """
+        Make publishers before they are needed: who is not discovered yet misses a message.
+
+        :param topics: their types by name
+        """
+        for topic in self._publishers.keys() - topics.keys():
+            self._node.destroy_publisher(self._publishers.pop(topic))
+        for topic, kind in topics.items():
+            if topic not in self._publishers:
+                self._publishers[topic] = self._node.create_publisher(kind, topic, 10)
+        for name, kind in _SERVICES.items():
+            if name not in self._clients:
+                self._clients[name] = self._node.create_client(kind, f'/{self._name}/{name}')
+
+    def _publish(self, topic: str, message: Any) -> None:
+        if topic in self._publishers:
+            self._publishers[topic].publish(message)
+        else:
+            self._tell(f'{topic}: the node does not take this any more')
+
+    def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
+        """Publish goals of joints; see :class:`Commands`, as for all that follows."""
+        message = JointState(name=list(goals), **{mode: list(goals.values())})
+        self._publish(f'{space}{part}/joint_command', message)
+
+    def act(self, space: str, part: str, action: float) -> None:
+        """Publish an action."""
+        size = self._action_sizes.get(f'{space}{part}')
+        if size is None:
+            self._tell(f'{part}: the node has not told yet how many numbers an action has')
+            return
+        self._publish(f'{space}{part}/command', Float64MultiArray(data=[action] * size))
+
+    def drive(self, space: str, twist: tuple[float, float, float]) -> None:
+        """Publish a velocity of a mobile base."""
+        message = Twist()
+        message.linear.x, message.linear.y, message.angular.z = twist
+        self._publish(f'{space}base/cmd_vel', message)
+
+    def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
+        """Publish a goal of a hand."""
+        message = PoseStamped()
+        message.header.frame_id = self._frames.get((space, arm), 'world')
+        at, turn = message.pose.position, message.pose.orientation
+        at.x, at.y, at.z = (float(value) for value in position)
+        turn.w, turn.x, turn.y, turn.z = (float(value) for value in quat_wxyz)
+        self._publish(f'{space}{arm}/target_pose', message)
+
+    def pause(self, paused: bool) -> None:
+        """Call the service that pauses."""
+        self._call('pause', SetBool.Request(data=paused), lambda: self.paused(paused))
+
+    def step(self) -> None:
+        """Call the service that steps."""
+        self._call('step', Trigger.Request())
+
+    def reset(self) -> None:
+        """Call the service that resets."""
+        self._call('reset', Trigger.Request())
+
+    def tare(self) -> None:
+        """Call the service that tares."""
+        self._call('tare_wrench', Trigger.Request())
+
+    def watch(self, camera: str, wanted: bool) -> None:
+        """Add a camera to those that are wanted, or take it away."""
+        (self.cameras.add if wanted else self.cameras.discard)(camera)
+
+    def _call(self, name: str, request: Any, done: Callable[[], None] = lambda: None) -> None:
+        client = self._clients.get(name)
+        if client is None or not client.service_is_ready():
+            self._tell(f'{name}: the node does not answer')
+            return
+
+        def answered(future: Any) -> None:
+            answer = future.result()
+            if answer.success:
+                done()
+            else:
+                self._tell(f'{name}: {answer.message}')
+        client.call_async(request).add_done_callback(answered)

@@ -1,0 +1,131 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find a node, learn what it is from its topics, and notice when it changes or goes."""
+
+from __future__ import annotations
+
+from functools import partial
+import io
+from typing import Any
+
+import mujoco
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String, UInt8MultiArray
+
+from manip_sim.viewer.page.robots import commanded_joints, declared_limits, Part, Robot
+from manip_sim.viewer.ros.layout import Layout, layout_of, RobotTopics
+
+_LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+#: What the base does at most where nothing is declared [m/s, m/s, rad/s].
+_TWIST = (0.5, 0.5, 1.0)
+_BASE = 'base'
+
+
+class Discovery:
+    """
+    What is known of the node.
+
+    :param node: the viewer's own
+    :param simulation: full name of the node that is seen, without the first slash
+    :ivar base: namespace of the node, with a slash at its end
+    :ivar model: its ``mujoco.MjModel``, or None
+    :ivar layout: of its topics, as far as the names of all joints are known; or None
+    :ivar models: how many models have come
+    """
+
+    def __init__(self, node: Node, simulation: str) -> None:
+        self._node, self._name = node, simulation
+        self.base = f'/{simulation}'.rpartition('/')[0] + '/'
+        self.model: Any = None
+        self.models = 0
+        self.layout: Layout | None = None
+        self._seen = Layout()
+        self._subscriptions: dict[str, Any] = {}
+        self._joints: dict[str, list[str]] = {}
+        self._urdfs: dict[str, str] = {}
+        self._archive = f'/{simulation}/mjcf_archive'
+        node.create_subscription(UInt8MultiArray, self._archive, self._take_model, _LATCHED)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether somebody publishes the model."""
+        return bool(self._node.count_publishers(self._archive))
+
+    def _take_model(self, message: UInt8MultiArray) -> None:
+        self.model = mujoco.MjSpec.from_zip(io.BytesIO(bytes(message.data))).compile()
+        self.models += 1
+
+    def look(self) -> None:
+        """Look which topics there are; to be called from time to time."""
+        if not self.is_there:
+            self.forget()
+            return
+        namespace, _, name = f'/{self._name}'.rpartition('/')
+        try:
+            published, subscribed = (
+                [topic for topic, _ in found(name, namespace or '/')]
+                for found in (self._node.get_publisher_names_and_types_by_node,
+                              self._node.get_subscriber_names_and_types_by_node))
+        except RuntimeError:  # Its topics are known, but not yet whose they are.
+            return
+        seen = layout_of(self.base, published, subscribed)
+        # Names arrive one by one: what has not changed between two looks is complete.
+        settled, self._seen = seen == self._seen, seen
+        if settled and seen.robots and seen != self.layout:
+            self._learn(seen)
+
+    def _learn(self, layout: Layout) -> None:
+        """Take over a layout when the joints of all parts and all limits are known."""
+        wanted: dict[str, tuple[Any, Any, Any]] = {}
+        for robot in layout.robots:
+            if robot.space not in self._urdfs:
+                wanted[f'{robot.space}robot_description'] = (
+                    String, partial(self._take_urdf, robot.space), _LATCHED)
+            for part in robot.parts:
+                if robot.space + part not in self._joints:
+                    wanted[f'{robot.space}{part}/joint_states'] = (
+                        JointState, partial(self._take_names, robot.space + part), 1)
+        for topic in self._subscriptions.keys() - wanted.keys():
+            self._node.destroy_subscription(self._subscriptions.pop(topic))
+        for topic, (kind, take, qos) in wanted.items():
+            if topic not in self._subscriptions:
+                self._subscriptions[topic] = self._node.create_subscription(
+                    kind, topic, take, qos)
+        if not wanted:
+            self.layout = layout
+
+    def _take_urdf(self, space: str, message: String) -> None:
+        self._urdfs[space] = message.data
+
+    def _take_names(self, part: str, message: JointState) -> None:
+        self._joints[part] = list(message.name)
+
+    def forget(self) -> None:
+        """Forget all but the model: the node is gone, and another may come."""
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions, self._joints, self._urdfs = {}, {}, {}
+        self.layout, self._seen = None, Layout()
+
+    def robots(self) -> list[Robot]:
+        """Return what the page has to know of the robots; model and layout must be known."""
+        assert self.layout is not None
+        return [self._robot(robot) for robot in self.layout.robots]
+
+    def _robot(self, topics: RobotTopics) -> Robot:
+        urdf = self._urdfs[topics.space]
+        names = {part: self._joints[topics.space + part] for part in topics.parts}
+        parts = tuple(
+            Part(part, commanded_joints(self.model, names[part], urdf, part.endswith('/gripper')))
+            for part in topics.parts)
+        twist = None
+        if topics.drives:
+            limits = declared_limits(urdf)
+            x, y, yaw = (limits.get(name, {}).get('velocity', default) for name, default in zip(
+                [*names.get(_BASE, []), '', '', ''], _TWIST))
+            twist = x, y, yaw
+        return Robot(topics.space, topics.space.removeprefix(self.base).strip('/'), parts,
+                     topics.hands, twist)

@@ -1,0 +1,85 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a node offers, found in the names and types of its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+_GRIPPER = '/gripper'
+_DESCRIPTION, _COMMAND = 'robot_description', '/joint_command'
+_TARGET, _IMAGE = '/target_pose', '/color/image_raw'
+
+
+@dataclass(frozen=True)
+class RobotTopics:
+    """
+    The topics of one robot.
+
+    :ivar space: what their names begin with
+    :ivar parts: that take joint commands and do not overlap
+    :ivar hands: the arms that take Cartesian targets
+    :ivar drives: whether its base takes a twist
+    """
+
+    space: str
+    parts: tuple[str, ...]
+    hands: tuple[str, ...]
+    drives: bool
+
+
+@dataclass(frozen=True)
+class Layout:
+    """
+    What a node offers.
+
+    :ivar robots: at least one, unless not all is known yet
+    :ivar objects: names of free bodies
+    :ivar cameras: names
+    """
+
+    robots: tuple[RobotTopics, ...] = ()
+    objects: tuple[str, ...] = ()
+    cameras: tuple[str, ...] = ()
+
+
+def layout_of(base: str, published: Collection[str], subscribed: Collection[str]) -> Layout:
+    """
+    Return what a node offers.
+
+    :param base: namespace of the node, with a slash at its end
+    :param published: absolute names of the topics that it publishes
+    :param subscribed: absolute names of the topics that it takes
+    """
+    spaces = sorted(name.removesuffix(_DESCRIPTION) for name in published
+                    if name.startswith(base) and name.endswith(f'/{_DESCRIPTION}'))
+    objects = [parts[1] for name in published if name.startswith(f'{base}objects/')
+               and len(parts := name.removeprefix(base).split('/')) == 3 and parts[2] == 'pose']
+    cameras = [name.removeprefix(base).removesuffix(_IMAGE) for name in published
+               if name.startswith(base) and name.endswith(_IMAGE)]
+    return Layout(tuple(_robot(space, subscribed) for space in spaces), tuple(sorted(objects)),
+                  tuple(sorted(cameras)))
+
+
+def _robot(space: str, subscribed: Collection[str]) -> RobotTopics:
+    parts, hands = _named(space, subscribed, _COMMAND), _named(space, subscribed, _TARGET)
+    # A single arm is also the part right, and of two arms, arm is both.
+    double = 'arm' if {'right', 'left'} <= set(parts) else 'right'
+    kept = [part for part in parts if part.count('/') <= part.endswith(_GRIPPER)
+            and not (part == double and 'arm' in parts)]
+    return RobotTopics(space, tuple(sorted(kept, key=_order)),
+                       tuple(sorted(hands, reverse=True)), f'{space}base/cmd_vel' in subscribed)
+
+
+def _named(space: str, topics: Collection[str], end: str) -> list[str]:
+    """Return what stands between a beginning and an end in the names of topics."""
+    names = [topic[len(space):] for topic in topics if topic.startswith(space)]
+    return [name.removesuffix(end) for name in names if name.endswith(end)]
+
+
+def _order(part: str) -> tuple[int, str]:
+    names = ('arm', 'right', 'right/gripper', 'left', 'left/gripper', 'torso', 'base', 'head',
+             'legs')
+    return names.index(part) if part in names else len(names), part

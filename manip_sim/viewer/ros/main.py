@@ -1,0 +1,86 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Show a node on the page, as a process: signals, pace and exit code."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import signal
+import threading
+import time
+from typing import Any
+
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from manip_sim.errors import ManipSimError
+from manip_sim.viewer.page.server import close_server, open_server
+from manip_sim.viewer.ros.polling import PolledExecutor
+from manip_sim.viewer.ros.session import Session
+
+#: Changes go to the browser so often at most [s].
+_PERIOD_S = 1.0 / 30.0
+
+
+def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
+    """
+    Serve the page until SIGINT or SIGTERM.
+
+    :param options: of the command line: ``host``, ``port``, ``node``, ``dark``, ``native``
+    :param arguments: of ROS, such as ``--ros-args -r __ns:=/cell``
+    :returns: the exit code, 0
+    :raises ManipSimError: if it cannot listen, or ROS cannot start
+    """
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    node = _start_ros(arguments)
+    try:
+        simulation = node.resolve_topic_name(options.node).lstrip('/')
+        executor = PolledExecutor()
+        executor.add_node(node)
+        if options.native:
+            from manip_sim.viewer.ros.native import show_native
+            show_native(node, simulation, executor.run_ready, ended)
+        else:
+            _serve(node, simulation, executor, options, ended)
+        executor.shutdown()
+        return 0
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _start_ros(arguments: Sequence[str]) -> Node:
+    # What rcl says of bad arguments is said once, by us.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        node: Node = rclpy.create_node('sim_view')
+    except (UnknownROSArgsError, RCLError) as error:
+        raise ManipSimError(f'bad ROS arguments: {str(error).partition(", at ")[0]}') from error
+    set_logger_level('rcl', LoggingSeverity.UNSET)
+    return node
+
+
+def _serve(node: Node, simulation: str, executor: PolledExecutor, options: argparse.Namespace,
+           ended: threading.Event) -> None:
+    server: Any = open_server(options.host, options.port)
+    try:
+        session = Session(node, simulation, server, options.dark)
+        host = f'[{options.host}]' if ':' in options.host else options.host
+        print(f'sim_view: http://{host}:{server.get_port()} shows /{simulation}', flush=True)
+        due_s = time.monotonic()
+        while not ended.is_set():
+            executor.run_ready()
+            session.update(time.monotonic())
+            # A round that took long is not made up for.
+            due_s = max(due_s + _PERIOD_S, time.monotonic())
+            ended.wait(due_s - time.monotonic())
+    finally:
+        close_server(server)

@@ -1,0 +1,70 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""MuJoCo's own viewer in a window: it shows the node, and drives nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import threading
+import time
+
+import mujoco.viewer
+from rclpy.node import Node
+
+from manip_sim.viewer.page.posture import Posture
+from manip_sim.viewer.ros.discovery import Discovery
+from manip_sim.viewer.ros.states import States
+
+_PERIOD_S = 1.0 / 60.0
+_LOOK_S = 0.5
+
+
+def show_native(node: Node, simulation: str, run_ready: Callable[[], None],
+                ended: threading.Event) -> None:
+    """
+    Show a node until the window is closed or the process shall end.
+
+    :param node: the viewer's own
+    :param simulation: full name of the node that is seen, without the first slash
+    :param run_ready: runs callbacks
+    :param ended: is set when the process shall end
+    """
+    discovery = Discovery(node, simulation)
+    states = States(node, simulation, discovery.base)
+    print(f'sim_view: waiting for the node /{simulation}', flush=True)
+    while not ended.is_set():
+        models = _wait_for_model(discovery, run_ready, ended)
+        if models is None:
+            return
+        posture = Posture(discovery.model)
+        with mujoco.viewer.launch_passive(posture.model, posture.data) as window:
+            look_s = 0.0
+            while window.is_running() and discovery.models == models:
+                if ended.wait(_PERIOD_S):
+                    return
+                run_ready()
+                if time.monotonic() > look_s:
+                    look_s = time.monotonic() + _LOOK_S
+                    discovery.look()
+                    if discovery.layout is not None:
+                        states.listen(discovery.layout)
+                with window.lock():
+                    for joints in states.latest.joints.values():
+                        posture.set_joints(joints.names, joints.position)
+                    for name, pose in states.latest.objects.items():
+                        posture.place(name, pose.position, pose.quat_wxyz)
+                    posture.compute()
+                window.sync()
+            if not window.is_running():
+                return
+
+
+def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
+                    ended: threading.Event) -> int | None:
+    """Return the number of the newest model when there is one; None if the process shall end."""
+    while discovery.model is None:
+        if ended.wait(_LOOK_S / 5.0):
+            return None
+        run_ready()
+    return discovery.models

@@ -1,0 +1,145 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Connects the page with the node, again and again in one thread."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from manip_sim.viewer.page.diagnosis import Status
+from manip_sim.viewer.page.pace import Pace
+from manip_sim.viewer.page.page import Page
+from manip_sim.viewer.ros.commands import CommandSender
+from manip_sim.viewer.ros.discovery import Discovery
+from manip_sim.viewer.ros.states import States
+
+#: So often the node is looked for, and its state is told [s].
+_LOOK_S, _TELL_S = 0.5, 0.5
+#: Without states for so long there is something to tell [s].
+_SILENT_S = 2.0
+
+
+class Session:
+    """
+    A page that shows a node.
+
+    :param node: the viewer's own
+    :param simulation: full name of the node that is seen, without the first slash
+    :param server: the ``viser.ViserServer``
+    :param dark: whether the page begins dark
+    """
+
+    def __init__(self, node: Node, simulation: str, server: Any, dark: bool) -> None:
+        self._name = simulation
+        self._discovery = Discovery(node, simulation)
+        self._states = States(node, simulation, self._discovery.base)
+        self._states.told = self._diagnosed
+        self._sender = CommandSender(node, simulation, self._states.frames, self._complain)
+        self._sender.paused = self._set_paused
+        self._page = Page(server, self._sender, dark)
+        self._shown: tuple[Any, ...] = ()
+        self._models = 0
+        self._layout: Any = None
+        self._was_there = False
+        self._paused = False
+        self._level = 0
+        self._pace = Pace()
+        self._next_look_s = self._next_tell_s = 0.0
+
+    def _complain(self, text: str) -> None:
+        self._page.show_trouble(text)
+
+    def _set_paused(self, paused: bool) -> None:
+        self._paused = paused
+        self._next_tell_s = 0.0
+
+    def _diagnosed(self, statuses: list[Status]) -> None:
+        self._sender.notice(self._discovery.base, statuses)
+        self._page.show_diagnostics(statuses)
+        for status in statuses:
+            if status.name == 'simulation':
+                self._paused = status.values.get('state') == 'paused'
+                self._level = status.level
+
+    def update(self, now_s: float) -> None:
+        """
+        Look at the node and bring the page up to date, after callbacks have run.
+
+        :param now_s: wall time [s]
+        """
+        if now_s >= self._next_look_s:
+            self._next_look_s = now_s + _LOOK_S
+            self._look()
+        for states in self._states.latest.joints.values():
+            self._pace.add(self._states.latest.joints_s, states.time_s)
+            break
+        self._page.update(now_s, self._states.latest, self._paused)
+        if now_s >= self._next_tell_s:
+            self._next_tell_s = now_s + _TELL_S
+            self._page.show_state(*self._state(now_s))
+
+    def _look(self) -> None:
+        discovery = self._discovery
+        discovery.look()
+        if not discovery.is_there:
+            if self._was_there:
+                self._states.forget()
+                self._layout, self._was_there, self._pace = None, False, Pace()
+            return
+        layout = discovery.layout
+        if layout is None or discovery.model is None:
+            return
+        self._was_there = True
+        if layout != self._layout:
+            self._layout = layout
+            self._states.listen(layout)
+            self._prepare()
+            robots = discovery.robots()
+            if (robots, layout.cameras) != self._shown:
+                self._shown = robots, layout.cameras
+                self._sender.cameras.clear()
+                self._page.show_robots(robots, layout.cameras)
+        if discovery.models != self._models:
+            self._models = discovery.models
+            self._page.show_model(discovery.model, self._states.latest)
+        watched = self._page.is_watched
+        self._states.want_markers(watched and self._page.wants_markers)
+        self._states.want_images(self._sender.cameras if watched else ())
+
+    def _prepare(self) -> None:
+        topics: dict[str, Any] = {}
+        for robot in self._layout.robots:
+            for part in robot.parts:
+                topics[f'{robot.space}{part}/joint_command'] = JointState
+                if part.endswith('/gripper'):
+                    topics[f'{robot.space}{part}/command'] = Float64MultiArray
+            for arm in robot.hands:
+                topics[f'{robot.space}{arm}/target_pose'] = PoseStamped
+            if robot.drives:
+                topics[f'{robot.space}base/cmd_vel'] = Twist
+        self._sender.prepare(topics)
+
+    def _state(self, now_s: float) -> tuple[str, str, bool | None]:
+        name = f'/{self._name}'
+        if not self._was_there:
+            if self._layout is None and self._shown and not self._discovery.is_there:
+                return 'gone', f'{name} is gone; waiting for it to come back', None
+            return 'waiting', f'waiting for the node {name}', None
+        latest = self._states.latest
+        if not latest.joints:
+            return 'waiting', f'waiting for the states of {name}', None
+        silent_s = now_s - latest.joints_s
+        if silent_s > _SILENT_S:
+            return 'trouble', f'no states for {silent_s:.0f} s', None
+        time_s = next(iter(latest.joints.values())).time_s
+        if self._paused:
+            return 'paused', f'paused at {time_s:.2f} s', True
+        factor = self._pace.factor
+        text = f'{time_s:.1f} s' + ('' if factor is None else f', {factor:.3f} × real time')
+        return ('trouble' if self._level else 'running'), text, False

@@ -1,0 +1,232 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The viewer in a real browser, driving a real node over topics; the viewer as a process."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+
+from harness import Served
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState
+
+from manip_sim.models.objects import create_object
+from manip_sim.simulation.spawning import plan_with, plan_without
+
+pytest.importorskip('viser', reason='the viewer needs the extra viewer')
+
+#: OpenGL in software, and no sandbox, which a container does not have.
+ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
+             '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist']
+#: A browser on a busy machine without a graphics card is slow [ms].
+PATIENCE_MS = 60_000
+VIEWER = [sys.executable, '-m', 'manip_sim.viewer']
+
+
+def start_viewer(*arguments):
+    """Return a viewer on a free port and its address."""
+    process = subprocess.Popen([*VIEWER, '--port', '0', *arguments], text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    line = process.stdout.readline()
+    return process, line.split()[1] if line else ''
+
+
+def end(process):
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    return process.communicate(timeout=20.0)
+
+
+@pytest.fixture(scope='module')
+def node():
+    served = Served({'arena': 'table'})
+    yield served.node
+    served.close()
+
+
+@pytest.fixture(scope='module')
+def address(node):
+    process, address = start_viewer()
+    yield address
+    _, errors = end(process)
+    assert process.returncode == 0
+    assert errors == ''
+
+
+@pytest.fixture(scope='module')
+def browser():
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    chromium = shutil.which('chromium') or shutil.which('chromium-browser')
+    if chromium is None:
+        pytest.skip('there is no chromium')
+    with playwright.sync_playwright() as library:
+        browser = library.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope='module')
+def page(browser, address):
+    """Return the page when the robot is on it."""
+    page = browser.new_page(viewport={'width': 800, 'height': 400})
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(address)
+    page.get_by_text('arm [rad]').wait_for()
+    yield page
+    page.close()
+
+
+def slider(page, label):
+    """Return the thumb of a slider."""
+    found = page.get_by_text(label, exact=True).first
+    return page.locator(f'[id="{found.get_attribute("for")}"] [role=slider]')
+
+
+def test_a_slider_moves_the_robot_and_reset_brings_it_back(page, client):
+    states = client.listen(JointState, 'joint_states', 1)
+    client.spin_until(lambda: bool(states))
+    joint = list(states[0].name).index('robot0_joint1')
+    start = states[0].position[joint]
+    thumb = slider(page, 'joint1')
+    thumb.press('End')  # As far as it goes, 2.9 rad.
+    client.spin_until(lambda: states[-1].position[joint] > start + 0.5)
+    page.get_by_role('button', name='Reset').dispatch_event('click')
+    client.spin_until(lambda: abs(states[-1].position[joint] - start) < 1e-3)
+    client.spin_until(lambda: not states[-1].velocity[joint] > 1e-2)
+    # The slider follows when the hand is off it.
+    page.wait_for_function(
+        'thumb => Math.abs(thumb.getAttribute("aria-valuenow")) < 0.05',
+        arg=thumb.element_handle())
+
+
+def test_fingers_close_by_a_button_and_open_by_another(page, client):
+    fingers = client.listen(JointState, 'right/gripper/joint_states', 1)
+    for button, position in (('Open', 0.04), ('Close', 0.0)):
+        page.get_by_role('button', name=button, exact=True).dispatch_event('click')
+        client.spin_until(lambda at=position: bool(fingers)
+                          and abs(fingers[-1].position[0] - at) < 2e-3)
+
+
+def test_pause_stops_the_time_and_the_page_says_so(page, client, node):
+    page.get_by_role('button', name='Pause').dispatch_event('click')
+    page.get_by_text('paused at').wait_for()
+    assert node.thread.paused
+    before = node.thread.progress.time_ns
+    page.get_by_role('button', name='Step').dispatch_event('click')
+    client.spin_until(lambda: node.thread.progress.time_ns == before + 10_000_000)
+    page.get_by_role('button', name='Resume').dispatch_event('click')
+    client.spin_until(lambda: not node.thread.paused)
+
+
+def test_the_picture_shows_the_cube_and_the_robot(page):
+    image = pytest.importorskip('PIL.Image')
+
+    # The cube is the only thing that is red, and the mount the only one that is nearly black.
+    for _ in range(20):
+        pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+        pixels = pixels[:, :460]  # Without the panel.
+        red = (pixels[..., 0] > 150) & (pixels[..., 1:].max(axis=2) < 90)
+        black = pixels.max(axis=2) < 60
+        if red.sum() > 8 and black.sum() > 500:
+            return
+        page.wait_for_timeout(500)
+    pytest.fail(f'{red.sum()} red and {black.sum()} black pixels')
+
+
+def change_objects(node, change):
+    """Change the objects of a node as the services of simulation_interfaces do."""
+    simulation = node.simulation
+
+    def serve():
+        plan = change(simulation.plan)
+        node.thread.call(lambda: simulation.change_objects(plan))
+        node._objects_changed(simulation)
+    node.executor.create_task(serve)
+
+
+def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page, node):
+    image = pytest.importorskip('PIL.Image')
+    ball = create_object({'name': 'ball', 'shape': 'sphere', 'size': 0.15, 'mass': 0.1,
+                          'position': [0.0, 0.0, 1.0], 'rgba': [0.0, 1.0, 0.0, 1.0]})
+
+    def greens():
+        pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+        return ((pixels[..., 1] > 120) & (pixels[:, :, ::2].max(axis=2) < 100))[:, :460].sum()
+
+    def wait(condition):
+        for _ in range(40):
+            if condition(greens()):
+                return
+            page.wait_for_timeout(500)
+        pytest.fail(f'{greens()} green pixels')
+
+    wait(lambda count: count == 0)
+    change_objects(node, lambda plan: plan_with(plan, ball))
+    wait(lambda count: count > 100)
+    change_objects(node, lambda plan: plan_without(plan, 'ball'))
+    wait(lambda count: count == 0)
+
+
+def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(browser):
+    process, address = start_viewer('--node', 'late', '--ros-args', '-r', '__ns:=/cell')
+    page = browser.new_page(viewport={'width': 480, 'height': 360})
+    page.set_default_timeout(PATIENCE_MS)
+    try:
+        page.goto(address)
+        page.get_by_text('waiting for the node /cell/late').wait_for()
+        for _ in range(2):
+            late = subprocess.Popen(
+                [sys.executable, '-m', 'manip_sim', '--ros-args', '-r', '__node:=late', '-r',
+                 '__ns:=/cell', '-p', 'robot:=UR5e', '-p', 'gripper:=none'],
+                stderr=subprocess.DEVNULL)
+            try:
+                page.get_by_text('× real time').wait_for()
+                page.get_by_text('arm [rad]').wait_for()
+            finally:
+                late.send_signal(signal.SIGINT)
+                late.wait(timeout=20.0)
+            page.get_by_text('/cell/late is gone').wait_for()
+    finally:
+        page.close()
+        _, errors = end(process)
+    assert (process.returncode, errors) == (0, '')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly(number):
+    process, address = start_viewer('--node', 'nobody')
+    assert address.startswith('http://127.0.0.1:')
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=20.0)
+    assert (process.returncode, output, errors) == (0, '', '')
+
+
+def run_viewer(*arguments, environment=None):
+    return subprocess.run([*VIEWER, *arguments], capture_output=True, text=True, timeout=60.0,
+                          env=environment, check=False)
+
+
+def test_a_port_that_is_taken_is_told_in_one_line():
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = run_viewer('--port', str(port))
+    assert done.returncode == 1
+    assert done.stdout == ''
+    assert done.stderr == (f'sim_view: cannot listen on 127.0.0.1:{port}: Address already in use; '
+                           'choose another port with --port, or another address with --host\n')
+
+
+def test_bad_ros_arguments_are_told_in_one_line():
+    done = run_viewer('--ros-args', '-r', 'nonsense')
+    assert done.returncode == 1
+    assert done.stderr.startswith('sim_view: bad ROS arguments: ')
+    assert done.stderr.count('\n') == 1

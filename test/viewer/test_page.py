@@ -1,0 +1,166 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the page knows of robots and topics, and what it says of them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip('viser', reason='the viewer needs the extra viewer')
+
+from manip_sim.errors import ManipSimError  # noqa: E402
+from manip_sim.models import compose  # noqa: E402
+from manip_sim.viewer.page.commands import Events  # noqa: E402
+from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status  # noqa: E402
+from manip_sim.viewer.page.following import Following  # noqa: E402
+from manip_sim.viewer.page.pace import Pace  # noqa: E402
+from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
+from manip_sim.viewer.page.robots import commanded_joints, short_labels  # noqa: E402
+from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
+from manip_sim.viewer.ros.layout import layout_of, RobotTopics  # noqa: E402
+
+
+@pytest.mark.parametrize(('names', 'labels'), [
+    (['robot0_joint1', 'robot0_joint2'], ['joint1', 'joint2']),
+    (['gripper0_right_R_thumb_joint', 'gripper0_right_R_index_joint'], ['thumb', 'index']),
+    (['robot0_j2s7s300_joint_1', 'robot0_j2s7s300_joint_2'], ['joint 1', 'joint 2']),
+    (['mobilebase0_joint_torso_height'], ['joint torso height']), ([], [])])
+def test_labels_leave_out_what_all_names_begin_with(names, labels):
+    assert short_labels(names) == labels
+
+
+@pytest.mark.parametrize('robot', ['Panda', 'PandaOmron', 'GR1', 'Jaco'])
+def test_each_joint_with_an_actuator_has_a_slider_over_its_range(robot):
+    world = compose(robot)
+    model = world.compile()
+    own = world.robots[0].all_joints
+    found = {joint.name: joint for joint in commanded_joints(
+        model, own, world.to_urdf(), gripper=False)}
+    driven = {model.joint(int(model.actuator_trnid[i, 0])).name for i in range(model.nu)}
+    assert set(found) == driven & set(own)
+    for name, joint in found.items():
+        if model.joint(name).limited[0] if hasattr(model.joint(name), 'limited') else True:
+            low, high = joint.ranges['position']
+            if np.ptp(model.joint(name).range) > 0.0:
+                np.testing.assert_allclose([low, high], model.joint(name).range, atol=1e-5)
+        assert joint.ranges['velocity'][1] > 0.0
+        slides = int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        assert joint.unit('effort') == ('N' if slides else 'N m')
+
+
+def test_fingers_have_sliders_where_they_take_positions():
+    def fingers(robot, gripper):
+        world = compose(robot, gripper=gripper)
+        names = [joint for hand in world.robots[0].grippers.values() for joint in hand.joints]
+        return [joint.label for joint in commanded_joints(
+            world.compile(), names, world.to_urdf(), gripper=True)]
+    assert fingers('Panda', 'PandaGripper') == ['joint1', 'joint2']
+    assert fingers('UR5e', 'Robotiq85Gripper') != []
+
+
+def topics(space, parts, hands=()):
+    subscribed = [f'{space}joint_command', *(f'{space}{part}/joint_command' for part in parts),
+                  *(f'{space}{hand}/target_pose' for hand in hands)]
+    return [f'{space}robot_description'], subscribed
+
+
+def test_a_layout_is_found_in_names_of_topics():
+    published, subscribed = topics('/', ['arm', 'right', 'right/gripper', 'base'], ['right'])
+    published += ['/objects/cube/pose', '/objects/cube/twist', '/birdview/color/image_raw']
+    layout = layout_of('/', published, [*subscribed, '/base/cmd_vel'])
+    assert layout.robots == (
+        RobotTopics('/', ('arm', 'right/gripper', 'base'), ('right',), True),)
+    assert (layout.objects, layout.cameras) == (('cube',), ('birdview',))
+
+
+def test_two_arms_are_parts_of_their_own_and_robots_have_spaces():
+    parts = ['arm', 'right', 'left', 'right/gripper', 'left/gripper', 'torso']
+    published, subscribed = [], []
+    for space in ('/cell/a/', '/cell/b/'):
+        for names, more in zip((published, subscribed), topics(space, parts, ['left', 'right'])):
+            names += more
+    layout = layout_of('/cell/', published, subscribed)
+    assert [robot.space for robot in layout.robots] == ['/cell/a/', '/cell/b/']
+    assert layout.robots[1].parts == (
+        'right', 'right/gripper', 'left', 'left/gripper', 'torso')
+    assert layout.robots[1].hands == ('right', 'left')
+
+
+def test_an_input_keeps_what_was_asked_for_until_all_is_still():
+    following = Following()
+    assert following.follows(0.0, moving=True)
+    following.asked(10.0)
+    assert not following.follows(10.9, moving=False)
+    # A long motion goes on to hold it.
+    for tenth in range(109, 150):
+        assert not following.follows(tenth / 10.0, moving=True)
+    assert following.follows(15.5, moving=False)
+    assert following.follows(15.6, moving=True)
+
+
+def test_the_history_goes_ten_seconds_back_and_begins_anew_with_the_time():
+    history = History()
+    for hundredth in range(3000):
+        history.add(hundredth / 100.0, np.array([hundredth / 100.0, 1.0]))
+    times, rows = history.columns()
+    assert times[-1] == 0.0
+    assert times[0] == pytest.approx(-WINDOW_S, abs=0.06)
+    assert len(times) <= 201
+    np.testing.assert_allclose(rows[:, 0] - rows[-1, 0], times)
+    history.add(0.0, np.array([5.0, 1.0]))
+    assert history.columns()[1].tolist() == [[5.0, 1.0]]
+    assert len(History().columns()[0]) == 0
+
+
+def test_the_pace_is_that_of_the_last_two_seconds():
+    pace = Pace()
+    assert pace.factor is None
+    for tenth in range(50):
+        pace.add(tenth / 10.0, min(tenth, 20) / 10.0 + max(0, tenth - 20) / 20.0)
+    assert pace.factor == pytest.approx(0.5)
+    pace.add(5.0, 0.0)  # Simulation time began anew.
+    assert pace.factor is None
+
+
+SIMULATION = Status(0, 'simulation', 'running', {
+    'state': 'realtime', 'real_time_factor': '1.0000', 'missed_deadlines': '3',
+    'mjWARN_BADQPOS': '0', 'start_defects': 'none', 'failed_callbacks': '2'})
+ARM = Status(0, 'left/arm', 'commands', {
+    'rate': '12.0', 'age': '0.310', 'accepted': '120', 'dropped': '2', 'clamped': '0',
+    'control_mode': 'velocity'})
+
+
+def test_diagnostics_are_told_in_words_with_trouble_first():
+    slow = Status(1, 'other nodes', '/clock is also published by x')
+    first, second, third = in_words([SIMULATION, ARM, slow]).split('\n\n')
+    assert first == '**Warning: other nodes**: /clock is also published by x'
+    assert second == ('**simulation**: realtime at 1.0000 times real time; 3 deadlines missed; '
+                      '2 failed callbacks')
+    assert third == ('**left/arm**: velocity mode; 120 commands, 12.0 per second, the last 0.3 s '
+                     'ago; 2 rejected')
+    assert in_words([]) == 'No diagnostics yet.'
+    assert control_modes([SIMULATION, ARM]) == {'left/arm': 'velocity'}
+
+
+def test_events_run_in_their_order_and_those_that_they_add_later():
+    events, done = Events(), []
+    events.add(lambda: (done.append(1), events.add(lambda: done.append(3))))
+    events.add(lambda: done.append(2))
+    events.run()
+    assert done == [1, 2]
+    events.run()
+    assert done == [1, 2, 3]
+
+
+def test_a_server_listens_where_it_is_told_and_refuses_a_port_that_is_taken():
+    server = open_server('127.0.0.1', 0)
+    try:
+        with pytest.raises(ManipSimError, match=r'cannot listen on 127\.0\.0\.1:\d+: Address'):
+            open_server('127.0.0.1', server.get_port())
+    finally:
+        close_server(server)
+    with pytest.raises(ManipSimError, match='cannot listen on no.such.host:'):
+        open_server('no.such.host', 8080)
+    with pytest.raises(ManipSimError, match='there is no port 99999999: choose one'):
+        open_server('127.0.0.1', 99999999)

@@ -1,0 +1,224 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What panels send when people use them, and when they follow the robot."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from manip_sim.viewer.page.cameras import CameraPanel
+from manip_sim.viewer.page.commands import Events
+from manip_sim.viewer.page.hand_target import HandTarget
+from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
+from manip_sim.viewer.page.robots import Joint, Part, Robot
+
+RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}
+ARM = Part('arm', (Joint('robot0_a', 'a', False, RANGES), Joint('robot0_b', 'b', False, RANGES)))
+ROBOT = Robot('/left/', 'left', (ARM,), ('right',), (1.0, 0.5, 2.0))
+
+
+class Handle:
+    """An element of the page; what is done to it by :meth:`use` is done by a person."""
+
+    def __init__(self, **properties):
+        self.callbacks, self.removed = [], False
+        self.__dict__.update(properties)
+
+    def on_update(self, callback):
+        self.callbacks.append(callback)
+
+    on_click = on_update
+
+    def use(self, **properties):
+        self.__dict__.update(properties)
+        phase = properties.get('phase', 'update')
+        for callback in self.callbacks:
+            callback(SimpleNamespace(client_id=1, target=self, phase=phase))
+
+    def remove(self):
+        self.removed = True
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+
+class Gui:
+    """Makes elements, and keeps them by their label."""
+
+    def __init__(self):
+        self.found = {}
+
+    def _add(self, label='', **properties):
+        self.found[label] = Handle(**properties)
+        return self.found[label]
+
+    def add_slider(self, label, min, max, step, initial_value, **_):
+        return self._add(label, min=min, max=max, step=step, value=initial_value)
+
+    def add_checkbox(self, label, value, **_):
+        return self._add(label, value=value)
+
+    def add_button_group(self, label, options, **_):
+        return self._add(label, options=options, value=options[0])
+
+    def add_folder(self, label, **_):
+        return self._add(label)
+
+    def add_button(self, label, **_):
+        return self._add(label)
+
+    def add_image(self, image, **_):
+        return self._add('image', image=image)
+
+    def add_transform_controls(self, name, **_):
+        return self._add(name, visible=False, position=np.zeros(3),
+                         wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+class Sent:
+    """Keeps what is asked of it, as (method, arguments)."""
+
+    def __init__(self):
+        self.calls = []
+
+    def __getattr__(self, method):
+        return lambda *arguments: self.calls.append((method, *arguments))
+
+    def taken(self):
+        calls, self.calls = self.calls, []
+        return calls
+
+
+@pytest.fixture
+def rig():
+    return SimpleNamespace(gui=Gui(), sent=Sent(), events=Events())
+
+
+def joint_panel(rig, mode):
+    return JointPanel(rig.gui, ROBOT, ARM, mode, rig.sent, rig.events)
+
+
+def test_a_slider_sends_its_joint_alone_and_once(rig):
+    panel = joint_panel(rig, 'position')
+    assert (rig.gui.found['a'].min, rig.gui.found['a'].max) == (-1.0, 2.0)
+    assert 'left arm [rad]' in rig.gui.found
+    rig.gui.found['a'].use(value=0.4)
+    rig.gui.found['a'].use(value=0.5)
+    rig.events.run()
+    panel.send(0.0)
+    assert rig.sent.taken() == [('move_joints', '/left/', 'arm', 'position', {'robot0_a': 0.5})]
+    panel.send(5.0)
+    assert rig.sent.taken() == []
+
+
+def test_sliders_follow_the_robot_but_not_under_a_hand(rig):
+    panel = joint_panel(rig, 'position')
+    a, b = rig.gui.found['a'], rig.gui.found['b']
+    a.use(value=1.5)
+    measured, still = {'robot0_a': 0.3, 'robot0_b': 0.6}, {'robot0_a': 0.0, 'robot0_b': 0.0}
+    now_s = time.monotonic()
+    panel.show(now_s, measured, still, paused=False)
+    assert (a.value, b.value) == (1.5, pytest.approx(0.6, abs=a.step))
+    panel.show(now_s + 5.0, measured, {'robot0_a': 1.0}, paused=False)
+    assert a.value == 1.5  # It is on its way.
+    panel.show(now_s + 10.0, measured, still, paused=False)
+    assert a.value == pytest.approx(0.3, abs=a.step)
+    # What is measured beyond the range does not break the slider.
+    panel.show(now_s + 11.0, {'robot0_a': 9.0}, still, paused=False)
+    assert a.value == pytest.approx(2.0, abs=a.step)
+
+
+def test_velocities_are_repeated_until_they_are_zero(rig):
+    panel = joint_panel(rig, 'velocity')
+    rig.gui.found['b'].use(value=0.2)
+    rig.events.run()
+    for tenth in range(4):
+        panel.send(1.0 + tenth * 0.11)
+    assert rig.sent.taken() == 4 * [
+        ('move_joints', '/left/', 'arm', 'velocity', {'robot0_b': 0.2})]
+    rig.gui.found['Stop'].use()
+    rig.events.run()
+    panel.send(3.0)
+    panel.send(3.2)
+    assert rig.sent.taken() == [
+        ('move_joints', '/left/', 'arm', 'velocity', {'robot0_a': 0.0, 'robot0_b': 0.0})]
+    panel.show(4.0, {'robot0_a': 1.0}, {}, paused=False)
+    assert rig.gui.found['a'].value == 0.0  # It is a velocity, not a position.
+
+
+def test_fingers_take_actions(rig):
+    JointPanel(rig.gui, ROBOT, Part('right/gripper', ()), 'position', rig.sent, rig.events)
+    for value in ('Close', 'Open'):
+        rig.gui.found['Fingers'].use(value=value)
+        rig.events.run()
+    assert rig.sent.taken() == [('act', '/left/', 'right/gripper', 1.0),
+                                ('act', '/left/', 'right/gripper', -1.0)]
+
+
+def test_a_base_is_driven_until_it_is_stopped(rig):
+    panel = DrivePanel(rig.gui, ROBOT, rig.sent, rig.events)
+    panel.send(0.0)
+    assert rig.sent.taken() == []
+    assert rig.gui.found['turn [rad/s]'].max == 2.0
+    rig.gui.found['left [m/s]'].use(value=0.3)
+    for tenth in range(3):
+        panel.send(1.0 + tenth * 0.11)
+    panel.send(1.23)
+    assert rig.sent.taken() == 3 * [('drive', '/left/', (0.0, 0.3, 0.0))]
+    rig.gui.found['Stop'].use()
+    rig.events.run()
+    panel.send(1.24)
+    panel.send(2.0)
+    assert rig.sent.taken() == [('drive', '/left/', (0.0, 0.0, 0.0))]
+
+
+def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
+    target = HandTarget(rig.gui, '/left/', 'right', rig.sent)
+    control = rig.gui.found['/targets/left/right']
+    hand, upright = np.array([0.5, 0.1, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    target.follow(0.0, hand, upright, paused=False)
+    np.testing.assert_array_equal(control.position, np.zeros(3))  # It is not shown.
+    target.show(True)
+    target.follow(0.1, hand, upright, paused=False)
+    np.testing.assert_array_equal(control.position, hand)
+    control.use(position=np.array([0.6, 0.1, 1.0]), phase='update')
+    target.send()
+    target.send()
+    (method, space, arm, position, quat), = rig.sent.taken()
+    assert (method, space, arm) == ('reach', '/left/', 'right')
+    np.testing.assert_array_equal(position, [0.6, 0.1, 1.0])
+    np.testing.assert_array_equal(quat, upright)
+    now_s = time.monotonic()
+    target.follow(now_s + 3.0, hand, upright, paused=False)
+    assert control.position[0] == 0.6  # It is still held.
+    control.use(phase='end')
+    for later_s in (4.0, 4.1):
+        target.follow(now_s + later_s, hand, upright, paused=False)
+    np.testing.assert_array_equal(control.position, hand)
+
+
+def test_images_are_asked_for_only_while_they_are_shown(rig):
+    panel = CameraPanel(rig.gui, ['front'], rig.sent, rig.events)
+    box, images = rig.gui.found['Show'], {}
+    box.use(value=True)
+    rig.events.run()
+    assert rig.sent.taken() == [('watch', 'front', True)]
+    for count in range(10):
+        images['front'] = np.full((2, 2, 3), count)
+        panel.show(10.0 + 0.04 * count, images, wanted=True)
+    # Ten a second at most.
+    assert rig.gui.found['image'].image[0, 0, 0] == 9
+    images['front'] = np.full((2, 2, 3), 99)
+    panel.show(20.0, images, wanted=False)
+    assert rig.gui.found['image'].image[0, 0, 0] == 9
+    assert not images
+    box.use(value=False)
+    rig.events.run()
+    assert rig.sent.taken() == [('watch', 'front', False)]
+    assert rig.gui.found['image'].removed
