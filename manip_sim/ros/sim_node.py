@@ -101,7 +101,7 @@ class SimNode(Node):
         for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
-            self.thread.observe(publishers.publish)
+            self.thread.observe(publishers.publish, look=publishers.look)
             self.commands.append(
                 CommandSubscribers(self, robot, scope, self.thread, self.rejections))
             self._cartesian.append(
@@ -111,11 +111,12 @@ class SimNode(Node):
         value = self._declared.value
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
-        self.thread.observe(self.objects.publish)
+        self.thread.observe(self.objects.publish, look=self.objects.look)
         self._followers = [self.objects.follow, *publish_scene(
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
-            self.thread.observe(ClockPublisher(self, self.rejections).publish)
+            clock = ClockPublisher(self, self.rejections)
+            self.thread.observe(clock.publish, look=clock.look)
         publish_model(self, world)
         publish_descriptions(self, world, self._robots, value('ros2_control_tag'))
 

@@ -14,13 +14,12 @@ from typing import TypeVar
 
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 
 T = TypeVar('T')
-#: Is called with the simulation at the end of control periods, in the simulation's thread.
-Observer = Callable[[Simulation], None]
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -65,7 +64,7 @@ class SimulationThread:
         self._steps = steps
         self._stepping = stepping
         self._tell_failure = tell_failure
-        self._observers: list[tuple[Observer, int]] = []
+        self._observers = Observers()
         self._busy: list[Callable[[str], frozenset[str]]] = []
         needed = lockstep_parts or {}
         self._buffers = {
@@ -87,7 +86,7 @@ class SimulationThread:
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
 
-    def observe(self, observer: Observer, every: int = 1) -> None:
+    def observe(self, observer: Observer, every: int = 1, look: Look | None = None) -> None:
         """
         Let a function see the simulation at the end of control periods, from now on.
 
@@ -96,11 +95,16 @@ class SimulationThread:
 
         :param observer: is called in the simulation's thread, which waits for it
         :param every: divider of the control periods, 1 or more
+        :param look: tells in the simulation's thread whether the observer has to be called; it is
+            asked before each state while the simulation is paused or in lock-step, else every
+            20 ms; None is always
         :raises ValueError: if the divider is less than 1
         """
-        if every < 1:
-            raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
-        self._observers = [*self._observers, (observer, every)]
+        self._observers.add(observer, every, look)
+
+    def look_again(self) -> None:
+        """Ask at the end of the next control period which observers have to be called."""
+        self._observers.look_again()
 
     def keep_busy(self, busy_parts: Callable[[str], frozenset[str]]) -> None:
         """
@@ -328,9 +332,7 @@ class SimulationThread:
         now = time.monotonic()
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S
-        for observer, every in self._observers:
-            if number % every == 0:
-                observer(self._simulation)
+        self._observers.show(self._simulation, number, now, look=self._repeats)
 
 
 def _answer(function: Callable[[], object], future: Future[object]) -> None:
