@@ -36,13 +36,16 @@ def controller_numbers(state: ControllerState) -> FloatArray:
         measured position, velocity and effort; error of position and velocity; shape (9 n,)
     """
     reference, gives = state.reference, state.reference.gives_effort
+    position, velocity, acceleration = (
+        reference.position, reference.velocity, reference.acceleration)
+    if gives.any():
+        position = np.where(gives, state.position, position)
+        velocity = np.where(gives, state.velocity, velocity)
+        acceleration = np.where(gives, 0.0, acceleration)
     return np.concatenate([
-        np.where(gives, state.position, reference.position),
-        np.where(gives, state.velocity, reference.velocity),
-        np.where(gives, 0.0, reference.acceleration), reference.effort,
+        position, velocity, acceleration, reference.effort,
         state.position, state.velocity, state.effort,
-        np.where(gives, 0.0, reference.position - state.position),
-        np.where(gives, 0.0, reference.velocity - state.velocity)])
+        position - state.position, velocity - state.velocity])
 
 
 def controller_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> Any:

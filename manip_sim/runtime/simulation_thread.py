@@ -20,6 +20,8 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 
 T = TypeVar('T')
+#: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
+_ROUND_S = 5e-4
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -79,6 +81,8 @@ class SimulationThread:
         self._wake = threading.Condition()
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
+        #: How many periods may follow each other in which nothing but physics happens.
+        self._at_once = 1
         #: The state that commands may answer; none while they are being used.
         self._present_ns: int | None = simulation.time_ns
         self.progress = Progress(time.monotonic(), simulation.time_ns)
@@ -269,7 +273,7 @@ class SimulationThread:
                 for function, future in calls:
                     _answer(function, future)
                 if due and not self._paused:
-                    self._period()
+                    self._period(most=self._at_once)
                 elif self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
@@ -304,18 +308,28 @@ class SimulationThread:
         return (self._paused or self._stepping == 'lockstep'
                 or self._simulation.diverged is not None)
 
-    def _period(self) -> None:
+    def _period(self, most: int = 1) -> None:
+        """Run a control period, or several if nobody notices."""
         with self._wake:
             self._present_ns = None
-            commands = {name: buffer.take() for name, buffer in self._buffers.items()}
-        for name, taken in commands.items():
+            commands = [(name, buffer.take()) for name, buffer in self._buffers.items()
+                        if buffer.waits]
+        for name, taken in commands:
             for command in taken:
                 # It may have been withdrawn meanwhile.
                 if command.handle.is_active:
                     self._apply(name, command)
-        self._simulation.advance(self._steps)
+        if most > 1 and self._observers.absent and self._simulation.idle:
+            self._simulation.advance_idle(self._steps, most)
+        else:
+            self._simulation.advance(self._steps)
+            most = 1
         self.at_start = False
+        begin_s = self.progress.wall_s
         self._show(number=self._simulation.step_count // self._steps)
+        if self._stepping == 'free':
+            fitting = int(_ROUND_S * most / max(self.progress.wall_s - begin_s, 1e-6))
+            self._at_once = max(1, min(fitting, 2 * self._at_once))
 
     def _apply(self, robot: str, command: Command) -> None:
         try:

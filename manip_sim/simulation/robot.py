@@ -138,6 +138,11 @@ class SimulatedRobot:
         """Whether setpoints change, or may, in the next interval."""
         return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())
 
+    @property
+    def resting(self) -> bool:
+        """Whether nothing is to be done for it in the physics loop until the next command."""
+        return self.joints.resting and not any(g.moving for g in self.grippers.values())
+
     # ------------------------------------------------------------------ what is commanded
 
     def apply(self, *commands: Command, period_s: float | None = None) -> None:

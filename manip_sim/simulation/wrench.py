@@ -37,7 +37,7 @@ class EndEffectorReader:
         self._grip_site = model.site(gripper.important_sites['grip_site']).id
         sensed = int(model.site_bodyid[self._ft_frame])
         self._root = int(model.body_rootid[sensed])
-        self._bodies = _subtree(model, sensed)
+        self._bodies = np.array(_subtree(model, sensed))
         self._tare = np.zeros(6)
 
     def rebind(self, model: Any) -> None:
