@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.runtime.inbox import Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
 from manip_sim.simulation import Simulation
@@ -22,6 +23,8 @@ from manip_sim.simulation.commands import Command, CommandHandle, Status
 T = TypeVar('T')
 #: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
 _ROUND_S = 5e-4
+#: How often what has come is taken if there is no time to wait, wall time [s].
+_TAKE_S = 1e-3
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -54,6 +57,7 @@ class SimulationThread:
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
     :param tell_failure: is told, in this thread, which command failed and how
+    :param inbox: what the thread waits for beside the time; may bring commands
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -61,7 +65,8 @@ class SimulationThread:
     def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
-                 tell_failure: Callable[[Command, Exception], None] | None = None) -> None:
+                 tell_failure: Callable[[Command, Exception], None] | None = None,
+                 inbox: Inbox | None = None) -> None:
         self._simulation = simulation
         self._steps = steps
         self._stepping = stepping
@@ -78,9 +83,10 @@ class SimulationThread:
         self._paused = paused
         self._stopping = False
         self._calls: list[tuple[Callable[[], object], Future[object]]] = []
-        self._wake = threading.Condition()
+        self._lock = threading.Lock()
+        self._inbox = inbox or Inbox()
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
-        self._repeat_at = 0.0
+        self._repeat_at = self._take_at = 0.0
         #: How many periods may follow each other in which nothing but physics happens.
         self._at_once = 1
         #: The state that commands may answer; none while they are being used.
@@ -125,15 +131,14 @@ class SimulationThread:
 
     def stop(self) -> None:
         """End the thread; calls that wait are cancelled."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
+        self._stopping = True
+        self._inbox.wake()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         self._cancel_calls()
 
     def _cancel_calls(self) -> None:
-        with self._wake:
+        with self._lock:
             self._stopping = True
             calls, self._calls = self._calls, []
         for _, future in calls:
@@ -171,7 +176,7 @@ class SimulationThread:
             answered already
         """
         buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
-        with self._wake:
+        with self._lock:
             if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
                 raise CommandError(f'lockstep: the command answers the state of '
                                    f'{stamp_ns / 1e9:.9f} s, {self._present()}')
@@ -179,8 +184,8 @@ class SimulationThread:
             for command in commands:
                 buffer.add(command)
                 handles.append(command.handle)
-            if self._stepping == 'lockstep':
-                self._wake.notify()
+        if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
+            self._inbox.wake()
         return handles
 
     def _present(self) -> str:
@@ -199,13 +204,13 @@ class SimulationThread:
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
         future: Future[T] = Future()
-        with self._wake:
+        with self._lock:
             if self._stopping:
                 raise SimulationEnded('the simulation has ended')
             if self._thread.ident is None:
                 return function()
             self._calls.append((function, future))  # type: ignore[arg-type]
-            self._wake.notify()
+        self._inbox.wake()
         try:
             return future.result()
         except CancelledError as error:
@@ -240,7 +245,7 @@ class SimulationThread:
         :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
-            with self._wake:
+            with self._lock:
                 self._present_ns = None
                 for buffer in self._buffers.values():
                     buffer.clear('the simulation was reset')
@@ -265,15 +270,18 @@ class SimulationThread:
             self._show()
             self._pacer.restart(time.monotonic())
             while True:
-                with self._wake:
-                    due = self._wait()
+                due = self._wait()
+                with self._lock:
                     if self._stopping:
                         return
                     calls, self._calls = self._calls, []
+                if calls:
+                    # What came before a call is used before it.
+                    self._inbox.take()
                 for function, future in calls:
                     _answer(function, future)
                 if due and not self._paused:
-                    self._period(most=self._at_once)
+                    self._period(self._at_once if self._stepping == 'free' else 1)
                 elif self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
@@ -290,11 +298,14 @@ class SimulationThread:
                     return True
                 if now >= self._repeat_at:
                     return False
-                self._wake.wait(self._repeat_at - now)
+                self._inbox.wait(self._repeat_at - now)
             elif self._stepping == 'free' or self._pacer.is_due(now):
+                if now >= self._take_at:
+                    self._take_at = now + _TAKE_S
+                    self._inbox.take()
                 return True
             else:
-                self._wake.wait(self._pacer.deadline_s - now)
+                self._inbox.wait(self._pacer.deadline_s - now)
         return False
 
     def _all_commanded(self) -> bool:
@@ -310,7 +321,7 @@ class SimulationThread:
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or several if nobody notices."""
-        with self._wake:
+        with self._lock:
             self._present_ns = None
             commands = [(name, buffer.take()) for name, buffer in self._buffers.items()
                         if buffer.waits]
@@ -341,7 +352,7 @@ class SimulationThread:
 
     def _show(self, number: int = 0) -> None:
         time_ns = self._simulation.time_ns
-        with self._wake:
+        with self._lock:
             self._present_ns = time_ns
         now = time.monotonic()
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
