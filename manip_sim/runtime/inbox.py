@@ -27,5 +27,9 @@ class Inbox:
         if self._woken.wait(timeout_s):
             self._woken.clear()
 
-    def take(self) -> None:
-        """Take what has come, without waiting."""
+    def take(self, most: int = 1) -> None:
+        """
+        Take what has come, without waiting.
+
+        :param most: of each topic
+        """

@@ -24,7 +24,9 @@ T = TypeVar('T')
 #: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
 _ROUND_S = 5e-4
 #: How often what has come is taken if there is no time to wait, wall time [s].
-_TAKE_S = 1e-3
+_TAKE_S = 2e-3
+#: How many messages of a topic are taken before what was called after them.
+_TAKEN_BEFORE_CALLS = 10
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -277,7 +279,7 @@ class SimulationThread:
                     calls, self._calls = self._calls, []
                 if calls:
                     # What came before a call is used before it.
-                    self._inbox.take()
+                    self._inbox.take(_TAKEN_BEFORE_CALLS)
                 for function, future in calls:
                     _answer(function, future)
                 if due and not self._paused:
