@@ -23,7 +23,7 @@ from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.ros import camera_messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.publishers import create_output, Output
+from manip_sim.ros.outputs import create_output, Output
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
@@ -157,7 +157,7 @@ class Cameras:
             held = self._thread.paused or self._thread.at_start or simulation.diverged is not None
             if due or held:
                 self._order(publishers, simulation)
-        self._thread.observe(observe, every)
+        self._thread.observe(observe, every, lambda: any(publishers.wanted()))
 
     def _order(self, publishers: CameraPublishers, simulation: Simulation) -> None:
         rgb, depth, infos = publishers.wanted()

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -12,6 +13,7 @@ import numpy as np
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.simulation.state import ControllerState
+from manip_sim.typing import FloatArray
 
 try:
     from control_msgs.msg import JointTrajectoryControllerState
@@ -22,30 +24,46 @@ except ModuleNotFoundError as missing:
 
 #: The type of ``<part>/controller_state``.
 MESSAGE_TYPE: Any = JointTrajectoryControllerState or JointTrajectory
+#: Rows of numbers that a message takes.
+ROWS = 9
 
 
-def controller_state(stamp: Time, state: ControllerState) -> Any:
+def controller_numbers(state: ControllerState) -> FloatArray:
+    """
+    Return the numbers of a message.
+
+    :returns: rows, of n joints each: position, velocity, acceleration and effort of the reference;
+        measured position, velocity and effort; error of position and velocity; shape (9 n,)
+    """
+    reference, gives = state.reference, state.reference.gives_effort
+    position, velocity, acceleration = (
+        reference.position, reference.velocity, reference.acceleration)
+    if gives.any():
+        position = np.where(gives, state.position, position)
+        velocity = np.where(gives, state.velocity, velocity)
+        acceleration = np.where(gives, 0.0, acceleration)
+    return np.concatenate([
+        position, velocity, acceleration, reference.effort,
+        state.position, state.velocity, state.effort,
+        position - state.position, velocity - state.velocity])
+
+
+def controller_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> Any:
     """
     Return the state of the controllers of a part's joints.
 
     Without the package control_msgs it is a ``JointTrajectory`` with four points, which are the
     fields of ``control_msgs/JointTrajectoryControllerState``: reference, feedback, error, output.
+
+    :param names: of the joints, n
+    :param numbers: as ``controller_numbers`` returns them
     """
-    reference = state.reference
-    error = [reference.position - state.position, reference.velocity - state.velocity]
-    for difference in error:
-        difference[reference.gives_effort] = 0.0
-    points = {
-        'reference': _point(
-            np.where(reference.gives_effort, state.position, reference.position),
-            np.where(reference.gives_effort, state.velocity, reference.velocity),
-            np.where(reference.gives_effort, 0.0, reference.acceleration), reference.effort),
-        'feedback': _point(state.position, state.velocity, None, state.effort),
-        'error': _point(*error),
-        'output': _point(effort=state.effort)}
+    rows = numbers.reshape(ROWS, len(names))
+    points = {'reference': _point(*rows[:4]), 'feedback': _point(rows[4], rows[5], None, rows[6]),
+              'error': _point(*rows[7:]), 'output': _point(effort=rows[6])}
     message = MESSAGE_TYPE()
     message.header.stamp = stamp
-    message.joint_names = list(state.names)
+    message.joint_names = list(names)
     if JointTrajectoryControllerState is None:
         message.points = list(points.values())
     else:

@@ -16,7 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.publishers import create_output
+from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.contacts import read_contacts
 from manip_sim.simulation.wrench import EndEffectorReader
@@ -64,10 +64,12 @@ class MarkerPublisher:
         marker.scale.x, marker.scale.y, marker.scale.z = scale
         return marker
 
+    def look(self) -> bool:
+        """Tell whether somebody listens."""
+        return self._output.heard
+
     def publish(self, simulation: Simulation) -> None:
-        """Publish the markers of the present instant, if somebody listens."""
-        if not self._output.wanted:
-            return
+        """Publish the markers of the present instant."""
         self._header.stamp = messages.stamp_of(simulation.time_ns)
         markers = [self._all_gone]
         contacts = read_contacts(simulation.model, simulation.data)

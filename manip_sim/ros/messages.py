@@ -1,19 +1,19 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages from states: the one place that makes stamps."""
+"""Messages of stamps and numbers: the one place that makes stamps."""
 
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from manip_sim.simulation.poses import Pose, Twist
-from manip_sim.simulation.state import State, Wrench
-from manip_sim.typing import FloatArray, IntArray
+from manip_sim.typing import FloatArray
 
 WORLD = 'world'
 
@@ -28,62 +28,64 @@ def nanoseconds_of(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def joint_state(stamp: Time, names: list[str], state: State, part: slice | IntArray) -> JointState:
+def clock(stamp: Time, _: FloatArray) -> Clock:
+    """Return a time; it takes no numbers."""
+    return Clock(clock=stamp)
+
+
+def joint_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> JointState:
     """
     Return the joint states of a part.
 
-    :param part: which of the state's joints
+    :param names: of its joints, n
+    :param numbers: positions, velocities and efforts, shape (3 n,)
     """
     message = JointState()
     message.header.stamp = stamp
-    message.name = names
-    message.position = _doubles(state.position[part])
-    message.velocity = _doubles(state.velocity[part])
-    message.effort = _doubles(state.effort[part])
+    message.name = list(names)
+    # rclpy takes an array.array as it is; lists and numpy arrays are checked number by number.
+    message.position, message.velocity, message.effort = (
+        array('d', row.tobytes()) for row in numbers.reshape(3, len(names)))
     return message
 
 
-def _doubles(numbers: FloatArray) -> array[float]:
-    # rclpy takes an array.array as it is; lists and numpy arrays are checked number by number.
-    return array('d', numbers.tobytes())
+def wrench_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> WrenchStamped:
+    """
+    Return a wrench in a frame.
 
-
-def wrench_stamped(stamp: Time, frame_id: str, wrench: Wrench) -> WrenchStamped:
-    """Return a wrench in a frame."""
+    :param numbers: force and torque, shape (6,)
+    """
     message = WrenchStamped()
     message.header.stamp = stamp
     message.header.frame_id = frame_id
     force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z = wrench.force.tolist()
-    torque.x, torque.y, torque.z = wrench.torque.tolist()
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = numbers.tolist()
     return message
 
 
-def pose_stamped(stamp: Time, pose: Pose, frame_id: str = WORLD) -> PoseStamped:
+def pose_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> PoseStamped:
     """
-    Return where a frame is in the world.
+    Return where something is in a frame.
 
-    :param frame_id: name of the frame ``world``, which may have a prefix
+    :param numbers: position, and quaternion x, y, z, w, shape (7,)
     """
     message = PoseStamped()
     message.header.stamp = stamp
     message.header.frame_id = frame_id
-    position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = pose.position.tolist()
-    orientation.x, orientation.y, orientation.z, orientation.w = pose.quat_xyzw.tolist()
+    place, turn = message.pose.position, message.pose.orientation
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers.tolist()
     return message
 
 
-def twist_stamped(stamp: Time, twist: Twist, frame_id: str = WORLD) -> TwistStamped:
+def twist_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> TwistStamped:
     """
-    Return how fast a frame moves, in world axes.
+    Return how fast something moves, in the axes of a frame.
 
-    :param frame_id: name of the frame ``world``, which may have a prefix
+    :param numbers: linear and angular velocity, shape (6,)
     """
     message = TwistStamped()
     message.header.stamp = stamp
     message.header.frame_id = frame_id
     linear, angular = message.twist.linear, message.twist.angular
-    linear.x, linear.y, linear.z = twist.linear.tolist()
-    angular.x, angular.y, angular.z = twist.angular.tolist()
+    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = numbers.tolist()
     return message

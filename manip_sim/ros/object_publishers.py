@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import re
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -12,14 +13,15 @@ from rclpy.node import Node
 
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.publishers import create_output, Output
+from manip_sim.ros.outputs import create_output, Output, Topic, Topics
 from manip_sim.simulation import Simulation
+from manip_sim.typing import FloatArray
 
 #: What a part of a topic's name may be.
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
-class ObjectPublishers:
+class ObjectPublishers(Topics):
     """
     Publishers for pose and twist of each free body.
 
@@ -29,10 +31,11 @@ class ObjectPublishers:
     """
 
     def __init__(self, node: Node, log: RejectionLog, frame_prefix: str = '') -> None:
+        super().__init__()
         self._node = node
         self._log = log
         self._world = frame_prefix + messages.WORLD
-        self._outputs: dict[str, tuple[Output, Output]] = {}
+        self._topics: dict[str, tuple[Topic, Topic]] = {}
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -43,27 +46,27 @@ class ObjectPublishers:
         :param simulation: its free bodies are published from now on
         """
         names = [name for name in simulation.entities.free_names if _TOKEN.fullmatch(name)]
-        gone = {name: self._outputs[name] for name in self._outputs if name not in names}
-        # The simulation's thread sees the old publishers or the new ones, all of them.
-        self._outputs = {name: self._outputs.get(name) or self._create(name) for name in names}
-        for outputs in gone.values():
-            for output in outputs:
-                output.close(self._node)
+        gone = {name: self._topics[name] for name in self._topics if name not in names}
+        self._topics = {name: self._topics.get(name) or self._create(name) for name in names}
+        self.replace(tuple(topic for topics in self._topics.values() for topic in topics))
+        for topics in gone.values():
+            for topic in topics:
+                topic.output.close(self._node)
 
-    def _create(self, name: str) -> tuple[Output, Output]:
-        return (create_output(self._node, self._log, PoseStamped, f'objects/{name}/pose'),
-                create_output(self._node, self._log, TwistStamped, f'objects/{name}/twist'))
+    def _create(self, name: str) -> tuple[Topic, Topic]:
+        def output(message_type: type, kind: str) -> Output:
+            return create_output(self._node, self._log, message_type, f'objects/{name}/{kind}')
 
-    def publish(self, simulation: Simulation) -> None:
-        """Publish all poses and twists that somebody listens to."""
-        free_names = simulation.entities.free_names
-        for name, (pose_output, twist_output) in self._outputs.items():
-            pose_wanted, twist_wanted = pose_output.wanted, twist_output.wanted
-            if not (pose_wanted or twist_wanted) or name not in free_names:
-                continue
-            stamp = messages.stamp_of(simulation.time_ns)
-            pose, twist = simulation.entities.frame(simulation.data, name)
-            if pose_wanted:
-                pose_output.publish(messages.pose_stamped(stamp, pose, self._world))
-            if twist_wanted:
-                twist_output.publish(messages.twist_stamped(stamp, twist, self._world))
+        def pose(simulation: Simulation) -> FloatArray | None:
+            # It may be gone already, and follow is to come.
+            there = name in simulation.entities.free_names
+            return simulation.entities.pose(simulation.data, name) if there else None
+
+        def twist(simulation: Simulation) -> FloatArray | None:
+            there = name in simulation.entities.free_names
+            return simulation.entities.twist(simulation.data, name) if there else None
+
+        make_pose = partial(messages.pose_stamped, self._world)
+        make_twist = partial(messages.twist_stamped, self._world)
+        return (Topic(output(PoseStamped, 'pose'), make_pose, pose, 7),
+                Topic(output(TwistStamped, 'twist'), make_twist, twist, 6))

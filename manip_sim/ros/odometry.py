@@ -5,17 +5,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
+import numpy as np
 from rclpy.node import Node
 
-from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.publishers import create_output
+from manip_sim.ros.outputs import create_output, Topic, Topics
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.odometry import OdometryReader
+from manip_sim.typing import FloatArray
 
 
-class OdometryPublisher:
+class OdometryPublisher(Topics):
     """
     Publishes where a base is in the frame of its odometry, and its velocity in its own axes.
 
@@ -31,23 +35,30 @@ class OdometryPublisher:
 
     def __init__(self, node: Node, reader: OdometryReader, topic: str, frame: str,
                  frame_prefix: str, log: RejectionLog) -> None:
-        self._reader = reader
-        self._output = create_output(node, log, Odometry, topic)
-        self._frame_id = frame_prefix + frame
-        self._child_frame_id = frame_prefix + reader.base
+        super().__init__()
 
-    def publish(self, simulation: Simulation) -> None:
-        """Publish the odometry of the present instant, if somebody listens."""
-        if not self._output.wanted:
-            return
-        found = self._reader.read(simulation.model, simulation.data)
-        message = Odometry(child_frame_id=self._child_frame_id)
-        message.header.stamp = messages.stamp_of(simulation.time_ns)
-        message.header.frame_id = self._frame_id
-        pose, twist = message.pose.pose, message.twist.twist
-        pose.position.x, pose.position.y, pose.position.z = found.position.tolist()
-        turn = pose.orientation
-        turn.x, turn.y, turn.z, turn.w = found.quat_xyzw.tolist()
-        twist.linear.x, twist.linear.y, twist.linear.z = found.linear.tolist()
-        twist.angular.x, twist.angular.y, twist.angular.z = found.angular.tolist()
-        self._output.publish(message)
+        def read(simulation: Simulation) -> FloatArray:
+            found = reader.read(simulation.model, simulation.data)
+            return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
+
+        make = partial(odometry, frame_prefix + frame, frame_prefix + reader.base)
+        self.replace((Topic(create_output(node, log, Odometry, topic), make, read, 13),))
+
+
+def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
+    """
+    Return where a frame is in another one, and how it moves.
+
+    :param numbers: position, quaternion x, y, z, w, linear and angular velocity in the axes of
+        the frame that moves, shape (13,)
+    """
+    message = Odometry(child_frame_id=child_frame_id)
+    message.header.stamp = stamp
+    message.header.frame_id = frame_id
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y, pose.position.z = numbers[:3].tolist()
+    turn = pose.orientation
+    turn.x, turn.y, turn.z, turn.w = numbers[3:7].tolist()
+    twist.linear.x, twist.linear.y, twist.linear.z = numbers[7:10].tolist()
+    twist.angular.x, twist.angular.y, twist.angular.z = numbers[10:].tolist()
+    return message

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
-from manip_sim.ros.publishers import LATCHED
+from manip_sim.ros.outputs import LATCHED
 from manip_sim.simulation import SimulatedRobot
 
 

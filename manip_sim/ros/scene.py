@@ -60,12 +60,14 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
         if robot.twist_joints:
             frame = value(scope.parameter('prefix')) + ODOM
             readers[frame] = OdometryReader(simulation.model, robot.twist_joints)
-            thread.observe(OdometryPublisher(node, readers[frame], scope.topic('odom'), frame,
-                                             prefix, log).publish)
+            odometry = OdometryPublisher(node, readers[frame], scope.topic('odom'), frame, prefix,
+                                         log)
+            thread.observe(odometry.publish, look=odometry.look)
     every = _divider(node, value('publish_rate'), value('tf_rate'))
     end_effectors = {scope.topic(arm): reader for scope, robot in robots.items()
                      for arm, reader in robot.end_effectors.items()}
-    thread.observe(MarkerPublisher(node, end_effectors, prefix + WORLD, log).publish, every)
+    markers = MarkerPublisher(node, end_effectors, prefix + WORLD, log)
+    thread.observe(markers.publish, every, markers.look)
     if not value('publish_tf'):
         return []
     sites = [site for reader in end_effectors.values()
@@ -76,7 +78,7 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
     if transforms is None:
         return []
     transforms.follow(simulation)
-    thread.observe(transforms.publish, every)
+    thread.observe(transforms.publish, every, transforms.look)
     return [transforms.follow]
 
 

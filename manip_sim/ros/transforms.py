@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -13,7 +14,9 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.publishers import create_output, LATCHED, Output
+from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.outputs import create_output, LATCHED, Output
+from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import Frame, FrameTree
 from manip_sim.typing import FloatArray
@@ -59,8 +62,6 @@ class TransformPublisher:
     """
     Publishes where frames are in their parents; frames may come and go with objects.
 
-    Messages are made once and filled again.
-
     :param moving: takes the messages for ``/tf``
     :param static: takes those for ``/tf_static``
     :param frames: returns the tree of a simulation
@@ -73,7 +74,7 @@ class TransformPublisher:
         self._static = static
         self._frames = frames
         self._prefix = prefix
-        self._present: tuple[FrameTree, Any] | None = None
+        self._present: tuple[FrameTree, SerializedMessage] | None = None
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -85,36 +86,40 @@ class TransformPublisher:
         """
         tree = self._frames(simulation)
         # The simulation's thread sees the old tree with its message, or the new one.
-        self._present = tree, self._message(tree.moving)
-        static = self._message(tree.static)
-        _fill(static, tree.static_poses, simulation.time_ns)
-        self._static.publish(static)
+        self._present = tree, SerializedMessage(
+            partial(transforms, tree.moving, self._prefix), 7 * len(tree.moving))
+        self._static.publish(transforms(
+            tree.static, self._prefix, stamp_of(simulation.time_ns), tree.static_poses))
+
+    def look(self) -> bool:
+        """Tell whether somebody listens to the frames that move."""
+        return self._moving.heard
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish where the frames are that move, if somebody listens."""
-        if self._present is None or not self._moving.wanted:
+        """Publish where the frames are that move."""
+        if self._present is None:
             return
         tree, message = self._present
         if tree.model is simulation.model:  # Else objects have changed, and follow is to come.
-            _fill(message, tree.moving_poses(simulation.data), simulation.time_ns)
-            self._moving.publish(message)
-
-    def _message(self, frames: Sequence[Frame]) -> Any:
-        message, transforms, stamp = TFMessage(), [], Time()
-        for frame in frames:
-            transform = TransformStamped(child_frame_id=self._prefix + frame.name)
-            transform.header.frame_id = self._prefix + frame.parent
-            transform.header.stamp = stamp  # One for all.
-            transforms.append(transform)
-        message.transforms = transforms
-        return message
+            self._moving.publish(message.at(
+                simulation.time_ns, tree.moving_poses(simulation.data).ravel()))
 
 
-def _fill(message: Any, poses: FloatArray, time_ns: int) -> None:
-    """Set the stamp and the poses of a message, rows x, y, z and quaternion x, y, z, w."""
-    if message.transforms:
-        stamp = message.transforms[0].header.stamp
-        stamp.sec, stamp.nanosec = divmod(time_ns, 1_000_000_000)
-    for transform, row in zip(message.transforms, poses.tolist()):
+def transforms(frames: Sequence[Frame], prefix: str, stamp: Time, numbers: FloatArray) -> Any:
+    """
+    Return where frames are in their parents.
+
+    :param frames: n of them
+    :param prefix: beginning of the names of all frames
+    :param numbers: position and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
+    """
+    message, found = TFMessage(), []
+    for frame, row in zip(frames, numbers.reshape(-1, 7).tolist()):
+        transform = TransformStamped(child_frame_id=prefix + frame.name)
+        transform.header.frame_id = prefix + frame.parent
+        transform.header.stamp = stamp
         place, turn = transform.transform.translation, transform.transform.rotation
         place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = row
+        found.append(transform)
+    message.transforms = found
+    return message

@@ -3,6 +3,7 @@
 
 """Runtime says when it happens: wall time, waiting, one thread for the physics; no ROS."""
 
-from manip_sim.runtime.simulation_thread import Observer, Progress, SimulationThread
+from manip_sim.runtime.observers import Observer
+from manip_sim.runtime.simulation_thread import Progress, SimulationThread
 
 __all__ = ['Observer', 'Progress', 'SimulationThread']

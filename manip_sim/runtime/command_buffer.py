@@ -49,6 +49,11 @@ class CommandBuffer:
         commanded = frozenset(busy_parts).union(*(c.parts for c in self._waiting))
         return self._needed <= commanded
 
+    @property
+    def waits(self) -> bool:
+        """Whether there are commands."""
+        return bool(self._waiting)
+
     def take(self) -> list[Command]:
         """Return the commands in the order of their arrival, and forget them."""
         commands, self._waiting = self._waiting, []

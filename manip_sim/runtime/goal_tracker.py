@@ -30,7 +30,7 @@ class GoalTracker:
         self._ended = ended
         self._lock = threading.Lock()
         self._goals: tuple[Goal, ...] = ()
-        thread.observe(self.observe)
+        thread.observe(self.observe, look=lambda: bool(self._goals))
         thread.keep_busy(self.busy_parts)
 
     @property
@@ -47,6 +47,7 @@ class GoalTracker:
         """Submit the command of a goal and watch it from now on."""
         with self._lock:
             self._goals = (*self._goals, goal)
+        self._thread.look_again()
         self._thread.submit([goal.command], robot=goal.robot.name)
 
     def cancel(self, goal: Goal) -> bool:

@@ -14,13 +14,19 @@ from typing import TypeVar
 
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.runtime.inbox import Inbox
+from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 
 T = TypeVar('T')
-#: Is called with the simulation at the end of control periods, in the simulation's thread.
-Observer = Callable[[Simulation], None]
+#: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
+_ROUND_S = 5e-4
+#: How often what has come is taken if there is no time to wait, wall time [s].
+_TAKE_S = 2e-3
+#: How many messages of a topic are taken before what was called after them.
+_TAKEN_BEFORE_CALLS = 10
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -53,6 +59,7 @@ class SimulationThread:
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
     :param tell_failure: is told, in this thread, which command failed and how
+    :param inbox: what the thread waits for beside the time; may bring commands
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -60,12 +67,13 @@ class SimulationThread:
     def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
-                 tell_failure: Callable[[Command, Exception], None] | None = None) -> None:
+                 tell_failure: Callable[[Command, Exception], None] | None = None,
+                 inbox: Inbox | None = None) -> None:
         self._simulation = simulation
         self._steps = steps
         self._stepping = stepping
         self._tell_failure = tell_failure
-        self._observers: list[tuple[Observer, int]] = []
+        self._observers = Observers()
         self._busy: list[Callable[[str], frozenset[str]]] = []
         needed = lockstep_parts or {}
         self._buffers = {
@@ -77,9 +85,12 @@ class SimulationThread:
         self._paused = paused
         self._stopping = False
         self._calls: list[tuple[Callable[[], object], Future[object]]] = []
-        self._wake = threading.Condition()
+        self._lock = threading.Lock()
+        self._inbox = inbox or Inbox()
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
-        self._repeat_at = 0.0
+        self._repeat_at = self._take_at = 0.0
+        #: How many periods may follow each other in which nothing but physics happens.
+        self._at_once = 1
         #: The state that commands may answer; none while they are being used.
         self._present_ns: int | None = simulation.time_ns
         self.progress = Progress(time.monotonic(), simulation.time_ns)
@@ -87,7 +98,7 @@ class SimulationThread:
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
 
-    def observe(self, observer: Observer, every: int = 1) -> None:
+    def observe(self, observer: Observer, every: int = 1, look: Look | None = None) -> None:
         """
         Let a function see the simulation at the end of control periods, from now on.
 
@@ -96,11 +107,16 @@ class SimulationThread:
 
         :param observer: is called in the simulation's thread, which waits for it
         :param every: divider of the control periods, 1 or more
+        :param look: tells in the simulation's thread whether the observer has to be called; it is
+            asked before each state while the simulation is paused or in lock-step, else every
+            20 ms; None is always
         :raises ValueError: if the divider is less than 1
         """
-        if every < 1:
-            raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
-        self._observers = [*self._observers, (observer, every)]
+        self._observers.add(observer, every, look)
+
+    def look_again(self) -> None:
+        """Ask at the end of the next control period which observers have to be called."""
+        self._observers.look_again()
 
     def keep_busy(self, busy_parts: Callable[[str], frozenset[str]]) -> None:
         """
@@ -117,15 +133,14 @@ class SimulationThread:
 
     def stop(self) -> None:
         """End the thread; calls that wait are cancelled."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
+        self._stopping = True
+        self._inbox.wake()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         self._cancel_calls()
 
     def _cancel_calls(self) -> None:
-        with self._wake:
+        with self._lock:
             self._stopping = True
             calls, self._calls = self._calls, []
         for _, future in calls:
@@ -163,7 +178,7 @@ class SimulationThread:
             answered already
         """
         buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
-        with self._wake:
+        with self._lock:
             if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
                 raise CommandError(f'lockstep: the command answers the state of '
                                    f'{stamp_ns / 1e9:.9f} s, {self._present()}')
@@ -171,8 +186,8 @@ class SimulationThread:
             for command in commands:
                 buffer.add(command)
                 handles.append(command.handle)
-            if self._stepping == 'lockstep':
-                self._wake.notify()
+        if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
+            self._inbox.wake()
         return handles
 
     def _present(self) -> str:
@@ -191,13 +206,13 @@ class SimulationThread:
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
         future: Future[T] = Future()
-        with self._wake:
+        with self._lock:
             if self._stopping:
                 raise SimulationEnded('the simulation has ended')
             if self._thread.ident is None:
                 return function()
             self._calls.append((function, future))  # type: ignore[arg-type]
-            self._wake.notify()
+        self._inbox.wake()
         try:
             return future.result()
         except CancelledError as error:
@@ -232,7 +247,7 @@ class SimulationThread:
         :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
-            with self._wake:
+            with self._lock:
                 self._present_ns = None
                 for buffer in self._buffers.values():
                     buffer.clear('the simulation was reset')
@@ -257,15 +272,18 @@ class SimulationThread:
             self._show()
             self._pacer.restart(time.monotonic())
             while True:
-                with self._wake:
-                    due = self._wait()
+                due = self._wait()
+                with self._lock:
                     if self._stopping:
                         return
                     calls, self._calls = self._calls, []
+                if calls:
+                    # What came before a call is used before it.
+                    self._inbox.take(_TAKEN_BEFORE_CALLS)
                 for function, future in calls:
                     _answer(function, future)
                 if due and not self._paused:
-                    self._period()
+                    self._period(self._at_once if self._stepping == 'free' else 1)
                 elif self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
@@ -282,11 +300,14 @@ class SimulationThread:
                     return True
                 if now >= self._repeat_at:
                     return False
-                self._wake.wait(self._repeat_at - now)
+                self._inbox.wait(self._repeat_at - now)
             elif self._stepping == 'free' or self._pacer.is_due(now):
+                if now >= self._take_at:
+                    self._take_at = now + _TAKE_S
+                    self._inbox.take()
                 return True
             else:
-                self._wake.wait(self._pacer.deadline_s - now)
+                self._inbox.wait(self._pacer.deadline_s - now)
         return False
 
     def _all_commanded(self) -> bool:
@@ -300,18 +321,28 @@ class SimulationThread:
         return (self._paused or self._stepping == 'lockstep'
                 or self._simulation.diverged is not None)
 
-    def _period(self) -> None:
-        with self._wake:
+    def _period(self, most: int = 1) -> None:
+        """Run a control period, or several if nobody notices."""
+        with self._lock:
             self._present_ns = None
-            commands = {name: buffer.take() for name, buffer in self._buffers.items()}
-        for name, taken in commands.items():
+            commands = [(name, buffer.take()) for name, buffer in self._buffers.items()
+                        if buffer.waits]
+        for name, taken in commands:
             for command in taken:
                 # It may have been withdrawn meanwhile.
                 if command.handle.is_active:
                     self._apply(name, command)
-        self._simulation.advance(self._steps)
+        if most > 1 and self._observers.absent and self._simulation.idle:
+            self._simulation.advance_idle(self._steps, most)
+        else:
+            self._simulation.advance(self._steps)
+            most = 1
         self.at_start = False
+        begin_s = self.progress.wall_s
         self._show(number=self._simulation.step_count // self._steps)
+        if self._stepping == 'free':
+            fitting = int(_ROUND_S * most / max(self.progress.wall_s - begin_s, 1e-6))
+            self._at_once = max(1, min(fitting, 2 * self._at_once))
 
     def _apply(self, robot: str, command: Command) -> None:
         try:
@@ -323,14 +354,12 @@ class SimulationThread:
 
     def _show(self, number: int = 0) -> None:
         time_ns = self._simulation.time_ns
-        with self._wake:
+        with self._lock:
             self._present_ns = time_ns
         now = time.monotonic()
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S
-        for observer, every in self._observers:
-            if number % every == 0:
-                observer(self._simulation)
+        self._observers.show(self._simulation, number, now, look=self._repeats)
 
 
 def _answer(function: Callable[[], object], future: Future[object]) -> None:

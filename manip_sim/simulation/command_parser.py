@@ -103,6 +103,8 @@ class CommandParser:
         fields = {'position': position, 'velocity': velocity, 'effort': effort}
         values = np.full(len(names), np.nan)
         for field, numbers in fields.items():
+            if not np.size(numbers):
+                continue
             placed = self._placed(what, field, numbers, names, modes)
             uses = np.array([mode == field for mode in modes])
             surplus = np.flatnonzero(~uses & ~np.isnan(placed))

@@ -17,6 +17,8 @@ from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.typing import FloatArray
 
+_BODY = int(mujoco.mjtObj.mjOBJ_XBODY)
+
 
 @dataclass(frozen=True)
 class EntityState:
@@ -80,17 +82,28 @@ class Entities:
         """The free bodies."""
         return list(self._joints)
 
-    def frame(self, data: Any, name: str) -> tuple[Pose, Twist]:
+    def pose(self, data: Any, name: str) -> FloatArray:
         """
-        Return where an entity is and how it moves at the instant of the last ``mj_forward``.
+        Return where an entity's body is at the instant of the last ``mj_forward``.
 
         :param data: the ``mujoco.MjData``
+        :returns: position [m] and quaternion x, y, z, w in ``world``, shape (7,)
         :raises UnknownNameError: if there is no such entity
         """
-        body, velocity = self._body(name), np.empty(6)
-        mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
-        return (Pose(data.xpos[body].copy(), wxyz_to_xyzw(data.xquat[body])),
-                Twist(velocity[3:], velocity[:3]))
+        body = self._body(name)
+        return np.concatenate([data.xpos[body], wxyz_to_xyzw(data.xquat[body])])
+
+    def twist(self, data: Any, name: str) -> FloatArray:
+        """
+        Return how an entity's body moves at the instant of the last ``mj_forward``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: linear [m/s] and angular velocity [rad/s] in the axes of ``world``, shape (6,)
+        :raises UnknownNameError: if there is no such entity
+        """
+        velocity = np.empty(6)
+        mujoco.mj_objectVelocity(self._model, data, _BODY, self._body(name), velocity, 0)
+        return np.concatenate([velocity[3:], velocity[:3]])
 
     def read(self, data: Any, name: str) -> EntityState:
         """
@@ -99,16 +112,17 @@ class Entities:
         :param data: the ``mujoco.MjData``
         :raises UnknownNameError: if there is no such entity
         """
-        body, frame = self._body(name), mujoco.mjtObj.mjOBJ_XBODY
+        body = self._body(name)
+        pose, twist = self.pose(data, name), self.twist(data, name)
         acceleration = np.zeros(6)
         if self._model.body_weldid[body]:  # What is fixed to the world has none.
             # MuJoCo does this by itself only where a sensor needs it.
             mujoco.mj_rnePostConstraint(self._model, data)
-            mujoco.mj_objectAcceleration(self._model, data, frame, body, acceleration, 0)
+            mujoco.mj_objectAcceleration(self._model, data, _BODY, body, acceleration, 0)
             # MuJoCo lets the world fall upwards in place of gravity.
             acceleration[3:] += self._model.opt.gravity
-        return EntityState(
-            *self.frame(data, name), acceleration[3:], acceleration[:3])
+        return EntityState(Pose(pose[:3], pose[3:]), Twist(twist[:3], twist[3:]),
+                           acceleration[3:], acceleration[:3])
 
     def place(self, data: Any, name: str, pose: Pose | None, twist: Twist | None) -> None:
         """

@@ -63,6 +63,11 @@ class FreeRoots:
             np.isin(model.body_rootid[model.dof_bodyid], list(free_trees))
             & (model.jnt_actgravcomp[joint] == 0))
 
+    @property
+    def borne(self) -> bool:
+        """Whether there is weight to give back."""
+        return self._dofs.size > 0
+
     def bear(self, data: Any) -> None:
         """
         Apply the weight as of the last ``mj_forward`` or step.

@@ -65,6 +65,13 @@ class JointController(ControlledJoints):
             or isinstance(c, CartesianCommand) and self.cartesian.moves(c)
             for c in self.commands.running))
 
+    @property
+    def resting(self) -> bool:
+        """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
+        return not (self._setpoints.moving or self._written or self.commands.running
+                    or self.commands.waiting
+                    or any(self._timeout_s[part] for part in self._last_command_s))
+
     def rebind(self, model: Any) -> None:
         """Go on with a model in which these actuators and joints are what and where they were."""
         super().rebind(model)

@@ -23,7 +23,7 @@ from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
-from manip_sim.typing import FloatArray
+from manip_sim.typing import FloatArray, IntArray
 
 
 class SimulatedRobot:
@@ -93,11 +93,14 @@ class SimulatedRobot:
 
     def _index_joints(self, atomic: list[Part]) -> None:
         self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
-        self._qpos_addresses = np.concatenate([part.qpos_addresses for part in atomic])
-        self._dof_addresses = np.concatenate([part.dof_addresses for part in atomic])
+        qpos, dofs = (np.concatenate([getattr(part, kind) for part in atomic])
+                      for kind in ('qpos_addresses', 'dof_addresses'))
         place = {name: index for index, name in enumerate(self.joint_names)}
         self.indices_of = {name: np.array([place[j] for j in part.joints], dtype=np.int64)
                            for name, part in self.parts.items()}
+        #: Of the joints of each part, and of all joints, in ``qpos`` and ``qvel``.
+        self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
+            name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
 
     def rebind(self, model: Any, data: Any) -> None:
         """
@@ -134,6 +137,11 @@ class SimulatedRobot:
     def moving(self) -> bool:
         """Whether setpoints change, or may, in the next interval."""
         return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing is to be done for it in the physics loop until the next command."""
+        return self.joints.resting and not any(g.moving for g in self.grippers.values())
 
     # ------------------------------------------------------------------ what is commanded
 
@@ -215,13 +223,22 @@ class SimulatedRobot:
 
     def state(self) -> State:
         """Return a snapshot of the present instant."""
-        data = self._data
+        position, velocity, effort = self.measured().reshape(3, -1)
         return State(
-            time_ns=self._now_ns(),
-            position=data.qpos[self._qpos_addresses],
-            velocity=data.qvel[self._dof_addresses],
-            effort=data.qfrc_actuator[self._dof_addresses],
-            end_effectors={arm: reader.read(data) for arm, reader in self.end_effectors.items()})
+            time_ns=self._now_ns(), position=position, velocity=velocity, effort=effort,
+            end_effectors={arm: reader.read(self._data)
+                           for arm, reader in self.end_effectors.items()})
+
+    def measured(self, part: str | None = None) -> FloatArray:
+        """
+        Return positions, velocities and efforts of the joints of a part, one after the other.
+
+        :param part: its name; None is all joints
+        :returns: in the order of their names, shape (3 n,), a copy
+        """
+        qpos, dofs = self._addresses[part]
+        data = self._data
+        return np.concatenate([data.qpos[qpos], data.qvel[dofs], data.qfrc_actuator[dofs]])
 
     def controller_state(self, part: str) -> ControllerState:
         """

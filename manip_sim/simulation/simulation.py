@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 
@@ -14,6 +12,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.world import World
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
+from manip_sim.simulation.divergence import DivergenceWatch
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.robot import SimulatedRobot
@@ -21,8 +20,6 @@ from manip_sim.simulation.spawning import (
     carry_over, LiveWorld, Plan, plan_world, start_live)
 from manip_sim.simulation.start_check import check_start
 
-#: A generalised velocity that no robot has: the physics has diverged [rad/s or m/s].
-_ABSURD_VELOCITY = 1e4
 #: How long the coupled joints of grippers may take to find their start [s].
 _SETTLE_S = 0.5
 #: Setpoints that move are linear for at most so long [s].
@@ -70,13 +67,14 @@ class Simulation:
         self.diverged: str | None = None
         self._start = world.init_qpos()
         self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
-        self._interval_steps = max(1, round(_INTERVAL_S / self.timestep_s))
+        self._timestep_s = self.timestep_s
+        self._interval_steps = max(1, round(_INTERVAL_S / self._timestep_s))
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
-        robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
-                  for robot in world.robots]
-        self.robots = {robot.name: robot for robot in robots}
+        self._robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
+                        for robot in world.robots]
+        self.robots = {robot.name: robot for robot in self._robots}
         self._look_at_model()
         self._settle_linkages()
         self.reset()
@@ -84,12 +82,11 @@ class Simulation:
             self.model, self.data, self._roots)
 
     def _look_at_model(self) -> None:
-        self._good = np.empty(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        self._divergence = DivergenceWatch(self.model, self.data)
         self._first_half = np.empty(mujoco.mj_stateSize(self.model, _FIRST_HALF))
         #: What :meth:`advance` last computed the rest of the data for.
         self._computed_for = b''
-        #: A view: how often MuJoCo has warned, by kind.
-        self._warnings = self.data.warning.number
+        self._options = self.model.opt
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
 
@@ -160,6 +157,12 @@ class Simulation:
         """Simulation time: steps times the timestep [ns]."""
         return self.step_count * self._timestep_ns
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing but physics happens until the next command."""
+        return (self.diverged is None and not self._free_roots.borne and self._resumes()
+                and all(robot.resting for robot in self._robots))
+
     def advance(self, steps: int) -> None:
         """
         Run one control period; afterwards all of the data belongs to the new instant.
@@ -170,28 +173,50 @@ class Simulation:
         """
         if self.diverged is not None:
             return
-        for robot in self.robots.values():
-            robot.begin_period(steps * self.timestep_s)
-        mujoco.mj_getState(self.model, self.data, self._good,
-                           mujoco.mjtState.mjSTATE_INTEGRATION)
-        warnings = self._bad_numbers()
+        for robot in self._robots:
+            robot.begin_period(steps * self._timestep_s)
+        reason = self._run(steps)
+        if reason is not None:
+            self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
+            self._divergence.hold()
+            mujoco.mj_forward(self.model, self.data)
+
+    def advance_idle(self, steps: int, periods: int) -> None:
+        """
+        Run several control periods at once; only while :attr:`idle`.
+
+        The result is that of as many calls of :meth:`advance`, to the last bit.
+
+        :param steps: number of physics steps of a period
+        """
+        begin = self.step_count
+        if self._run(steps * periods) is not None:
+            # One by one they tell in which of them it was.
+            self._divergence.undo()
+            self.step_count = begin
+            for _ in range(periods):
+                self.advance(steps)
+
+    def _run(self, steps: int) -> str | None:
+        """Run physics steps, and return why they diverged, or None."""
+        self._divergence.remember()
         self._step(steps)
         # After mj_step the sensors are one step older than the positions.
         mujoco.mj_forward(self.model, self.data)
         self._computed_for = self._first_half_state()
-        self._check_divergence(warnings)
+        return self._divergence.reason()
 
     def _step(self, steps: int) -> None:
-        resumes = (self._computed_for == self._first_half_state()
-                   and int(self.model.opt.integrator) in _RESUMABLE
-                   and not self.model.opt.enableflags)
+        resumes = self._resumes()
         left = steps
         while left:
-            moving = any(robot.moving for robot in self.robots.values())
-            # As even as they can be.
-            chunk = -(-left // -(-left // self._interval_steps)) if moving else left
-            for robot in self.robots.values():
-                robot.tick(chunk * self.timestep_s)
+            awake = [robot for robot in self._robots if not robot.resting]
+            chunk = left
+            if any(robot.moving for robot in awake):
+                # As even as they can be.
+                chunk = -(-left // -(-left // self._interval_steps))
+            for robot in awake:
+                robot.tick(chunk * self._timestep_s)
             self._free_roots.bear(self.data)
             if resumes:
                 # What depends on positions and velocities alone is there already.
@@ -202,33 +227,15 @@ class Simulation:
             self.step_count += chunk
             left -= chunk
 
+    def _resumes(self) -> bool:
+        """Tell whether the first half of a step has been computed."""
+        return (self._computed_for == self._first_half_state()
+                and int(self._options.integrator) in _RESUMABLE
+                and not self._options.enableflags)
+
     def _first_half_state(self) -> bytes:
         mujoco.mj_getState(self.model, self.data, self._first_half, _FIRST_HALF)
         return self._first_half.tobytes()
-
-    def _bad_numbers(self) -> int:
-        kinds = mujoco.mjtWarning
-        first, last = int(kinds.mjWARN_BADQPOS), int(kinds.mjWARN_BADCTRL)
-        return sum(self._warnings[first:last + 1].tolist())
-
-    def _check_divergence(self, warnings_before: int) -> None:
-        position, velocity, acceleration = self.data.qpos, self.data.qvel, self.data.qacc
-        if (velocity.dot(velocity) < _ABSURD_VELOCITY**2
-                and math.isfinite(position.dot(position) + acceleration.dot(acceleration))
-                and self._bad_numbers() == warnings_before):
-            return
-        if not all(np.isfinite(values).all() for values in (position, velocity, acceleration)):
-            reason = 'a position, velocity or acceleration is not finite'
-        elif np.abs(velocity).max(initial=0.0) > _ABSURD_VELOCITY:
-            reason = f'a velocity is above {_ABSURD_VELOCITY:g}'
-        elif self._bad_numbers() > warnings_before:
-            reason = 'MuJoCo warns of a bad position, velocity, acceleration or control'
-        else:
-            return
-        self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
-        mujoco.mj_setState(self.model, self.data, self._good, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self.data.qvel[:] = 0.0
-        mujoco.mj_forward(self.model, self.data)
 
     def reset(self) -> None:
         """

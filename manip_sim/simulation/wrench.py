@@ -16,6 +16,8 @@ from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector, Wrench
 from manip_sim.typing import FloatArray
 
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
+
 
 class EndEffectorReader:
     """
@@ -28,13 +30,14 @@ class EndEffectorReader:
     def __init__(self, model: Any, gripper: GripperModel) -> None:
         self._model = model
         sensors = gripper.important_sensors
-        self._force = model.sensor(sensors['force_ee']).adr[0]
-        self._torque = model.sensor(sensors['torque_ee']).adr[0]
+        self._sensors = np.concatenate([
+            model.sensor(sensors[name]).adr[0] + np.arange(3)
+            for name in ('force_ee', 'torque_ee')])
         self._ft_frame = int(model.sensor(sensors['force_ee']).objid[0])
         self._grip_site = model.site(gripper.important_sites['grip_site']).id
         sensed = int(model.site_bodyid[self._ft_frame])
         self._root = int(model.body_rootid[sensed])
-        self._bodies = _subtree(model, sensed)
+        self._bodies = np.array(_subtree(model, sensed))
         self._tare = np.zeros(6)
 
     def rebind(self, model: Any) -> None:
@@ -59,17 +62,53 @@ class EndEffectorReader:
 
         :param data: the ``mujoco.MjData``
         """
-        velocity, quat_wxyz = np.empty(6), np.empty(4)
-        mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_SITE, self._grip_site,
-                                 velocity, 0)
-        mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
-        external = self._external(data) - self._tare
+        pose, twist = self.pose(data), self.twist(data)
+        wrench, external = self.wrench(data), self.external_wrench(data)
         return EndEffector(
-            pose=Pose(data.site_xpos[self._grip_site].copy(), wxyz_to_xyzw(quat_wxyz)),
-            twist=Twist(velocity[3:], velocity[:3]),
-            wrench=Wrench(data.sensordata[self._force:self._force + 3].copy(),
-                          data.sensordata[self._torque:self._torque + 3].copy()),
+            pose=Pose(pose[:3], pose[3:]), twist=Twist(twist[:3], twist[3:]),
+            wrench=Wrench(wrench[:3], wrench[3:]),
             external_wrench=Wrench(external[:3], external[3:]))
+
+    def pose(self, data: Any) -> FloatArray:
+        """
+        Return where ``grip_site`` is in ``world``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: position [m] and quaternion x, y, z, w, shape (7,)
+        """
+        quat_wxyz = np.empty(4)
+        mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
+        return np.concatenate([data.site_xpos[self._grip_site], wxyz_to_xyzw(quat_wxyz)])
+
+    def twist(self, data: Any) -> FloatArray:
+        """
+        Return how ``grip_site`` moves, in the axes of ``world``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: linear [m/s] and angular velocity [rad/s], shape (6,)
+        """
+        velocity = np.empty(6)
+        mujoco.mj_objectVelocity(self._model, data, _SITE, self._grip_site, velocity, 0)
+        return np.concatenate([velocity[3:], velocity[:3]])
+
+    def wrench(self, data: Any) -> FloatArray:
+        """
+        Return what ``force_ee`` and ``torque_ee`` measure, in ``ft_frame``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: force [N] and torque [N m], shape (6,), a copy
+        """
+        measured: FloatArray = data.sensordata[self._sensors]
+        return measured
+
+    def external_wrench(self, data: Any) -> FloatArray:
+        """
+        Return what the world does to the tool, tared, in ``ft_frame``.
+
+        :param data: the ``mujoco.MjData``
+        :returns: force [N] and torque [N m], shape (6,)
+        """
+        return np.asarray(self._external(data) - self._tare)
 
     def tare(self, data: Any) -> None:
         """Let the present external wrench read zero."""

@@ -35,7 +35,7 @@ class Record:
 
     def __init__(self):
         self.messages = []
-        self.wanted = True
+        self.heard = True
 
     def publish(self, message):
         self.messages.append(copy.deepcopy(message))
@@ -184,7 +184,7 @@ def test_the_nearest_rate_is_that_of_the_smallest_difference(publish_rate, tf_ra
 
 def test_while_nobody_listens_no_frames_are_made(serve, client, records):
     moving = records[0]
-    moving.wanted = False
+    moving.heard = False
     serve()
     client.state()
     assert moving.messages == [] and len(records[1].messages) == 1

@@ -14,6 +14,7 @@ from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.models import World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import SimulationThread
+from manip_sim.runtime.observers import Observers
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Status
 
@@ -178,3 +179,83 @@ def test_lockstep_waits_for_the_parts_of_every_robot(free):
     wait_until(lambda: thread.progress.time_ns == stamp + 10_000_000)
     with pytest.raises(CommandError, match='the present state is that of'):
         thread.submit(answers['robot1'], stamp, 'robot1')
+
+
+def test_periods_that_nobody_sees_follow_each_other_at_once_and_what_comes_ends_that(free):
+    thread, rounds, seen = free(stepping='free'), [], []
+    simulation = thread._simulation
+    advance, advance_idle = simulation.advance, simulation.advance_idle
+
+    def one(steps):
+        rounds.append(1)
+        advance(steps)
+
+    def several(steps, periods):
+        rounds.append(periods)
+        advance_idle(steps, periods)
+    simulation.advance, simulation.advance_idle = one, several
+    looked = Event()
+    thread.observe(lambda _: seen.append(len(rounds)), look=looked.is_set)
+    thread.start()
+    wait_until(lambda: max(rounds, default=0) > 1)
+    assert not seen
+    # A command is followed period by period, in the periods after it has come.
+    command = simulation.robot.parse.action('arm', [0.5] * 7)
+    begin = len(rounds)
+    (handle,) = thread.submit([command])
+    wait_until(lambda: handle.status is Status.DONE)
+    assert rounds[begin + 1:].count(1) > 50
+    wait_until(lambda: rounds[-1] > 1)
+    looked.set()
+    wait_until(lambda: len(seen) > 50)
+    # From the first look on each period is seen.
+    assert seen[:50] == list(range(seen[0], seen[0] + 50))
+    assert set(rounds[seen[0]:seen[0] + 49]) == {1}
+    thread.pause(True)
+    paused = thread.progress.time_ns
+    thread.step()
+    assert thread.progress.time_ns == paused + 10_000_000
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'lockstep'])
+def test_periods_that_are_due_one_by_one_are_never_run_at_once(free, stepping):
+    thread = free(stepping=stepping, real_time_factor=10.0)
+    thread._simulation.advance_idle = None
+    thread.start()
+    wait_until(lambda: thread.progress.time_ns > 500_000_000)
+    assert thread.error is None
+
+
+def test_a_reader_that_comes_is_seen_within_the_interval_of_the_looks_and_costs_nothing_before():
+    observers, looks, seen, there = Observers(), [], [], []
+
+    def look():
+        looks.append(1)
+        return bool(there)
+    observers.add(seen.append, 1, look)
+    assert not observers.absent
+    observers.show('first', 0, 100.0, look=False)
+    assert observers.absent and (len(looks), seen) == (1, [])
+    there.append('reader')
+    for n in range(19):
+        observers.show(f'state {n}', n, 100.0 + 0.001 * n, look=False)
+    assert (len(looks), seen) == (1, [])
+    observers.show('due', 0, 100.021, look=False)
+    assert not observers.absent and (len(looks), seen) == (2, ['due'])
+    there.clear()
+    observers.show('held', 0, 100.022, look=True)
+    assert observers.absent and (len(looks), seen) == (3, ['due'])
+    there.append('reader')
+    observers.look_again()
+    assert not observers.absent
+    observers.show('asked for', 0, 100.023, look=False)
+    assert seen == ['due', 'asked for']
+
+
+def test_an_observer_without_a_look_is_always_called(free):
+    observers, seen = Observers(), []
+    observers.add(seen.append, 2, None)
+    for n in range(5):
+        observers.show(n, n, 100.0, look=False)
+        assert not observers.absent
+    assert seen == [0, 2, 4]

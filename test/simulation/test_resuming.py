@@ -89,3 +89,70 @@ def test_positions_and_velocities_that_were_changed_from_outside_are_noticed(mon
     monkeypatch.setattr(module, '_RESUMABLE', ())
     whole, _ = run('Panda', 'IMPLICITFAST', shift)
     assert np.array_equal(resumed, whole)
+
+
+@pytest.mark.parametrize('name', robot_names())
+def test_idle_periods_at_once_are_those_one_by_one_to_the_last_bit(name):
+    one_by_one, at_once = (
+        Simulation(compose(name, arena=create_arena('table', cube=True))) for _ in range(2))
+    for simulation in (one_by_one, at_once):
+        simulation.advance(5)
+        # Something falls, so that all has to be computed.
+        simulation.data.joint('cube_joint').qpos[2] += 0.1
+        simulation.advance(5)
+    for periods in (1, 3, 40, 7):
+        for _ in range(periods):
+            one_by_one.advance(3)
+        assert at_once.idle
+        at_once.advance_idle(3, periods)
+        assert one_by_one.step_count == at_once.step_count
+        assert np.array_equal(whole_state(one_by_one), whole_state(at_once))
+
+
+def test_a_divergence_within_idle_periods_is_told_and_held_as_one_by_one():
+    held = []
+    for at_once in (False, True):
+        simulation = Simulation(compose('Panda', arena=create_arena('table', cube=True)))
+        simulation.advance(5)
+        # Faster and faster, until it is too fast in the 21st period.
+        simulation.data.xfrc_applied[simulation.model.body('cube').id, 0] = 0.1 * 5e4
+        if at_once:
+            assert simulation.idle
+            simulation.advance_idle(5, 30)
+        else:
+            for _ in range(30):
+                simulation.advance(5)
+        held.append((simulation.diverged, simulation.step_count, simulation.idle,
+                     simulation.data.warning.number.tolist(), whole_state(simulation).tolist()))
+    assert held[0] == held[1]
+    assert held[0][0] == 'the physics diverged at 0.220 s: a velocity is above 10000'
+    assert held[0][1:3] == (110, False)
+
+
+def test_a_simulation_is_idle_only_while_no_command_is_under_way(panda_sim):
+    robot, joint = panda_sim.robot, 'robot0_joint1'
+    panda_sim.advance(5)
+    assert panda_sim.idle
+
+    def wait():
+        for period in range(500):
+            panda_sim.advance(5)
+            if panda_sim.idle:
+                return period
+        return None
+    here = robot.state().position[0]
+    robot.apply(*robot.parse.joint_command([joint], [here + 0.1]))
+    assert not panda_sim.idle
+    assert wait() > 10
+    robot.apply(robot.parse.action('right/gripper', [1.0]))
+    assert not panda_sim.idle
+    assert wait() > 10
+    robot.apply(robot.parse.trajectory(
+        'arm', [joint], [0.1], [[here]], start_ns=panda_sim.time_ns + 100_000_000,
+        now_ns=panda_sim.time_ns))
+    assert wait() >= 19
+    robot.set_control_mode('arm', 'effort')
+    robot.set_command_timeout('arm', 0.2)
+    robot.apply(*robot.parse.joint_command([joint], [], [], [1.0]))
+    assert wait() >= 19
+    assert sum(robot.joints.timeouts.values()) == 1

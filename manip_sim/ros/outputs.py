@@ -1,0 +1,146 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publishers that never stop the simulation, and cost next to nothing while nobody listens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.serialized import Make, SerializedMessage
+from manip_sim.simulation import Simulation
+from manip_sim.typing import FloatArray
+
+#: For who comes later too.
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Output:
+    """
+    A publisher that never stops the simulation.
+
+    With history ``keep_all`` a reader that does not acknowledge fills the history. Publishing then
+    waits (100 ms with Fast DDS) and fails. Until all is acknowledged, or the reader is gone,
+    further messages are dropped and counted without waiting.
+
+    :param publisher: the publisher
+    :param log: counts and tells what could not be published
+    """
+
+    def __init__(self, publisher: Publisher, log: RejectionLog) -> None:
+        self._publisher = publisher
+        self._log = log
+        self._stalled = False
+        self._closed = False
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody listens."""
+        try:
+            return not self._closed and self._publisher.get_subscription_count() > 0
+        except InvalidHandle:  # It is being closed in another thread.
+            return False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody listens and the next message can be published."""
+        return self.heard and not self._drops()
+
+    def _drops(self) -> bool:
+        """Tell whether the next message is dropped, and count it if so."""
+        if self._stalled:
+            self._stalled = not self._publisher.wait_for_all_acked(Duration())
+            if self._stalled:
+                topic = self._publisher.topic_name
+                self._log.failed['publications'] += 1
+                self._log.warn(topic, 'stalled', f'{topic}: a reader does not acknowledge, '
+                               'messages are dropped until it does or is gone')
+        return self._stalled
+
+    def close(self, node: Node) -> None:
+        """
+        Destroy the publisher; nothing is wanted from now on.
+
+        :param node: that created it
+        """
+        self._closed = True
+        node.destroy_publisher(self._publisher)
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, or bytes that one was serialized to, or count it as dropped."""
+        try:
+            if not (self._stalled and self._drops()):
+                self._publisher.publish(message)
+        except InvalidHandle:  # It is being closed in another thread.
+            pass
+        except RCLError as error:
+            self._stalled = True
+            self._log.failure('publications', self._publisher.topic_name, error)
+
+
+def create_output(node: Node, log: RejectionLog, message_type: Any, topic: str, depth: int = 10
+                  ) -> Output:
+    """
+    Create a publisher whose quality of service can be overridden by parameters.
+
+    :param log: counts and tells what could not be published
+    :param depth: how many messages are kept
+    """
+    return Output(node.create_publisher(
+        message_type, topic, QoSProfile(depth=depth),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies()), log)
+
+
+class Topic:
+    """
+    A topic whose messages differ in their stamps and numbers only.
+
+    :param output: where they are published
+    :param make: returns the message of a stamp and of numbers, shape (count,)
+    :param read: returns the numbers of the present instant, or None if there is nothing to tell
+    :param count: of the numbers
+    :ivar output: where they are published
+    """
+
+    def __init__(self, output: Output, make: Make, read: Callable[[Simulation], FloatArray | None],
+                 count: int) -> None:
+        self.output = output
+        self._read = read
+        self._message = SerializedMessage(make, count)
+
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the present instant."""
+        numbers = self._read(simulation)
+        if numbers is not None:
+            self.output.publish(self._message.at(simulation.time_ns, numbers))
+
+
+class Topics:
+    """Topics of which those are published that somebody listens to."""
+
+    def __init__(self) -> None:
+        self._all: tuple[Topic, ...] = ()
+        self._heard: tuple[Topic, ...] = ()
+
+    def replace(self, topics: tuple[Topic, ...]) -> None:
+        """Publish other topics from now on; any thread may call this."""
+        self._all = topics
+
+    def look(self) -> bool:
+        """See to which topics somebody listens, and tell whether to any."""
+        self._heard = tuple(topic for topic in self._all if topic.output.heard)
+        return bool(self._heard)
+
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the present instant on the topics that somebody listened to at the last look."""
+        for topic in self._heard:
+            topic.publish(simulation)

@@ -1,0 +1,71 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Who sees a simulation at the end of control periods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from manip_sim.simulation import Simulation
+
+#: Is called with the simulation at the end of control periods, in the simulation's thread.
+Observer = Callable[[Simulation], None]
+#: Tells whether an observer has to be called.
+Look = Callable[[], bool]
+#: How often it is asked for while periods follow each other, wall time [s].
+_LOOK_S = 0.02
+
+
+@dataclass(frozen=True)
+class _Entry:
+    observer: Observer
+    every: int
+    look: Look | None
+
+
+class Observers:
+    """The observers of a simulation; those that nobody needs at present cost nothing."""
+
+    def __init__(self) -> None:
+        self._all: tuple[_Entry, ...] = ()
+        self._present: tuple[_Entry, ...] = ()
+        self._look_at = 0.0
+
+    def add(self, observer: Observer, every: int, look: Look | None) -> None:
+        """
+        Add one; any thread may call this.
+
+        :raises ValueError: if the divider is less than 1
+        """
+        if every < 1:
+            raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
+        self._all = (*self._all, _Entry(observer, every, look))
+        self.look_again()
+
+    def look_again(self) -> None:
+        """Ask all observers at the next state; any thread may call this."""
+        self._look_at = 0.0
+
+    @property
+    def absent(self) -> bool:
+        """Whether nobody needed to be called at the last look, and none is due."""
+        return not self._present and self._look_at > 0.0
+
+    def show(self, simulation: Simulation, number: int, now_s: float, look: bool) -> None:
+        """
+        Let the observers see a state.
+
+        :param number: of the control period; those are called whose divider it is a multiple of
+        :param now_s: monotonic wall time [s]
+        :param look: ask in any case who has to be called
+        """
+        if look or now_s >= self._look_at:
+            # First, for who comes meanwhile.
+            self._look_at = now_s + _LOOK_S
+            self._present = tuple(
+                entry for entry in self._all if entry.look is None or entry.look())
+        for entry in self._present:
+            if number % entry.every == 0:
+                entry.observer(simulation)

@@ -1,0 +1,66 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Notice that the physics has diverged, and go back to where it had not."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+#: A generalised velocity that no robot has [rad/s or m/s].
+_ABSURD_VELOCITY = 1e4
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_KINDS = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+
+
+class DivergenceWatch:
+    """
+    Keeps the last good state of a physics.
+
+    :param model: the ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
+    """
+
+    def __init__(self, model: Any, data: Any) -> None:
+        self._model = model
+        self._data = data
+        self._good = np.empty(mujoco.mj_stateSize(model, _STATE))
+        # Views, which need not be asked for in each period.
+        self._numbers = data.qpos, data.qvel, data.qacc
+        #: How often MuJoCo has warned of bad numbers, by kind.
+        self._warnings = data.warning.number[_KINDS]
+        self._warned = self._warnings.tobytes()
+
+    def remember(self) -> None:
+        """Take the present state for good."""
+        mujoco.mj_getState(self._model, self._data, self._good, _STATE)
+        self._warned = self._warnings.tobytes()
+
+    def reason(self) -> str | None:
+        """Return why the present state is not good, or None."""
+        position, velocity, acceleration = self._numbers
+        warns = self._warnings.tobytes() != self._warned
+        if (velocity.dot(velocity) < _ABSURD_VELOCITY**2 and not warns
+                and math.isfinite(position.dot(position) + acceleration.dot(acceleration))):
+            return None
+        if not all(np.isfinite(values).all() for values in self._numbers):
+            return 'a position, velocity or acceleration is not finite'
+        if np.abs(velocity).max(initial=0.0) > _ABSURD_VELOCITY:
+            return f'a velocity is above {_ABSURD_VELOCITY:g}'
+        if warns:
+            return 'MuJoCo warns of a bad position, velocity, acceleration or control'
+        return None
+
+    def undo(self) -> None:
+        """Go back to the good state, with the warnings that there were; ``mj_step`` is to come."""
+        mujoco.mj_setState(self._model, self._data, self._good, _STATE)
+        self._warnings[:] = np.frombuffer(self._warned, self._warnings.dtype)
+
+    def hold(self) -> None:
+        """Go back to the good state, at rest; ``mj_forward`` is to come."""
+        mujoco.mj_setState(self._model, self._data, self._good, _STATE)
+        self._data.qvel[:] = 0.0

@@ -1,0 +1,164 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Bytes in which numbers are replaced are those that rclpy makes of the messages."""
+
+from functools import partial
+
+from geometry_msgs.msg import PoseStamped
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+from manip_sim.ros import messages, outputs, transforms
+from manip_sim.ros.controller_state import controller_state, ROWS
+from manip_sim.ros.odometry import odometry
+from manip_sim.ros.serialized import SerializedMessage
+from manip_sim.simulation.frames import Frame
+
+NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
+FRAMES = [Frame('link1', 'world'), Frame('link2', 'link1'), Frame('ball', 'world')]
+#: Where each number of a message is told by how many names and frames there are before it.
+PREFIXES = ['', 'left/', 'a', 'ab', 'abc', 'rücken_']
+KINDS = {
+    'clock': (lambda prefix: messages.clock, 0),
+    'joint_state': (lambda prefix: partial(
+        messages.joint_state, [prefix + name for name in NAMES]), 3 * len(NAMES)),
+    'joint_state_of_one': (lambda prefix: partial(messages.joint_state, [prefix + 'finger']), 3),
+    'joint_state_of_none': (lambda prefix: partial(messages.joint_state, []), 0),
+    'wrench': (lambda prefix: partial(messages.wrench_stamped, prefix + 'ft_frame'), 6),
+    'pose': (lambda prefix: partial(messages.pose_stamped, prefix + 'world'), 7),
+    'twist': (lambda prefix: partial(messages.twist_stamped, prefix + 'world'), 6),
+    'odometry': (lambda prefix: partial(odometry, prefix + 'odom', prefix + 'base'), 13),
+    'controller_state': (lambda prefix: partial(
+        controller_state, [prefix + name for name in NAMES]), ROWS * len(NAMES)),
+    'controller_state_of_one': (lambda prefix: partial(controller_state, [prefix + 'x']), ROWS)}
+if transforms.TFMessage is not None:
+    KINDS['transforms'] = (lambda prefix: partial(transforms.transforms, FRAMES, prefix),
+                           7 * len(FRAMES))
+TIMES_NS = [0, 1, 999_999_999, 1_000_000_000, 123_456_789_012, (2**31 - 1) * 10**9 + 999_999_999]
+
+
+def meaning(data, kind):
+    """Return which bytes mean something: rclpy leaves those between aligned numbers alone."""
+    found, message = np.zeros(len(data), dtype=bool), deserialize_message(data, kind)
+    for place in range(len(data)):
+        changed = bytearray(data)
+        changed[place] ^= 0x55
+        try:
+            found[place] = place < 4 or deserialize_message(bytes(changed), kind) != message
+        except Exception:
+            found[place] = True
+    return found
+
+
+@pytest.mark.parametrize('prefix', PREFIXES)
+@pytest.mark.parametrize('kind', KINDS)
+def test_the_bytes_are_those_of_rclpy_for_any_numbers(kind, prefix):
+    of_prefix, count = KINDS[kind]
+    make, random = of_prefix(prefix), np.random.default_rng(0)
+    message = SerializedMessage(make, count)
+    assert message.patches
+    kind = type(make(messages.stamp_of(1), np.ones(count)))
+    means = meaning(message.at(1, np.ones(count)), kind)
+    special = [0.0, -0.0, 5e-324, 1.7e308, -1.7e308, 1 / 3]
+    for time_ns in TIMES_NS:
+        for numbers in (random.normal(size=count), random.choice(special, size=count)):
+            data = message.at(time_ns, numbers)
+            assert isinstance(data, bytes)
+            expected = serialize_message(make(messages.stamp_of(time_ns), numbers))
+            assert len(data) == len(expected)
+            given, wanted = np.frombuffer(data, np.uint8), np.frombuffer(expected, np.uint8)
+            np.testing.assert_array_equal(given[means], wanted[means])
+
+
+def test_bytes_that_were_given_out_do_not_change():
+    message = SerializedMessage(partial(messages.pose_stamped, 'world'), 7)
+    first = message.at(1, np.arange(7.0))
+    message.at(2, np.ones(7))
+    pose = deserialize_message(first, PoseStamped)
+    assert messages.nanoseconds_of(pose.header.stamp) == 1
+    assert pose.pose.orientation.w == 6.0
+
+
+@pytest.mark.parametrize('change', [
+    lambda numbers: np.round(numbers, 3), lambda numbers: numbers[::-1] + 1.0,
+    lambda numbers: np.minimum(numbers, 2.0)])
+def test_where_numbers_are_not_taken_as_they_are_the_message_itself_is_returned(change):
+    def make(stamp, numbers):
+        return messages.twist_stamped('world', stamp, change(numbers))
+
+    message = SerializedMessage(make, 6)
+    assert not message.patches
+    numbers = np.linspace(0.0, 1.0, 6)
+    assert message.at(7, numbers) == make(messages.stamp_of(7), numbers)
+
+
+def test_where_the_encoding_is_another_one_the_message_itself_is_returned(monkeypatch):
+    # As in XCDR2, where doubles are aligned to four bytes.
+    monkeypatch.setattr('manip_sim.ros.serialized.serialize_message',
+                        lambda message: b'\0\7\0\0\0\0\0\0' + serialize_message(message)[4:])
+    make = partial(messages.wrench_stamped, 'ft_frame')
+    message = SerializedMessage(make, 6)
+    assert not message.patches
+    assert message.at(7, np.ones(6)) == make(messages.stamp_of(7), np.ones(6))
+
+
+def test_what_is_no_message_is_made_each_time():
+    message = SerializedMessage(lambda stamp, numbers: (stamp.nanosec, numbers.tolist()), 2)
+    assert not message.patches
+    assert message.at(5, np.ones(2)) == (5, [1.0, 1.0])
+
+
+class Listeners:
+    """A publisher in place of rclpy's."""
+
+    def __init__(self):
+        self.count, self.asked, self.published = 0, 0, []
+
+    def get_subscription_count(self):
+        self.asked += 1
+        return self.count
+
+    def publish(self, message):
+        self.published.append(message)
+
+
+class Instant:
+    """What a topic sees of a simulation."""
+
+    time_ns = 7
+
+
+def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_look_only():
+    publisher, reads = Listeners(), []
+
+    def read(simulation):
+        reads.append(simulation)
+        return np.ones(6)
+    topics = outputs.Topics()
+    make = partial(messages.twist_stamped, 'world')
+    topics.replace((outputs.Topic(outputs.Output(publisher, None), make, read, 6),))
+    assert not topics.look()
+    publisher.count = 1
+    topics.publish(Instant())
+    assert (publisher.asked, reads, publisher.published) == (1, [], [])
+    assert topics.look()
+    for _ in range(5):
+        topics.publish(Instant())
+    expected = serialize_message(make(messages.stamp_of(7), np.ones(6)))
+    assert (publisher.asked, publisher.published) == (2, [expected] * 5)
+    publisher.count = 0
+    assert not topics.look()
+    topics.publish(Instant())
+    assert len(publisher.published) == len(reads) == 5
+
+
+def test_a_topic_that_has_nothing_to_tell_publishes_nothing():
+    publisher, topics = Listeners(), outputs.Topics()
+    publisher.count = 1
+    topics.replace((outputs.Topic(outputs.Output(publisher, None), messages.clock,
+                                  lambda _: None, 0),))
+    assert topics.look()
+    topics.publish(Instant())
+    assert publisher.published == []
