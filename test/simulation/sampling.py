@@ -78,8 +78,10 @@ class Samples:
         self._driven = driven
         self._rows = []
         end = driven.simulation.robot.end_effectors.get('right') if wrench else None
-        self._wrench = end and [*range(end._force, end._force + 3),
-                                *range(end._torque, end._torque + 3)]
+        prefix = end and end.ft_frame.removesuffix('ft_frame')
+        self._wrench = end and [
+            driven.simulation.model.sensor(prefix + name).adr[0] + axis
+            for name in ('force_ee', 'torque_ee') for axis in range(3)]
 
     def take(self, model, data):
         driven = self._driven
