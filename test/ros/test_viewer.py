@@ -153,8 +153,9 @@ def change_objects(node, change):
 
 def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page, node):
     image = pytest.importorskip('PIL.Image')
-    ball = create_object({'name': 'ball', 'shape': 'sphere', 'size': 0.15, 'mass': 0.1,
-                          'position': [0.0, 0.0, 1.0], 'rgba': [0.0, 1.0, 0.0, 1.0]})
+    # Beside the cube, on the table.
+    box = create_object({'name': 'box', 'shape': 'box', 'size': [0.15, 0.15, 0.15], 'mass': 0.1,
+                         'position': [0.1, -0.25, 0.9], 'rgba': [0.0, 1.0, 0.0, 1.0]})
 
     def greens():
         pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
@@ -169,9 +170,9 @@ def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page,
         pytest.fail(f'{greens()} green pixels')
 
     wait(lambda count: count == 0)
-    change_objects(node, lambda plan: plan_with(plan, ball))
+    change_objects(node, lambda plan: plan_with(plan, box))
     wait(lambda count: count > 100)
-    change_objects(node, lambda plan: plan_without(plan, 'ball'))
+    change_objects(node, lambda plan: plan_without(plan, 'box'))
     wait(lambda count: count == 0)
 
 
