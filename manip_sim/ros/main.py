@@ -53,8 +53,11 @@ class EndSignals:
 
     def ignore_more(self) -> None:
         """Let further signals do nothing: the process is ending."""
+        # Of a signal that comes in between Python would print that it is ignored.
+        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
+        sys.unraisablehook = hook
         signal.set_wakeup_fd(-1)
 
 

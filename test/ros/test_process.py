@@ -102,11 +102,11 @@ import sys
 from manip_sim import __main__
 from manip_sim.errors import ModelError
 from manip_sim.models import World
-from manip_sim.ros.publishers import StatePublishers
+from manip_sim.runtime.observers import Observers
 
 shown = []
-publish = StatePublishers.publish
-StatePublishers.publish = lambda *arguments: (shown.append(1), publish(*arguments))
+show = Observers.show
+Observers.show = lambda *arguments, **named: (shown.append(1), show(*arguments, **named))
 
 def fail(world):
     while not shown:

@@ -74,6 +74,7 @@ def test_a_state_is_repeated_ten_times_a_second(how, serve, client):
 
 def test_free_stepping_waits_for_nothing(serve, client):
     node = serve(stepping='free')
+    client.listen(JointState, 'joint_states')
     client.state()
     advance, calls = node.simulation.advance, []
 
