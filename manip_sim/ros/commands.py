@@ -18,7 +18,6 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
-from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.reading import read_command, trajectory_fields
@@ -62,7 +61,6 @@ class CommandSubscribers:
     :param scope: where its topics are
     :param thread: takes the commands
     :param log: counts and tells what is rejected
-    :param inbox: takes what is quickly read in the simulation's thread; None is the executor
     :ivar robot: the robot
     :ivar scope: where its topics are
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
@@ -70,9 +68,8 @@ class CommandSubscribers:
     """
 
     def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, thread: SimulationThread,
-                 log: RejectionLog, inbox: CommandInbox | None = None) -> None:
+                 log: RejectionLog) -> None:
         self._node = node
-        self._inbox = inbox
         self.robot = robot
         self.scope = scope
         self._parse = robot.parse
@@ -124,9 +121,7 @@ class CommandSubscribers:
                 return
             self.count(topic, part, commands)
 
-        # A trajectory may take long to read, which would hold up the physics.
-        inbox = None if message_type is JointTrajectory else self._inbox
-        CommandSubscription(self._node, message_type, topic, take, inbox)
+        CommandSubscription(self._node, message_type, topic, take)
 
     def count_refused(self, part: str) -> None:
         """Count what came for a part and is not used."""

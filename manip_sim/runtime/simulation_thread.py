@@ -14,7 +14,6 @@ from typing import TypeVar
 
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.runtime.command_buffer import CommandBuffer
-from manip_sim.runtime.inbox import Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
 from manip_sim.simulation import Simulation
@@ -23,10 +22,6 @@ from manip_sim.simulation.commands import Command, CommandHandle, Status
 T = TypeVar('T')
 #: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
 _ROUND_S = 5e-4
-#: How often what has come is taken if there is no time to wait, wall time [s].
-_TAKE_S = 2e-3
-#: How many messages of a topic are taken before what was called after them.
-_TAKEN_BEFORE_CALLS = 10
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -59,7 +54,6 @@ class SimulationThread:
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
     :param tell_failure: is told, in this thread, which command failed and how
-    :param inbox: what the thread waits for beside the time; may bring commands
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -67,8 +61,7 @@ class SimulationThread:
     def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
-                 tell_failure: Callable[[Command, Exception], None] | None = None,
-                 inbox: Inbox | None = None) -> None:
+                 tell_failure: Callable[[Command, Exception], None] | None = None) -> None:
         self._simulation = simulation
         self._steps = steps
         self._stepping = stepping
@@ -85,10 +78,9 @@ class SimulationThread:
         self._paused = paused
         self._stopping = False
         self._calls: list[tuple[Callable[[], object], Future[object]]] = []
-        self._lock = threading.Lock()
-        self._inbox = inbox or Inbox()
+        self._wake = threading.Condition()
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
-        self._repeat_at = self._take_at = 0.0
+        self._repeat_at = 0.0
         #: How many periods may follow each other in which nothing but physics happens.
         self._at_once = 1
         #: The state that commands may answer; none while they are being used.
@@ -133,14 +125,15 @@ class SimulationThread:
 
     def stop(self) -> None:
         """End the thread; calls that wait are cancelled."""
-        self._stopping = True
-        self._inbox.wake()
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         self._cancel_calls()
 
     def _cancel_calls(self) -> None:
-        with self._lock:
+        with self._wake:
             self._stopping = True
             calls, self._calls = self._calls, []
         for _, future in calls:
@@ -178,7 +171,7 @@ class SimulationThread:
             answered already
         """
         buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
-        with self._lock:
+        with self._wake:
             if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
                 raise CommandError(f'lockstep: the command answers the state of '
                                    f'{stamp_ns / 1e9:.9f} s, {self._present()}')
@@ -186,8 +179,8 @@ class SimulationThread:
             for command in commands:
                 buffer.add(command)
                 handles.append(command.handle)
-        if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
-            self._inbox.wake()
+            if self._stepping == 'lockstep':
+                self._wake.notify()
         return handles
 
     def _present(self) -> str:
@@ -206,13 +199,13 @@ class SimulationThread:
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
         future: Future[T] = Future()
-        with self._lock:
+        with self._wake:
             if self._stopping:
                 raise SimulationEnded('the simulation has ended')
             if self._thread.ident is None:
                 return function()
             self._calls.append((function, future))  # type: ignore[arg-type]
-        self._inbox.wake()
+            self._wake.notify()
         try:
             return future.result()
         except CancelledError as error:
@@ -247,7 +240,7 @@ class SimulationThread:
         :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
-            with self._lock:
+            with self._wake:
                 self._present_ns = None
                 for buffer in self._buffers.values():
                     buffer.clear('the simulation was reset')
@@ -272,18 +265,15 @@ class SimulationThread:
             self._show()
             self._pacer.restart(time.monotonic())
             while True:
-                due = self._wait()
-                with self._lock:
+                with self._wake:
+                    due = self._wait()
                     if self._stopping:
                         return
                     calls, self._calls = self._calls, []
-                if calls:
-                    # What came before a call is used before it.
-                    self._inbox.take(_TAKEN_BEFORE_CALLS)
                 for function, future in calls:
                     _answer(function, future)
                 if due and not self._paused:
-                    self._period(self._at_once if self._stepping == 'free' else 1)
+                    self._period(most=self._at_once)
                 elif self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
@@ -300,14 +290,11 @@ class SimulationThread:
                     return True
                 if now >= self._repeat_at:
                     return False
-                self._inbox.wait(self._repeat_at - now)
+                self._wake.wait(self._repeat_at - now)
             elif self._stepping == 'free' or self._pacer.is_due(now):
-                if now >= self._take_at:
-                    self._take_at = now + _TAKE_S
-                    self._inbox.take()
                 return True
             else:
-                self._inbox.wait(self._pacer.deadline_s - now)
+                self._wake.wait(self._pacer.deadline_s - now)
         return False
 
     def _all_commanded(self) -> bool:
@@ -323,7 +310,7 @@ class SimulationThread:
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or several if nobody notices."""
-        with self._lock:
+        with self._wake:
             self._present_ns = None
             commands = [(name, buffer.take()) for name, buffer in self._buffers.items()
                         if buffer.waits]
@@ -354,7 +341,7 @@ class SimulationThread:
 
     def _show(self, number: int = 0) -> None:
         time_ns = self._simulation.time_ns
-        with self._lock:
+        with self._wake:
             self._present_ns = time_ns
         now = time.monotonic()
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
