@@ -65,10 +65,10 @@ class Rounds:
         """Print the figures of a round [s]."""
         processes = [self._process, *([viewer] if viewer else [])]
         del self._seen[:]
-        begin, used = time.perf_counter(), [cpu_s(process) for process in processes]
+        begin, used = time.perf_counter(), [cpu_s(process.pid) for process in processes]
         self.spin(duration_s)
         wall_s = time.perf_counter() - begin
-        cores = [100.0 * (cpu_s(process) - before) / wall_s
+        cores = [100.0 * (cpu_s(process.pid) - before) / wall_s
                  for process, before in zip(processes, used)]
         (first_wall, first), (last_wall, last) = self._seen[0], self._seen[-1]
         print(f'{what:22s}: {(last - first) / (last_wall - first_wall):.4f} x real time, node '
