@@ -36,7 +36,8 @@ setup(
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],
-        'viewer': ['viser>=1.1,<2'],
+        # trimesh smooths shapes by scipy.
+        'viewer': ['scipy', 'trimesh', 'viser>=1.1,<2'],
         'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pin',
                  'playwright', 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
                  'scipy', 'viser>=1.1,<2', 'yourdfpy'],

@@ -44,7 +44,8 @@ def main() -> int:
     # Nothing of what is imported and built is garbage; run() collects again.
     gc.disable()
     try:
-        _import_mujoco()
+        from manip_sim.without_opengl import import_mujoco
+        import_mujoco()
         from manip_sim.ros.main import run
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith('manip_sim'):
@@ -53,23 +54,6 @@ def main() -> int:
               "with pip install 'manip_sim[jazzy]'", file=sys.stderr)
         return 1
     return run(arguments)
-
-
-def _import_mujoco() -> None:
-    """
-    Import MuJoCo without OpenGL, which cameras look for later.
-
-    MuJoCo would look for it in processes of their own, which takes long and outlives a signal, and
-    could not be imported where ``MUJOCO_GL`` asks for something that is not there.
-    """
-    asked = os.environ.get('MUJOCO_GL')
-    os.environ['MUJOCO_GL'] = 'disable'
-    try:
-        import mujoco  # noqa: F401
-    finally:
-        del os.environ['MUJOCO_GL']
-        if asked is not None:
-            os.environ['MUJOCO_GL'] = asked
 
 
 if __name__ == '__main__':

@@ -26,7 +26,7 @@ MAY_IMPORT = {
     'viewer': ({'viewer'}, PURE | {'viser'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
-TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing'}
+TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing', 'without_opengl'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

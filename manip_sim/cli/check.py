@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -74,7 +73,7 @@ def _defects_of_file(file: Path) -> list[StartDefect]:
     return find_start_defects(model, data, roots)
 
 
-def _robots(model: Any) -> list[str]:
+def _robots(model: mujoco.MjModel) -> list[str]:
     """Return the bodies on the world that have joints below them; free bodies are objects."""
     jointed = model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]
     return [model.body(root).name for root in np.unique(model.body_rootid[jointed]).tolist()]

@@ -71,8 +71,8 @@ def describe(composed: Composed) -> Row:
     }
 
 
-def _of_robot(parameters: GivenParameters, simulation: Simulation, model: Any, scope: Scope,
-              robot: SimulatedRobot) -> dict[str, list[Row]]:
+def _of_robot(parameters: GivenParameters, simulation: Simulation, model: mujoco.MjModel,
+              scope: Scope, robot: SimulatedRobot) -> dict[str, list[Row]]:
     """Return the sections that each robot has; its parts are named with the robot."""
     def modes(part: str) -> Any:
         return parameters.value(scope.parameter(f'control_mode.{part}'))
@@ -88,7 +88,7 @@ def _of_robot(parameters: GivenParameters, simulation: Simulation, model: Any, s
         'frames': frame_rows(simulation.model, simulation.data, whole)}
 
 
-def _models(robot: RobotModel, model: Any) -> Iterator[Row]:
+def _models(robot: RobotModel, model: mujoco.MjModel) -> Iterator[Row]:
     grippers = robot.grippers if isinstance(robot, ManipulatorModel) else {}
     arm_of = {gripper.naming_prefix: arm for arm, gripper in grippers.items()}
     parts: list[MujocoXMLModel] = [robot, *robot.models]
@@ -122,7 +122,7 @@ def _of_parts(robot: SimulatedRobot, elements: str, names: Mapping[str, str]) ->
             for name in getattr(part, elements)}
 
 
-def _joints(simulated: Any, robot: SimulatedRobot, model: Any, names: Mapping[str, str]
+def _joints(simulated: Any, robot: SimulatedRobot, model: mujoco.MjModel, names: Mapping[str, str]
             ) -> Iterator[Row]:
     part_of = _of_parts(robot, 'joints', names)
     limits = _limits_of_driven(simulated, robot)
@@ -162,12 +162,12 @@ def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
     return limits
 
 
-def _declared_velocity(model: Any, joint: int) -> float | None:
+def _declared_velocity(model: mujoco.MjModel, joint: int) -> float | None:
     declared = float(model.jnt_user[joint, 0]) if model.nuser_jnt else 0.0
     return declared if declared > 0.0 else None
 
 
-def _effort(model: Any, joint: int, actuators: list[int]) -> list[float] | None:
+def _effort(model: mujoco.MjModel, joint: int, actuators: list[int]) -> list[float] | None:
     if len(actuators) == 1 and actuated_joints(model, actuators[0]) == [joint]:
         found = effort_range(model, np.array([joint]), np.array(actuators))[0]
         return _range(found) if np.isfinite(found).all() else None

@@ -22,7 +22,7 @@ _TARGET = {
 Row = dict[str, Any]
 
 
-def actuator_rows(model: Any, part_of: Mapping[str, str]) -> list[Row]:
+def actuator_rows(model: mujoco.MjModel, part_of: Mapping[str, str]) -> list[Row]:
     """
     Tell the actuators as the files have them.
 
@@ -45,7 +45,7 @@ def _limits(limited: Any, ranges: Any, index: int) -> list[float] | None:
     return [float(value) for value in ranges[index]] if limited[index] else None
 
 
-def _servo_type(model: Any, index: int) -> str:
+def _servo_type(model: mujoco.MjModel, index: int) -> str:
     fixed = int(model.actuator_gaintype[index]) == int(mujoco.mjtGain.mjGAIN_FIXED)
     bias = int(model.actuator_biastype[index])
     stiffness, damping = -model.actuator_biasprm[index, 1:3]
@@ -56,7 +56,7 @@ def _servo_type(model: Any, index: int) -> str:
     return 'motor' if fixed and bias == int(mujoco.mjtBias.mjBIAS_NONE) else 'other'
 
 
-def sensor_rows(model: Any, robot: RobotModel) -> list[Row]:
+def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
     """Tell the sensors of a robot and of all that is mounted on it."""
     rows = []
     for part in _parts(robot):
@@ -72,7 +72,7 @@ def sensor_rows(model: Any, robot: RobotModel) -> list[Row]:
     return rows
 
 
-def frame_rows(model: Any, data: Any, robot: RobotModel) -> list[Row]:
+def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) -> list[Row]:
     """Tell the bodies of a robot, and the sites with a role, where they are in ``world``."""
     rows = []
     below = np.zeros(model.nbody, dtype=bool)
@@ -104,7 +104,7 @@ def _important(part: MujocoXMLModel) -> list[str]:
     return [frame, *names] if frame in part.sites else names
 
 
-def camera_rows(model: Any) -> list[Row]:
+def camera_rows(model: mujoco.MjModel) -> list[Row]:
     """Tell the cameras of a model."""
     rows = []
     for camera in range(model.ncam):

@@ -145,7 +145,7 @@ def _free_bodies_of_arenas() -> Iterator[Row]:
                 'file': file}
 
 
-def free_bodies(model: Any) -> dict[str, float]:
+def free_bodies(model: mujoco.MjModel) -> dict[str, float]:
     """Return the bodies of a model with free joints, and their masses [kg]."""
     bodies = model.jnt_bodyid[np.flatnonzero(model.jnt_type == _FREE)].tolist()
     return {model.body(body).name: float(model.body_subtreemass[body]) for body in bodies}

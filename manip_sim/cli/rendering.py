@@ -14,6 +14,7 @@ from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
+    import mujoco
     from PIL.Image import Image
 
     from manip_sim.models import World
@@ -110,8 +111,8 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
     return _picture(model, data, size, views)
 
 
-def _picture(model: Any, data: Any, size: tuple[int, int], views: Sequence[View],
-             else_shown: Sequence[Sequence[float]] = ()) -> Image:
+def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
+             views: Sequence[View], else_shown: Sequence[Sequence[float]] = ()) -> Image:
     import mujoco
     import numpy as np
     from PIL import Image
@@ -151,7 +152,7 @@ def _start_of(world: World) -> tuple[Any, Any]:
     return model, _at_start(model, world.init_qpos())
 
 
-def _at_start(model: Any, start: dict[str, float]) -> Any:
+def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:
     """Return the state at the start, with coupled joints where their couplings put them."""
     import mujoco
     data = mujoco.MjData(model)
@@ -168,7 +169,7 @@ def _at_start(model: Any, start: dict[str, float]) -> Any:
     return data
 
 
-def _visible_corners(model: Any, data: Any) -> Any:
+def _visible_corners(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
     """Return the corners of the boxes round all visible shapes but the ground [m], (n, 3)."""
     import numpy as np
     signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, 8).T
@@ -180,7 +181,7 @@ def _visible_corners(model: Any, data: Any) -> Any:
     return np.concatenate(corners)
 
 
-def _camera(view: View, model: Any, points: Any, aspect: float) -> Any:
+def _camera(view: View, model: mujoco.MjModel, points: Any, aspect: float) -> Any:
     """Return a camera of the model, or one that sees all points and is as near as that allows."""
     import mujoco
     import numpy as np

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,7 +29,7 @@ class InverseKinematics:
     :param others: where other joints of the model are, by name [rad or m]
     """
 
-    def __init__(self, model: Any, joints: Sequence[str], site: str,
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[str], site: str,
                  others: Mapping[str, float]) -> None:
         self._model = model
         self._data = mujoco.MjData(model)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import re
 from typing import Any
 
+import mujoco
+
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
@@ -108,7 +110,7 @@ def declare_parts(parameters: ParameterSource,
             scope, [arm for arm in commanded if f'{arm}/gripper' in parts]))
 
 
-def declare_cameras(parameters: ParameterSource, world: World, model: Any
+def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjModel
                     ) -> dict[str, ImageSettings]:
     """
     Declare the parameters of the cameras that are chosen, and return what they say, by camera.

@@ -66,7 +66,7 @@ class ObjectModel:
     :raises ModelError: if the name or what the spec holds cannot be an object's
     """
 
-    def __init__(self, name: str, spec: Any, origin: str = '') -> None:
+    def __init__(self, name: str, spec: mujoco.MjSpec, origin: str = '') -> None:
         self.origin = origin or f'object {quoted(name)}'
         check_object_name(name, self.origin)
         self.name = name
@@ -164,7 +164,7 @@ class ObjectModel:
         if quat_wxyz is not None:
             self._root.quat = np.asarray(quat_wxyz, dtype=float)
 
-    def attach(self, spec: Any) -> None:
+    def attach(self, spec: mujoco.MjSpec) -> None:
         """
         Add a copy of the object to a world.
 
@@ -186,7 +186,7 @@ class ObjectModel:
     def _is_shape(self) -> bool:
         return [geom.name for geom in self._spec.geoms] == [SHAPE_GEOM]
 
-    def _check_own_names_are_free(self, spec: Any) -> None:
+    def _check_own_names_are_free(self, spec: mujoco.MjSpec) -> None:
         if spec.body(self.name) is not None:
             raise ModelError(f"body '{self.name}' is there already, {self.origin} needs another "
                              'name')

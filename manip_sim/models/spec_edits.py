@@ -110,7 +110,7 @@ def name_main_default(own: mujoco.MjSpec) -> None:
     own.default.name = name
 
 
-def delete_elements(spec: Any, elements: list[Any]) -> None:
+def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
     """
     Delete elements that are no bodies, and the sensors that look at them.
 

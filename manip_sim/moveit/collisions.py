@@ -79,7 +79,7 @@ def _without_filters(world: World, robot: RobotModel) -> tuple[Any, list[tuple[i
                    for one, other in excluded]
 
 
-def _adjacent(model: Any, bodies: list[int]) -> Iterator[tuple[int, int]]:
+def _adjacent(model: mujoco.MjModel, bodies: list[int]) -> Iterator[tuple[int, int]]:
     """Yield bodies with shapes that are next to each other, or fixed to each other."""
     shaped = set(bodies)
     for body in bodies:
@@ -104,7 +104,7 @@ class _Sampler:
     :ivar bodies: ids of those with shapes that collide, parents first
     """
 
-    def __init__(self, model: Any, robot: RobotModel, links: Mapping[int, str]) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: RobotModel, links: Mapping[int, str]) -> None:
         self._links = links
         self._model, self._data = model, mujoco.MjData(model)
         self._body_of_geom = np.asarray(model.geom_bodyid, dtype=np.int64)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
+
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.models.urdf_writer import Urdf
 from manip_sim.models.urdf_writer.tree import KinematicTree, subtree
@@ -50,7 +52,7 @@ class Group:
         return bool(self.parent)
 
 
-def find_groups(model: Any, robot: SimulatedRobot, urdf: Urdf) -> list[Group]:
+def find_groups(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf) -> list[Group]:
     """
     Return the groups of a robot; a mobile base is driven by velocities and is none.
 
@@ -70,7 +72,7 @@ def find_groups(model: Any, robot: SimulatedRobot, urdf: Urdf) -> list[Group]:
     return groups + finder.grippers([group.name for group in groups])
 
 
-def passive_joints(model: Any, robot: SimulatedRobot, urdf: Urdf) -> list[str]:
+def passive_joints(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf) -> list[str]:
     """Return the scalar joints that nothing drives and that follow none."""
     finder = _Finder(model, robot, urdf)
     return [joint for joint in robot.joint_names
@@ -78,7 +80,7 @@ def passive_joints(model: Any, robot: SimulatedRobot, urdf: Urdf) -> list[str]:
 
 
 class _Finder:
-    def __init__(self, model: Any, robot: SimulatedRobot, urdf: Urdf) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf) -> None:
         self._model, self._robot, self._tree = model, robot, urdf.tree
         self.followers = {model.joint(joint).name for joint in urdf.mimics}
         self.actuated = {*robot.joints.names, *(

@@ -118,7 +118,7 @@ def _read(urdf: Urdf) -> tuple[str, dict[str, float], dict[str, float]]:
     return str(root.get('name')), velocity, effort
 
 
-def _meshes(model: Any) -> dict[str, tuple[str, bytes]]:
+def _meshes(model: mujoco.MjModel) -> dict[str, tuple[str, bytes]]:
     """Return the names and contents of mesh files, by mesh: one has them wherever it came from."""
     found = {ELLIPSOID: ('unit_sphere.stl', binary_stl(unit_sphere()))}
     for mesh in np.unique(model.geom_dataid[model.geom_type == _MESH]).tolist():

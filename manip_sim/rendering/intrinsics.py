@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 
@@ -33,7 +32,7 @@ class Intrinsics:
     cy: float
 
 
-def intrinsics_of(model: Any, camera: str, width: int, height: int) -> Intrinsics:
+def intrinsics_of(model: mujoco.MjModel, camera: str, width: int, height: int) -> Intrinsics:
     """
     Return the intrinsics that MuJoCo renders a camera with.
 
@@ -64,7 +63,7 @@ def intrinsics_of(model: Any, camera: str, width: int, height: int) -> Intrinsic
         cy=top / tall * height - 0.5)
 
 
-def fixed_camera(model: Any, name: str) -> mujoco.MjvCamera:
+def fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     """Return a camera of a model, to be rendered."""
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FIXED

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -45,7 +44,7 @@ class OffscreenRenderer:
     :param width: of the largest image [pixels], as ``height``
     """
 
-    def __init__(self, model: Any, width: int, height: int) -> None:
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._model = model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.offsamples = 0
@@ -63,7 +62,7 @@ class OffscreenRenderer:
         #: One divided by depth is linear in what OpenGL stores.
         self._slope, self._offset = np.float32(1.0 / near - 1.0 / far), np.float32(1.0 / far)
 
-    def render(self, data: Any, camera: str, width: int, height: int, rgb: bool = True,
+    def render(self, data: mujoco.MjData, camera: str, width: int, height: int, rgb: bool = True,
                depth: bool = True) -> Picture:
         """
         Render what a camera sees.

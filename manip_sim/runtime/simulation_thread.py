@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 import threading
 import time
 from typing import TypeVar
 
-from manip_sim.errors import CommandError, SimulationEnded
+from manip_sim.errors import CommandError
+from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.command_buffer import CommandBuffer
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
@@ -77,8 +77,8 @@ class SimulationThread:
         simulation.step_count = max(simulation.step_count, steps)
         self._paused = paused
         self._stopping = False
-        self._calls: list[tuple[Callable[[], object], Future[object]]] = []
         self._wake = threading.Condition()
+        self._calls = Calls(self._wake)
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
         #: How many periods may follow each other in which nothing but physics happens.
@@ -130,14 +130,7 @@ class SimulationThread:
             self._wake.notify()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
-        self._cancel_calls()
-
-    def _cancel_calls(self) -> None:
-        with self._wake:
-            self._stopping = True
-            calls, self._calls = self._calls, []
-        for _, future in calls:
-            future.cancel()
+        self._calls.end()
 
     @property
     def stepping(self) -> str:
@@ -198,18 +191,10 @@ class SimulationThread:
         :raises Exception: what the function raises
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
-        future: Future[T] = Future()
         with self._wake:
-            if self._stopping:
-                raise SimulationEnded('the simulation has ended')
-            if self._thread.ident is None:
+            if self._thread.ident is None and not self._stopping:
                 return function()
-            self._calls.append((function, future))  # type: ignore[arg-type]
-            self._wake.notify()
-        try:
-            return future.result()
-        except CancelledError as error:
-            raise SimulationEnded('the simulation has ended') from error
+        return self._calls.run(function)
 
     def pause(self, paused: bool) -> None:
         """Stop or go on; time that passed meanwhile is not made up for."""
@@ -269,16 +254,15 @@ class SimulationThread:
                     due = self._wait()
                     if self._stopping:
                         return
-                    calls, self._calls = self._calls, []
-                for function, future in calls:
-                    _answer(function, future)
+                self._calls.answer()
                 if due and not self._paused:
                     self._period(most=self._at_once)
                 elif self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
             self.error = error
-            self._cancel_calls()
+            self._stopping = True
+            self._calls.end()
 
     def _wait(self) -> bool:
         """Wait until there is something to do; tell whether a control period is due."""
@@ -347,10 +331,3 @@ class SimulationThread:
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S
         self._observers.show(self._simulation, number, now, look=self._repeats)
-
-
-def _answer(function: Callable[[], object], future: Future[object]) -> None:
-    try:
-        future.set_result(function())
-    except Exception as error:
-        future.set_exception(error)

@@ -27,7 +27,7 @@ def is_position_servo(actuator: Any) -> bool:
             and actuator.gainprm[0] > 0.0 and actuator.biasprm[1] < 0.0)
 
 
-def position_servos_without_dynamics(spec: Any, names: Iterable[str]) -> list[str]:
+def position_servos_without_dynamics(spec: mujoco.MjSpec, names: Iterable[str]) -> list[str]:
     """
     Return which actuators are position servos whose control acts at once.
 
@@ -39,7 +39,7 @@ def position_servos_without_dynamics(spec: Any, names: Iterable[str]) -> list[st
             and int(spec.actuator(name).dyntype) == none]
 
 
-def add_setpoint_activation(spec: Any, names: Iterable[str]) -> None:
+def add_setpoint_activation(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
     """
     Give actuators an activation that holds their setpoint.
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,7 +36,7 @@ def check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
         driver[joint] = actuator
 
 
-def check_kinds(model: Any, actuators: Sequence[str]) -> None:
+def check_kinds(model: mujoco.MjModel, actuators: Sequence[str]) -> None:
     """
     Check that actuators can be made servos.
 
@@ -52,7 +51,7 @@ def check_kinds(model: Any, actuators: Sequence[str]) -> None:
                              ' its gain must be fixed and its bias none or affine')
 
 
-def stiffness_and_damping(model: Any, ids: IntArray, dofs: IntArray
+def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
                           ) -> tuple[FloatArray, FloatArray]:
     """
     Return the gains of actuators as servos: those of the model, or derived from the inertia.
@@ -89,7 +88,7 @@ class DryFriction:
     :param dofs: of the joints, shape (n,)
     """
 
-    def __init__(self, model: Any, dofs: IntArray) -> None:
+    def __init__(self, model: mujoco.MjModel, dofs: IntArray) -> None:
         self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
         impedance = np.clip(model.dof_solimp[dofs, :2], 1e-4, 0.9999)
         reference = model.dof_solref[dofs]
@@ -108,7 +107,7 @@ class DryFriction:
         return np.asarray(np.clip(force, -self._largest, self._largest))
 
 
-def velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
+def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
     """Return how fast joints may move: as declared, by a velocity servo, or a default, (n,)."""
     limit = np.full(len(joint_ids), np.inf)
     if model.nuser_jnt:
@@ -122,7 +121,7 @@ def velocity_limit(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray
     return np.where(np.isfinite(limit), limit, _DEFAULT_VELOCITY)
 
 
-def effort_range(model: Any, joint_ids: IntArray, ids: IntArray) -> FloatArray:
+def effort_range(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
     """Return the lowest and highest effort at the joints, infinite where there is no limit."""
     gear = model.actuator_gear[ids, :1]
     motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)

@@ -49,7 +49,7 @@ def take_snapshot(simulation: Simulation) -> Snapshot:
                     data.mocap_quat.copy())
 
 
-def camera_names(model: Any) -> list[str]:
+def camera_names(model: mujoco.MjModel) -> list[str]:
     """Return the names of the cameras of a ``mujoco.MjModel``."""
     return [model.camera(index).name for index in range(model.ncam)]
 

@@ -10,6 +10,8 @@ from dataclasses import replace
 import re
 from typing import Any
 
+import mujoco
+
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import World
 from manip_sim.models.image_settings import ImageSettings, MAX_PIXELS
@@ -34,7 +36,8 @@ def _is_description(text: str) -> bool:
     return text.lstrip().startswith('{')
 
 
-def chosen_cameras(given: Sequence[str], world: World, model: Any) -> dict[str, ImageSettings]:
+def chosen_cameras(given: Sequence[str], world: World, model: mujoco.MjModel
+                   ) -> dict[str, ImageSettings]:
     """
     Return the cameras that are chosen, in order, and what their images are unless more is said.
 
@@ -58,7 +61,7 @@ def chosen_cameras(given: Sequence[str], world: World, model: Any) -> dict[str, 
     return chosen
 
 
-def _images_of(model: Any, name: str) -> ImageSettings:
+def _images_of(model: mujoco.MjModel, name: str) -> ImageSettings:
     if name not in camera_names(model):
         raise UnknownNameError('camera', name, camera_names(model))
     if not _TOKEN.fullmatch(name):

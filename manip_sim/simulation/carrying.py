@@ -95,7 +95,7 @@ class ElementMap:
         return same, same
 
 
-def carry_edits(compiled: Any, edited: Any, target: Any, both: ElementMap) -> None:
+def carry_edits(compiled: mujoco.MjModel, edited: Any, target: Any, both: ElementMap) -> None:
     """
     Make the edits of one model in another one.
 
@@ -169,7 +169,7 @@ def carry_data(source: Any, target: Any, both: ElementMap) -> None:
         after.number, after.lastinfo = before.number, before.lastinfo
 
 
-def _keys(model: Any, kind: str) -> list[Any]:
+def _keys(model: mujoco.MjModel, kind: str) -> list[Any]:
     """Return the name of each element of a kind, or a number among those without a name."""
     addresses, names = getattr(model, f'name_{kind}adr').tolist(), model.names
     unnamed = itertools.count()
@@ -177,19 +177,19 @@ def _keys(model: Any, kind: str) -> list[Any]:
 
 
 def _spans_of_joints(array: str, widths: dict[int, int]) -> Callable[[Any, int], range]:
-    def span(model: Any, joint: int) -> range:
+    def span(model: mujoco.MjModel, joint: int) -> range:
         first = int(getattr(model, f'jnt_{array}adr')[joint])
         return range(first, first + widths.get(int(model.jnt_type[joint]), 1))
     return span
 
 
 def _spans_of_actuators(array: str) -> Callable[[Any, int], range]:
-    def span(model: Any, actuator: int) -> range:
+    def span(model: mujoco.MjModel, actuator: int) -> range:
         first = int(getattr(model, f'actuator_{array}adr')[actuator])
         return range(first, first + int(getattr(model, f'actuator_{array}num')[actuator]))
     return span
 
 
-def _mocap_of_body(model: Any, body: int) -> range:
+def _mocap_of_body(model: mujoco.MjModel, body: int) -> range:
     index = int(model.body_mocapid[body])
     return range(index, index + 1) if index >= 0 else range(0)

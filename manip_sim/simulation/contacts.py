@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,7 +29,7 @@ class Contacts:
     body: IntArray
 
 
-def read_contacts(model: Any, data: Any) -> Contacts:
+def read_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
     """
     Return all contacts at the instant of the last ``mj_forward``, copies.
 

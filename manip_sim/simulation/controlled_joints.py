@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
@@ -36,8 +36,8 @@ class ControlledJoints:
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
     """
 
-    def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str]
-                 ) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, parts: Mapping[str, Part],
+                 atomic: Sequence[str]) -> None:
         driven = [(actuator, joint) for name in atomic for actuator, joint in
                   zip(parts[name].actuators, parts[name].driven_joints) if joint is not None]
         self.names = [joint for _, joint in driven]
@@ -62,7 +62,7 @@ class ControlledJoints:
             return None
         return self._indices_of['base'][[indices[0] for indices in found]]
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which these actuators and joints are what and where they were."""
         self._servos.rebind(model)
 
@@ -139,7 +139,7 @@ class ControlledJoints:
         """
         return int(self._setpoints.limited[self.indices_of(part)].sum())
 
-    def controller_state(self, part: str, data: Any) -> ControllerState:
+    def controller_state(self, part: str, data: mujoco.MjData) -> ControllerState:
         """
         Return what is wanted of a part's joints and what they do, copies.
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,7 +25,7 @@ class JointCouplings:
     :param joints: ids of scalar joints
     """
 
-    def __init__(self, model: Any, joints: Iterable[int]) -> None:
+    def __init__(self, model: mujoco.MjModel, joints: Iterable[int]) -> None:
         self._model = model
         own = set(joints)
         self._neighbours: dict[int, list[tuple[int, FloatArray, bool]]] = {j: [] for j in own}
@@ -38,7 +37,7 @@ class JointCouplings:
                 self._neighbours[leader].append((follower, polynomial, False))
                 self._neighbours[follower].append((leader, polynomial, True))
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which these joints are what and where they were."""
         self._model = model
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,7 +24,7 @@ class DivergenceWatch:
     :param data: its ``mujoco.MjData``
     """
 
-    def __init__(self, model: Any, data: Any) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model = model
         self._data = data
         self._good = np.empty(mujoco.mj_stateSize(model, _STATE))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -46,7 +45,7 @@ class Entities:
         the robot's root body
     """
 
-    def __init__(self, model: Any, robots: Mapping[str, str]) -> None:
+    def __init__(self, model: mujoco.MjModel, robots: Mapping[str, str]) -> None:
         self._model = model
         self._bodies: dict[str, int] = {
             robot: model.body(frame).id for robot, frame in robots.items()}
@@ -82,7 +81,7 @@ class Entities:
         """The free bodies."""
         return list(self._joints)
 
-    def pose(self, data: Any, name: str) -> FloatArray:
+    def pose(self, data: mujoco.MjData, name: str) -> FloatArray:
         """
         Return where an entity's body is at the instant of the last ``mj_forward``.
 
@@ -93,7 +92,7 @@ class Entities:
         body = self._body(name)
         return np.concatenate([data.xpos[body], wxyz_to_xyzw(data.xquat[body])])
 
-    def twist(self, data: Any, name: str) -> FloatArray:
+    def twist(self, data: mujoco.MjData, name: str) -> FloatArray:
         """
         Return how an entity's body moves at the instant of the last ``mj_forward``.
 
@@ -105,7 +104,7 @@ class Entities:
         mujoco.mj_objectVelocity(self._model, data, _BODY, self._body(name), velocity, 0)
         return np.concatenate([velocity[3:], velocity[:3]])
 
-    def read(self, data: Any, name: str) -> EntityState:
+    def read(self, data: mujoco.MjData, name: str) -> EntityState:
         """
         Return an entity at the instant of the last ``mj_forward``.
 
@@ -124,7 +123,8 @@ class Entities:
         return EntityState(Pose(pose[:3], pose[3:]), Twist(twist[:3], twist[3:]),
                            acceleration[3:], acceleration[:3])
 
-    def place(self, data: Any, name: str, pose: Pose | None, twist: Twist | None) -> None:
+    def place(self, data: mujoco.MjData, name: str, pose: Pose | None, twist: Twist | None
+              ) -> None:
         """
         Put a free body somewhere else, and give it another velocity.
 

@@ -59,7 +59,7 @@ class FrameTree:
     :ivar static_poses: of :attr:`static` in their parents, shape (n, 7)
     """
 
-    def __init__(self, model: Any, sites: Iterable[str] = (),
+    def __init__(self, model: mujoco.MjModel, sites: Iterable[str] = (),
                  placed: Iterable[tuple[str, Pose]] = ()) -> None:
         self.model = model
         self.moving: list[Frame] = []
@@ -124,7 +124,7 @@ class FrameTree:
         self.static.append(self._add(frame.name + OPTICAL, '_', frame.name))
         static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
 
-    def moving_poses(self, data: Any) -> FloatArray:
+    def moving_poses(self, data: mujoco.MjData) -> FloatArray:
         """
         Return where :attr:`moving` are in their parents at the instant of the last ``mj_forward``.
 

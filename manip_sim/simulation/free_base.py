@@ -12,7 +12,6 @@ they exert on the root is left to it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,7 +23,7 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _CARRIED = ('arm', 'torso', 'head')
 
 
-def compensate_free_robots(spec: Any, robots: Iterable[RobotModel]) -> None:
+def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
     """
     Let actuators carry what hangs on them, on robots whose root is free.
 
@@ -55,7 +54,7 @@ class FreeRoots:
     :param roots: names of the root bodies of the robots
     """
 
-    def __init__(self, model: Any, roots: Iterable[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, roots: Iterable[str]) -> None:
         free_trees = {int(model.body_rootid[body]) for body in model.jnt_bodyid[
             model.jnt_type == _FREE]} & {int(model.body(root).id) for root in roots}
         joint = model.dof_jntid
@@ -68,7 +67,7 @@ class FreeRoots:
         """Whether there is weight to give back."""
         return self._dofs.size > 0
 
-    def bear(self, data: Any) -> None:
+    def bear(self, data: mujoco.MjData) -> None:
         """
         Apply the weight as of the last ``mj_forward`` or step.
 

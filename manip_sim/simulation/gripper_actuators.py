@@ -10,7 +10,6 @@ length of its transmission. Any other actuator, such as a motor, has only a cont
 
 from __future__ import annotations
 
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -45,7 +44,7 @@ class GripperActuators:
     :raises ModelError: naming an actuator without a range, or two that drive the same
     """
 
-    def __init__(self, model: Any, part: Part) -> None:
+    def __init__(self, model: mujoco.MjModel, part: Part) -> None:
         self._model = model
         self._part = part
         self.ids: IntArray = part.actuator_ids
@@ -66,7 +65,7 @@ class GripperActuators:
         self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
                                    ).reshape(-1, 2)
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which these actuators are what and where they were."""
         self._model = model
         self.couplings.rebind(model)
@@ -85,28 +84,28 @@ class GripperActuators:
         at_rest: FloatArray = -(self._bias[:, 0] + self._bias[:, 1] * lengths) / gain
         return np.where(self.is_servo, at_rest, 0.0)
 
-    def place(self, data: Any) -> FloatArray:
+    def place(self, data: mujoco.MjData) -> FloatArray:
         """Return the setpoints at which the servos would rest where they are, shape (n,)."""
         return self.rest(data.actuator_length[self.ids])
 
-    def speed_of_place(self, data: Any) -> FloatArray:
+    def speed_of_place(self, data: mujoco.MjData) -> FloatArray:
         """Return how fast :meth:`place` changes [1/s], shape (n,)."""
         gain = np.where(self.is_servo, self._gain, 1.0)
         speed: FloatArray = -self._bias[:, 1] / gain * data.actuator_velocity[self.ids]
         return np.where(self.is_servo, speed, 0.0)
 
-    def setpoints(self, data: Any) -> FloatArray:
+    def setpoints(self, data: mujoco.MjData) -> FloatArray:
         """Return the present setpoints, and the controls of actuators without, a copy."""
         present: FloatArray = data.ctrl[self.ids].copy()
         present[self._integrates] = data.act[self._act[self._integrates]]
         return present
 
-    def hold(self, data: Any, setpoints: FloatArray) -> None:
+    def hold(self, data: mujoco.MjData, setpoints: FloatArray) -> None:
         """Put setpoints and controls somewhere else at once, as if they had long been there."""
         data.act[self._act[self._settles]] = setpoints[self._settles]
         data.ctrl[self.ids] = np.where(self._integrates, 0.0, setpoints)
 
-    def approach(self, data: Any, setpoints: FloatArray, duration_s: float) -> None:
+    def approach(self, data: mujoco.MjData, setpoints: FloatArray, duration_s: float) -> None:
         """
         Let setpoints move linearly; those without an activation of their own jump.
 
@@ -116,7 +115,7 @@ class GripperActuators:
         rates = (setpoints - self.setpoints(data)) / duration_s
         data.ctrl[self.ids] = np.where(self._integrates, rates, setpoints)
 
-    def lengths_at(self, data: Any, positions: dict[int, float]) -> FloatArray:
+    def lengths_at(self, data: mujoco.MjData, positions: dict[int, float]) -> FloatArray:
         """
         Return the lengths of the transmissions with joints somewhere else.
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -51,7 +50,7 @@ class GripperController:
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
 
-    def __init__(self, model: Any, part: Part, timestep_s: float) -> None:
+    def __init__(self, model: mujoco.MjModel, part: Part, timestep_s: float) -> None:
         if part.gripper is None:
             raise ValueError(f'{part.name} is not a gripper')
         self.part = part
@@ -86,7 +85,7 @@ class GripperController:
         return list(dict.fromkeys(joint for terms, servo in zip(self._actuators.terms, servos)
                                   if servo for joint, _ in terms))
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which the gripper is what and where it was."""
         self._model = model
         self._actuators.rebind(model)
@@ -151,7 +150,7 @@ class GripperController:
                     raise CommandError(f"{self.part.name}: joint '{name}' takes no position, "
                                        f'{self._actuators.why_no_setpoint(index)}: use actions')
 
-    def reset(self, data: Any) -> None:
+    def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the fingers where they are."""
         reason = 'the simulation was reset'
         self._end(Status.ABORTED, reason)
@@ -163,7 +162,7 @@ class GripperController:
         self._actuators.hold(data, self._goal)
         self._in_step = self._formatter.start_at(self._normalised(self._goal))
 
-    def apply(self, command: Command, data: Any) -> None:
+    def apply(self, command: Command, data: mujoco.MjData) -> None:
         """Take a command over; it takes effect with the next :meth:`tick`."""
         self._end(Status.REPLACED)
         self._running = command
@@ -197,7 +196,7 @@ class GripperController:
         follows = np.isnan(goal) & self._actuators.is_servo & (closing != 0.0)
         return np.where(follows & (closing[first] != 0.0), low + part * (high - low), goal)
 
-    def _pace_of(self, grasp: GripperGrasp | None, data: Any) -> FloatArray:
+    def _pace_of(self, grasp: GripperGrasp | None, data: mujoco.MjData) -> FloatArray:
         """Return how fast setpoints may go so that a joint keeps to a velocity."""
         if grasp is None or not grasp.max_velocity:
             return np.full(len(self._goal), np.inf)
@@ -206,7 +205,7 @@ class GripperController:
         return np.asarray(np.abs(self._goal - self._actuators.setpoints(data))
                           / max(duration_s, self._timestep_s))
 
-    def withdraw(self, handle: CommandHandle, data: Any, reason: str) -> None:
+    def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
         Abort a command; if it was the last one, fingers that move stop, what presses goes on.
 
@@ -221,7 +220,7 @@ class GripperController:
             self._action, self._in_step = None, False
             self._set_goal(self._actuators.setpoints(data), to_end=False)
 
-    def is_still(self, data: Any) -> bool:
+    def is_still(self, data: mujoco.MjData) -> bool:
         """Tell whether all fingers that can be commanded have stopped, or nearly so."""
         low, high = self.joint_ranges(self.commanded_joints).T
         span = np.where(np.isfinite(high - low), high - low, 1.0)
@@ -249,7 +248,7 @@ class GripperController:
         self._pressing &= (before & self._to_end).any(axis=1)
         self._turned = True
 
-    def tick(self, data: Any, duration_s: float) -> None:
+    def tick(self, data: mujoco.MjData, duration_s: float) -> None:
         """
         Write the controls of the physics steps that follow.
 
@@ -274,7 +273,7 @@ class GripperController:
         if not self._moving:
             self._end(Status.DONE, error=self._goal - place)
 
-    def _target(self, data: Any, place: FloatArray, setpoints: FloatArray) -> FloatArray:
+    def _target(self, data: mujoco.MjData, place: FloatArray, setpoints: FloatArray) -> FloatArray:
         """Return the goals, beyond the end of the range where the full force is asked for."""
         span = np.ptp(self._actuators.ranges, axis=1)
         self._to_end[np.abs(place - self._goal) < _AT_END * span] = False
@@ -294,7 +293,7 @@ class GripperController:
         stride: FloatArray = np.clip(distance, -reach, reach)
         return stride
 
-    def _call_if_due(self, data: Any) -> None:
+    def _call_if_due(self, data: mujoco.MjData) -> None:
         """Call the gripper's ``format_action`` if its time has come."""
         now, period_s = data.time, 1.0 / GRIPPER_RATE_HZ
         if self._action is None or now < self._next_call_s - self._timestep_s / 2.0:
@@ -323,7 +322,7 @@ class GripperController:
         low, high = self._actuators.ranges.T
         return None if command is None else low + (command + 1.0) / 2.0 * (high - low)
 
-    def _turns_back(self, goal: FloatArray, data: Any) -> bool:
+    def _turns_back(self, goal: FloatArray, data: mujoco.MjData) -> bool:
         """Tell whether a goal goes back to a finger, but not yet past it."""
         place = self._actuators.place(data)
         ahead, still_ahead = self._goal - place, goal - place

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.simulation.gripper_actuators import GripperActuators
@@ -20,7 +20,7 @@ class ForceLimit:
     :param actuators: of the gripper
     """
 
-    def __init__(self, model: Any, actuators: GripperActuators) -> None:
+    def __init__(self, model: mujoco.MjModel, actuators: GripperActuators) -> None:
         self._model = model
         self._actuators = actuators
         ids = actuators.ids
@@ -34,7 +34,7 @@ class ForceLimit:
             for actuator, terms in zip(ids, actuators.terms)])
         self._effort = 0.0
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model that has the present limits."""
         self._model = model
 

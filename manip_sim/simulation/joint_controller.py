@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
+import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, UnknownNameError
@@ -45,8 +46,8 @@ class JointController(ControlledJoints):
     :ivar commands: those that have not ended
     """
 
-    def __init__(self, model: Any, data: Any, parts: Mapping[str, Part], atomic: Sequence[str],
-                 hands: Mapping[str, Hand] | None = None) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, parts: Mapping[str, Part],
+                 atomic: Sequence[str], hands: Mapping[str, Hand] | None = None) -> None:
         super().__init__(model, data, parts, atomic)
         self.cartesian = CartesianController(
             model, data, hands or {}, self.names, self._servos, self._setpoints)
@@ -72,7 +73,7 @@ class JointController(ControlledJoints):
                     or self.commands.waiting
                     or any(self._timeout_s[part] for part in self._last_command_s))
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which these actuators and joints are what and where they were."""
         super().rebind(model)
         self.cartesian.rebind(model)
@@ -95,7 +96,7 @@ class JointController(ControlledJoints):
         for name in self.parts_of(self.indices_of(part)):
             self._timeout_s[name] = timeout_s
 
-    def set_mode(self, part: str, mode: str, data: Any) -> None:
+    def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
         Change how a part is controlled; joints whose mode changes come to rest.
 
@@ -112,7 +113,7 @@ class JointController(ControlledJoints):
                 self._mode[index] = mode
             self._hold(changed, data)
 
-    def _hold(self, indices: IntArray, data: Any) -> None:
+    def _hold(self, indices: IntArray, data: mujoco.MjData) -> None:
         """Let joints come to rest as soon as their acceleration limits allow."""
         gives = self._servos.gives_effort(indices)
         free, held = indices[gives], indices[~gives]
@@ -125,7 +126,7 @@ class JointController(ControlledJoints):
             self._servos.start(data, free, self._setpoints.position[free],
                                self._setpoints.velocity[free])
 
-    def reset(self, data: Any) -> None:
+    def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and rest where the joints are; modes stay."""
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
@@ -139,7 +140,7 @@ class JointController(ControlledJoints):
         self._servos.start(data, everything, position, np.zeros(len(position)))
         self._written = False
 
-    def apply(self, command: Command, data: Any, now_s: float, period_s: float) -> None:
+    def apply(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
         Take a command over, at the beginning of a control period.
 
@@ -196,7 +197,7 @@ class JointController(ControlledJoints):
                 self._servos.give_effort(indices, True)
                 self._setpoints.moving = True
 
-    def withdraw(self, handle: CommandHandle, data: Any, reason: str) -> None:
+    def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
         Abort a command; joints that it was the last to take come to rest, and press no more.
 
@@ -211,13 +212,13 @@ class JointController(ControlledJoints):
             2.0 * self._servos.acceleration_limit[own])
         self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
 
-    def measured(self, indices: IntArray, data: Any) -> tuple[FloatArray, FloatArray]:
+    def measured(self, indices: IntArray, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity of joints, copies, each of shape (n,)."""
         return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
 
     # ------------------------------------------------------------------ in the control loop
 
-    def begin_period(self, data: Any, now_s: float, period_s: float) -> None:
+    def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
         See which commands are done or too old.
 
@@ -236,7 +237,7 @@ class JointController(ControlledJoints):
             if 0.0 < timeout_s <= now_s - last_s + 1e-9 and part not in self.busy_parts:
                 self._time_out(part)
 
-    def _finish(self, command: Command, data: Any, goal: FloatArray) -> None:
+    def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
         self.commands.running.remove(command)
         measured = data.qpos[self._servos.qpos[command.indices]]
         command.handle.end(Status.DONE, error=goal - measured)
@@ -250,7 +251,7 @@ class JointController(ControlledJoints):
         self._effort[indices[gives]] = 0.0
         self._setpoints.set_velocity(indices[~gives], np.zeros(np.count_nonzero(~gives)))
 
-    def tick(self, data: Any, now_s: float, duration_s: float) -> None:
+    def tick(self, data: mujoco.MjData, now_s: float, duration_s: float) -> None:
         """
         Write the controls of the next interval; setpoints are linear in it.
 
@@ -299,7 +300,7 @@ class JointController(ControlledJoints):
         self._setpoints.come_back(command.indices, command.values)
         self.commands.running.append(command)
 
-    def _follow_trajectories(self, data: Any, end_s: float) -> None:
+    def _follow_trajectories(self, data: mujoco.MjData, end_s: float) -> None:
         for command in list(self.commands.running):
             if not isinstance(command, JointTrajectory):
                 continue
@@ -317,7 +318,7 @@ class JointController(ControlledJoints):
     def _commanded_parts(self) -> frozenset[str]:
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
 
-    def _turn_twist(self, data: Any) -> None:
+    def _turn_twist(self, data: mujoco.MjData) -> None:
         """Give the joints the velocities of the twist; the slides do not turn with the base."""
         for command in self.commands.running:
             if isinstance(command, BaseTwist):

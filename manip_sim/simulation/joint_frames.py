@@ -29,7 +29,7 @@ class JointFrames:
     :ivar joints: ids of the joints that have a frame; none where the body's own is enough
     """
 
-    def __init__(self, model: Any, body: int) -> None:
+    def __init__(self, model: mujoco.MjModel, body: int) -> None:
         self._model = model
         self._body = body
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -41,7 +41,7 @@ class JointFrames:
             joints.pop()  # The last one ends in the frame of the body.
         self.joints = joints
 
-    def poses(self, data: Any) -> list[tuple[FloatArray, FloatArray]]:
+    def poses(self, data: mujoco.MjData) -> list[tuple[FloatArray, FloatArray]]:
         """
         Return where the frames are in the body's parent.
 

@@ -18,7 +18,7 @@ _TENDON = int(_TRANSMISSION.mjTRN_TENDON)
 _SITE = (int(_TRANSMISSION.mjTRN_SITE), int(_TRANSMISSION.mjTRN_SLIDERCRANK))
 
 
-def actuated_joints(model: Any, actuator: int) -> list[int]:
+def actuated_joints(model: mujoco.MjModel, actuator: int) -> list[int]:
     """
     Return the joints that an actuator acts on, through any transmission.
 
@@ -37,7 +37,7 @@ def actuated_joints(model: Any, actuator: int) -> list[int]:
     return []
 
 
-def tendon_joints(model: Any, tendon: int) -> list[int]:
+def tendon_joints(model: mujoco.MjModel, tendon: int) -> list[int]:
     """Return the joints that a fixed tendon lists, or between whose links a spatial one runs."""
     first = int(model.tendon_adr[tendon])
     wraps = range(first, first + int(model.tendon_num[tendon]))
@@ -52,7 +52,7 @@ def tendon_joints(model: Any, tendon: int) -> list[int]:
     return list(found)
 
 
-def _wrapped_body(model: Any, wrap: int) -> int | None:
+def _wrapped_body(model: mujoco.MjModel, wrap: int) -> int | None:
     """Return the body of a point that a tendon runs through, None for a pulley."""
     kind, element = int(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
     if kind == int(_WRAP.mjWRAP_SITE):
@@ -62,7 +62,7 @@ def _wrapped_body(model: Any, wrap: int) -> int | None:
     return None
 
 
-def moved_joints(model: Any) -> set[int]:
+def moved_joints(model: mujoco.MjModel) -> set[int]:
     """
     Return the joints that something moves or holds.
 
@@ -86,14 +86,14 @@ def moved_joints(model: Any) -> set[int]:
         moved.update(*reached)
 
 
-def _equalities(model: Any, *kinds: Any) -> Iterator[tuple[int, int, int]]:
+def _equalities(model: mujoco.MjModel, *kinds: Any) -> Iterator[tuple[int, int, int]]:
     wanted = [int(kind) for kind in kinds]
     for equality in np.flatnonzero(model.eq_active0).tolist():
         if int(model.eq_type[equality]) in wanted:
             yield equality, int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
 
 
-def _coupled(model: Any) -> Iterator[Iterable[int]]:
+def _coupled(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
         yield one, *(() if other < 0 else (other,))
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_TENDON):
@@ -102,7 +102,7 @@ def _coupled(model: Any) -> Iterator[Iterable[int]]:
         yield joints_between(model, *_tied_bodies(model, equality, one, other))
 
 
-def _fixed(model: Any) -> Iterator[Iterable[int]]:
+def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
     """Yield the joints that a constraint ties to nothing else, or to the world."""
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
         if other < 0:
@@ -113,19 +113,19 @@ def _fixed(model: Any) -> Iterator[Iterable[int]]:
             yield joints_between(model, *bodies)
 
 
-def _tied_bodies(model: Any, equality: int, one: int, other: int) -> tuple[int, int]:
+def _tied_bodies(model: mujoco.MjModel, equality: int, one: int, other: int) -> tuple[int, int]:
     if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
         return int(model.site_bodyid[one]), int(model.site_bodyid[other])
     return one, other
 
 
-def joints_between(model: Any, one: int, other: int) -> list[int]:
+def joints_between(model: mujoco.MjModel, one: int, other: int) -> list[int]:
     """Return the joints that move one body against another."""
     apart = _ancestry(model, one) ^ _ancestry(model, other)
     return [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in apart]
 
 
-def _ancestry(model: Any, body: int) -> set[int]:
+def _ancestry(model: mujoco.MjModel, body: int) -> set[int]:
     found = set()
     while body:
         found.add(body)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -46,7 +45,7 @@ class OdometryReader:
     :ivar origin: where the frame of the odometry is in ``world``
     """
 
-    def __init__(self, model: Any, joints: Sequence[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[str]) -> None:
         moved_by = [model.joint(name) for name in joints]
         # Bodies come after those they hang on.
         self._body = max(int(joint.bodyid[0]) for joint in moved_by)
@@ -59,7 +58,7 @@ class OdometryReader:
         self._quat_wxyz = data.xquat[self._body].copy()
         self.origin = Pose(self._position, wxyz_to_xyzw(self._quat_wxyz))
 
-    def read(self, model: Any, data: Any) -> Odometry:
+    def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> Odometry:
         """
         Return the base at the instant of the last ``mj_forward``.
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -48,7 +47,7 @@ class Part:
     gripper: GripperModel | None = None
 
 
-def find_parts(model: Any, robot: RobotModel) -> dict[str, Part]:
+def find_parts(model: mujoco.MjModel, robot: RobotModel) -> dict[str, Part]:
     """
     Return the parts that a robot has: its subsystems, its arms, its grippers.
 
@@ -73,7 +72,7 @@ def find_parts(model: Any, robot: RobotModel) -> dict[str, Part]:
     return parts
 
 
-def _arms(model: Any, robot: ManipulatorModel, joints: list[str], actuators: list[str]
+def _arms(model: mujoco.MjModel, robot: ManipulatorModel, joints: list[str], actuators: list[str]
           ) -> dict[str, Part]:
     if len(robot.arms) == 1:
         return {'arm': _part(model, 'arm', joints, actuators),
@@ -87,7 +86,7 @@ def _arms(model: Any, robot: ManipulatorModel, joints: list[str], actuators: lis
     return arms
 
 
-def _arm_of(model: Any, robot: ManipulatorModel, joint: str) -> str:
+def _arm_of(model: mujoco.MjModel, robot: ManipulatorModel, joint: str) -> str:
     """Return which arm a joint moves; the first one also has what moves both or none."""
     mover = int(model.joint(joint).bodyid[0])
     moved = []
@@ -100,7 +99,7 @@ def _arm_of(model: Any, robot: ManipulatorModel, joint: str) -> str:
     return moved[0] if len(moved) == 1 else robot.arms[0]
 
 
-def _part(model: Any, name: str, joints: list[str], actuators: list[str],
+def _part(model: mujoco.MjModel, name: str, joints: list[str], actuators: list[str],
           atomic: tuple[str, ...] = (), gripper: GripperModel | None = None) -> Part:
     scalar = [joint for joint in joints if int(model.joint(joint).type[0]) in _SCALAR]
     ids = np.array([model.joint(joint).id for joint in scalar], dtype=np.int64)

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -48,8 +47,8 @@ class SimulatedRobot:
     :ivar indices_of: where the joints of each part are among these, by part
     """
 
-    def __init__(self, model: Any, data: Any, robot: RobotModel, now_ns: Callable[[], int]
-                 ) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel,
+                 now_ns: Callable[[], int]) -> None:
         self._data = data
         self._now_ns = now_ns
         self._timestep_s = self._period_s = float(model.opt.timestep)
@@ -68,13 +67,13 @@ class SimulatedRobot:
         self.parse_cartesian = CartesianParser(self.joints, self._frames(model))
         self._index_joints(atomic)
 
-    def _frames(self, model: Any) -> Frames:
+    def _frames(self, model: mujoco.MjModel) -> Frames:
         bodies = [*self.robot_model.bodies,
                   *(body for part in self.robot_model.models for body in part.bodies)]
         return Frames(model, bodies, [site for reader in self.end_effectors.values()
                                       for site in (reader.grip_site, reader.ft_frame)])
 
-    def _hands(self, model: Any) -> dict[str, Hand]:
+    def _hands(self, model: mujoco.MjModel) -> dict[str, Hand]:
         hands = {}
         for arm, reader in self.end_effectors.items():
             joints = [j for j in self.parts[arm].driven_joints if j] if arm in self.parts else []
@@ -102,7 +101,7 @@ class SimulatedRobot:
         self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
 
-    def rebind(self, model: Any, data: Any) -> None:
+    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """
         Go on with a model in which the robot is what and where it was.
 

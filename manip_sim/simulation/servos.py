@@ -12,7 +12,6 @@ runs no code of this module.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -64,8 +63,8 @@ class Servos:
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
-    def __init__(self, model: Any, data: Any, actuators: Sequence[str], joints: Sequence[str]
-                 ) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, actuators: Sequence[str],
+                 joints: Sequence[str]) -> None:
         check_single(actuators, joints)
         check_kinds(model, actuators)
         self._model = model
@@ -127,7 +126,7 @@ class Servos:
         self._model.jnt_actfrclimited[joint_ids[limited]] = 1
         return limits
 
-    def _acceleration_limit(self, data: Any, joint_ids: IntArray) -> FloatArray:
+    def _acceleration_limit(self, data: mujoco.MjData, joint_ids: IntArray) -> FloatArray:
         if self._model.nuser_jnt > 1:
             declared = self._model.jnt_user[joint_ids, 1]
         else:
@@ -152,7 +151,7 @@ class Servos:
         derived = np.minimum(_TORQUE_SHARE * usual, self.velocity_limit / _SPEED_UP_S)
         return np.asarray(np.where(declared > 0.0, declared, derived))
 
-    def _inertia(self, data: Any) -> FloatArray:
+    def _inertia(self, data: mujoco.MjData) -> FloatArray:
         """Return the sizes of the driven joints' part of the inertia matrix, shape (n, n)."""
         inertia = np.empty((len(self.dofs), len(self.dofs)))
         unit, column = np.zeros(self._model.nv), np.zeros(self._model.nv)
@@ -192,13 +191,13 @@ class Servos:
         model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which these actuators and joints are what and where they were."""
         self._model = model
         self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
 
-    def start(self, data: Any, indices: IntArray, position: FloatArray, velocity: FloatArray
-              ) -> None:
+    def start(self, data: mujoco.MjData, indices: IntArray, position: FloatArray,
+              velocity: FloatArray) -> None:
         """
         Put the setpoints of some servos somewhere at once.
 
@@ -209,12 +208,12 @@ class Servos:
         data.act[self._activation[indices]] = (position + ahead) * self._gear[indices]
         data.ctrl[self._ids[indices]] = 0.0
 
-    def rest(self, data: Any) -> None:
+    def rest(self, data: mujoco.MjData) -> None:
         """Let the setpoints stay where they are."""
         data.ctrl[self._ids] = 0.0
 
-    def write(self, data: Any, duration_s: float, position: FloatArray, velocity: FloatArray,
-              acceleration: FloatArray, effort: FloatArray) -> None:
+    def write(self, data: mujoco.MjData, duration_s: float, position: FloatArray,
+              velocity: FloatArray, acceleration: FloatArray, effort: FloatArray) -> None:
         """
         Let the setpoints be at the end of an interval where they shall be.
 

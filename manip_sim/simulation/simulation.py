@@ -67,14 +67,14 @@ class Simulation:
         self.diverged: str | None = None
         self._start = world.init_qpos()
         self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
-        self._timestep_s = self.timestep_s
+        self._timestep_s = float(self.model.opt.timestep)
         self._interval_steps = max(1, round(_INTERVAL_S / self._timestep_s))
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
-        self._robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
-                        for robot in world.robots]
-        self.robots = {robot.name: robot for robot in self._robots}
+        robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
+                  for robot in world.robots]
+        self.robots = {robot.name: robot for robot in robots}
         self._look_at_model()
         self._settle_linkages()
         self.reset()
@@ -145,7 +145,7 @@ class Simulation:
     @property
     def timestep_s(self) -> float:
         """Length of a physics step [s]."""
-        return float(self.model.opt.timestep)
+        return self._timestep_s
 
     @property
     def time_s(self) -> float:
@@ -161,7 +161,7 @@ class Simulation:
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
         return (self.diverged is None and not self._free_roots.borne and self._resumes()
-                and all(robot.resting for robot in self._robots))
+                and all(robot.resting for robot in self.robots.values()))
 
     def advance(self, steps: int) -> None:
         """
@@ -173,7 +173,7 @@ class Simulation:
         """
         if self.diverged is not None:
             return
-        for robot in self._robots:
+        for robot in self.robots.values():
             robot.begin_period(steps * self._timestep_s)
         reason = self._run(steps)
         if reason is not None:
@@ -210,7 +210,7 @@ class Simulation:
         resumes = self._resumes()
         left = steps
         while left:
-            awake = [robot for robot in self._robots if not robot.resting]
+            awake = [robot for robot in self.robots.values() if not robot.resting]
             chunk = left
             if any(robot.moving for robot in awake):
                 # As even as they can be.

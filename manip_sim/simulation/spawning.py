@@ -35,8 +35,8 @@ class Plan:
 
     base: Any
     objects: tuple[ObjectModel, ...]
-    spec: Any
-    compiled: Any
+    spec: mujoco.MjSpec
+    compiled: mujoco.MjModel
 
     @property
     def object_names(self) -> list[str]:
@@ -55,8 +55,8 @@ class LiveWorld:
     """
 
     plan: Plan
-    model: Any
-    data: Any
+    model: mujoco.MjModel
+    data: mujoco.MjData
 
 
 def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world') -> Plan:

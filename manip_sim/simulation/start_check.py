@@ -33,7 +33,7 @@ _TRIAL_ACCELERATION = 100.0
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
-def check_start(model: Any, data: Any, roots: Iterable[str]) -> list[str]:
+def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]) -> list[str]:
     """
     Say what is wrong with the start of robots, in a sentence for each defect.
 
@@ -42,7 +42,7 @@ def check_start(model: Any, data: Any, roots: Iterable[str]) -> list[str]:
     return [defect.text for defect in find_start_defects(model, data, roots)]
 
 
-def find_start_defects(model: Any, data: Any, roots: Iterable[str]
+def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
                        ) -> list[StartDefect]:
     """
     Find what of robots starts inside something, blocked, outside its range or without effort.
@@ -61,7 +61,7 @@ def find_start_defects(model: Any, data: Any, roots: Iterable[str]
             *find_drive_defects(model, data, own)]
 
 
-def _bodies_below(model: Any, roots: list[int]) -> BoolArray:
+def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
     """Return which bodies are one of some bodies or hang on one, shape (nbody,)."""
     below = np.zeros(model.nbody, dtype=bool)
     below[roots] = True
@@ -70,13 +70,13 @@ def _bodies_below(model: Any, roots: list[int]) -> BoolArray:
     return below
 
 
-def _actuated_joints(model: Any) -> list[int]:
+def _actuated_joints(model: mujoco.MjModel) -> list[int]:
     """Return the scalar joints that actuators act on."""
     found = [joint for a in range(model.nu) for joint in actuated_joints(model, a)]
     return [joint for joint in dict.fromkeys(found) if int(model.jnt_type[joint]) in _SCALAR]
 
 
-def _overlaps(model: Any, contacts: list[Any], own: BoolArray) -> Iterator[StartDefect]:
+def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray) -> Iterator[StartDefect]:
     deepest: dict[tuple[int, ...], Any] = {}
     for contact in sorted(contacts, key=lambda contact: float(contact.dist)):
         if contact.dist < -_TOUCHING_M:
@@ -90,7 +90,7 @@ def _overlaps(model: Any, contacts: list[Any], own: BoolArray) -> Iterator[Start
             f'{_geom(model, outer)}', _apart(model, inner, outer, own))
 
 
-def _apart(model: Any, inner: int, outer: int, own: BoolArray) -> str:
+def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray) -> str:
     """Say how a shape of a robot gets out of another shape."""
     bodies = [int(model.geom_bodyid[geom]) for geom in (outer, inner)]
     other, body = (model.body(index).name for index in bodies)
@@ -104,8 +104,8 @@ def _apart(model: Any, inner: int, outer: int, own: BoolArray) -> str:
             'mounted, or make the shapes smaller')
 
 
-def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int], own: BoolArray
-             ) -> Iterator[StartDefect]:
+def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], joints: list[int],
+             own: BoolArray) -> Iterator[StartDefect]:
     trial = copy.copy(model) if contacts else model
     for joint in joints:
         moved = _bodies_below(model, [int(model.jnt_bodyid[joint])])
@@ -122,7 +122,7 @@ def _blocked(model: Any, data: Any, contacts: list[Any], joints: list[int], own:
             f'{_geom(model, neighbour)}', _apart(model, mover, neighbour, own))
 
 
-def _is_blocked(model: Any, trial: Any, data: Any, joint: int) -> bool:
+def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: int) -> bool:
     """
     Tell whether the full force, forwards and backwards, moves a joint hardly at all.
 
@@ -139,7 +139,7 @@ def _is_blocked(model: Any, trial: Any, data: Any, joint: int) -> bool:
     return with_contacts < _BLOCKED * _span(trial, data, joint)
 
 
-def _span(model: Any, data: Any, joint: int) -> float:
+def _span(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> float:
     """Return the difference of the accelerations by the full force in both directions."""
     dof, trial = int(model.jnt_dofadr[joint]), copy.copy(data)
     trial.qvel[:] = 0.0
@@ -151,7 +151,7 @@ def _span(model: Any, data: Any, joint: int) -> float:
     return float(accelerations[0] - accelerations[1])
 
 
-def _full_force(model: Any, joint: int) -> float:
+def _full_force(model: mujoco.MjModel, joint: int) -> float:
     if model.jnt_actfrclimited[joint]:
         return float(np.abs(model.jnt_actfrcrange[joint]).max())
     forces = [float(np.abs(model.actuator_forcerange[a] * model.actuator_gear[a, 0]).max())
@@ -161,7 +161,8 @@ def _full_force(model: Any, joint: int) -> float:
     return max(forces, default=float(_TRIAL_ACCELERATION * inertia))
 
 
-def _out_of_range(model: Any, data: Any, own: BoolArray) -> Iterator[StartDefect]:
+def _out_of_range(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
+                  ) -> Iterator[StartDefect]:
     for joint in range(model.njnt):
         if (not own[model.jnt_bodyid[joint]] or int(model.jnt_type[joint]) not in _SCALAR
                 or not model.jnt_limited[joint]):
@@ -180,6 +181,6 @@ def _out_of_range(model: Any, data: Any, own: BoolArray) -> Iterator[StartDefect
                 'keyframe, or give the joint a wider range')
 
 
-def _geom(model: Any, geom: int) -> str:
+def _geom(model: mujoco.MjModel, geom: int) -> str:
     body = model.body(model.geom_bodyid[geom]).name
     return f"geom '{model.geom(geom).name}' of body '{body}'"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import copy
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,7 +26,8 @@ _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 
 
-def find_drive_defects(model: Any, data: Any, own: BoolArray) -> Iterator[StartDefect]:
+def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
+                       ) -> Iterator[StartDefect]:
     """
     Say what is wrong with the actuators of robots.
 
@@ -47,7 +47,7 @@ def find_drive_defects(model: Any, data: Any, own: BoolArray) -> Iterator[StartD
     yield from _at_full_force(model, data, set(joints), {joint for joint, _ in weak})
 
 
-def _drivers(model: Any, joints: list[int]) -> dict[int, list[int]]:
+def _drivers(model: mujoco.MjModel, joints: list[int]) -> dict[int, list[int]]:
     """Return the actuators that act on each joint alone, not through a tendon or a site."""
     drivers: dict[int, list[int]] = {}
     for actuator in range(model.nu):
@@ -57,7 +57,7 @@ def _drivers(model: Any, joints: list[int]) -> dict[int, list[int]]:
     return drivers
 
 
-def _shared(model: Any, drivers: dict[int, list[int]]) -> Iterator[StartDefect]:
+def _shared(model: mujoco.MjModel, drivers: dict[int, list[int]]) -> Iterator[StartDefect]:
     for joint, actuators in drivers.items():
         if len(actuators) > 1:
             names = [model.actuator(actuator).name for actuator in actuators]
@@ -67,7 +67,7 @@ def _shared(model: Any, drivers: dict[int, list[int]]) -> Iterator[StartDefect]:
                 f'leave one of them in <actuator>: delete {quoted_names(names[1:])}')
 
 
-def _undriven(model: Any, joints: list[int]) -> Iterator[StartDefect]:
+def _undriven(model: mujoco.MjModel, joints: list[int]) -> Iterator[StartDefect]:
     moved = moved_joints(model)
     names = [model.joint(joint).name for joint in joints if joint not in moved]
     if names:
@@ -82,7 +82,7 @@ def _undriven(model: Any, joints: list[int]) -> Iterator[StartDefect]:
             + '; a joint that shall not move needs no <joint>')
 
 
-def _too_weak(model: Any, data: Any, drivers: dict[int, int]
+def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int]
               ) -> Iterator[tuple[int, StartDefect]]:
     """Compare the effort that keeps the start pose with that which there is."""
     if not drivers:
@@ -112,7 +112,7 @@ def _too_weak(model: Any, data: Any, drivers: dict[int, int]
             'forcerange or ctrlrange of the actuator where they are lower')
 
 
-def _at_full_force(model: Any, data: Any, joints: set[int], told: set[int]
+def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], told: set[int]
                    ) -> Iterator[StartDefect]:
     """Tell of servos whose setpoint is so far from the start that they push with all they have."""
     is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
@@ -133,5 +133,5 @@ def _at_full_force(model: Any, data: Any, joints: set[int], told: set[int]
             'joint where the control wants it')
 
 
-def _unit(model: Any, joint: int) -> str:
+def _unit(model: mujoco.MjModel, joint: int) -> str:
     return 'N m' if int(model.jnt_type[joint]) in (_HINGE, _BALL) else 'N'

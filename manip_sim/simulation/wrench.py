@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,7 +26,7 @@ class EndEffectorReader:
     :param gripper: a gripper that is mounted in it
     """
 
-    def __init__(self, model: Any, gripper: GripperModel) -> None:
+    def __init__(self, model: mujoco.MjModel, gripper: GripperModel) -> None:
         self._model = model
         sensors = gripper.important_sensors
         self._sensors = np.concatenate([
@@ -40,7 +39,7 @@ class EndEffectorReader:
         self._bodies = np.array(_subtree(model, sensed))
         self._tare = np.zeros(6)
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which the gripper is what and where it was."""
         self._model = model
 
@@ -56,7 +55,7 @@ class EndEffectorReader:
         name: str = self._model.site(self._grip_site).name
         return name
 
-    def read(self, data: Any) -> EndEffector:
+    def read(self, data: mujoco.MjData) -> EndEffector:
         """
         Return the gripper's state at the instant of the last ``mj_forward``.
 
@@ -69,7 +68,7 @@ class EndEffectorReader:
             wrench=Wrench(wrench[:3], wrench[3:]),
             external_wrench=Wrench(external[:3], external[3:]))
 
-    def pose(self, data: Any) -> FloatArray:
+    def pose(self, data: mujoco.MjData) -> FloatArray:
         """
         Return where ``grip_site`` is in ``world``.
 
@@ -80,7 +79,7 @@ class EndEffectorReader:
         mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
         return np.concatenate([data.site_xpos[self._grip_site], wxyz_to_xyzw(quat_wxyz)])
 
-    def twist(self, data: Any) -> FloatArray:
+    def twist(self, data: mujoco.MjData) -> FloatArray:
         """
         Return how ``grip_site`` moves, in the axes of ``world``.
 
@@ -91,7 +90,7 @@ class EndEffectorReader:
         mujoco.mj_objectVelocity(self._model, data, _SITE, self._grip_site, velocity, 0)
         return np.concatenate([velocity[3:], velocity[:3]])
 
-    def wrench(self, data: Any) -> FloatArray:
+    def wrench(self, data: mujoco.MjData) -> FloatArray:
         """
         Return what ``force_ee`` and ``torque_ee`` measure, in ``ft_frame``.
 
@@ -101,7 +100,7 @@ class EndEffectorReader:
         measured: FloatArray = data.sensordata[self._sensors]
         return measured
 
-    def external_wrench(self, data: Any) -> FloatArray:
+    def external_wrench(self, data: mujoco.MjData) -> FloatArray:
         """
         Return what the world does to the tool, tared, in ``ft_frame``.
 
@@ -110,7 +109,7 @@ class EndEffectorReader:
         """
         return np.asarray(self._external(data) - self._tare)
 
-    def tare(self, data: Any) -> None:
+    def tare(self, data: mujoco.MjData) -> None:
         """Let the present external wrench read zero."""
         self._tare = self._external(data)
 
@@ -118,7 +117,7 @@ class EndEffectorReader:
         """Forget the tare."""
         self._tare = np.zeros(6)
 
-    def _external(self, data: Any) -> FloatArray:
+    def _external(self, data: mujoco.MjData) -> FloatArray:
         # By Newton's second law the sensor's reading with turned sign, less weight and inertia of
         # the tool, is the sum of the outer forces on the bodies beyond the sensor. MuJoCo keeps
         # it in cfrc_ext: torque and force in world axes, about the tree's centre of mass.
@@ -130,7 +129,7 @@ class EndEffectorReader:
         return np.concatenate([world_to_site @ force, world_to_site @ (torque + moment)])
 
 
-def _subtree(model: Any, root: int) -> list[int]:
+def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
     bodies = {root}
     for body in range(root + 1, model.nbody):
         if int(model.body_parentid[body]) in bodies:

@@ -33,7 +33,8 @@ def main() -> int:
         signal.signal(number, lambda *_: os._exit(0))
     try:
         from manip_sim.errors import ManipSimError
-        from manip_sim.viewer.display import check_display, import_mujoco
+        from manip_sim.viewer.display import check_display
+        from manip_sim.without_opengl import import_mujoco
         if options.native:
             check_display()
         else:

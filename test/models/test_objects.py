@@ -58,16 +58,6 @@ def mug_file(tmp_path):
     return write
 
 
-@pytest.fixture
-def yaml_file(tmp_path):
-    """Return a function that writes a YAML file."""
-    def write(text):
-        path = tmp_path / 'objects.yaml'
-        path.write_text(text)
-        return path
-    return write
-
-
 # ---------------------------------------------------------------------- shapes
 
 
@@ -233,10 +223,10 @@ def test_an_object_may_be_the_text_of_a_file():
 # ---------------------------------------------------------------------- YAML
 
 
-def test_a_yaml_file_lists_objects_with_files_beside_it(mug_file, yaml_file, monkeypatch):
+def test_a_written_lists_objects_with_files_beside_it(mug_file, written, monkeypatch):
     mug_file()
     monkeypatch.chdir('/')
-    path = yaml_file("""
+    path = written("""
 objects:
 - name: brick
   shape: box
@@ -254,11 +244,11 @@ objects:
         'brick', 'mug', 'mug_lid', 'ball']
 
 
-def test_a_yaml_file_with_one_object_is_an_object(yaml_file):
+def test_a_yaml_file_with_one_object_is_an_object(written):
     one = '- {name: ball, shape: sphere, size: 0.1}\n'
-    assert create_object(yaml_file(f'objects:\n{one}')).name == 'ball'
-    with pytest.raises(ModelError, match=r'objects\.yaml must list one object here, it lists 2'):
-        create_object(yaml_file(f'objects:\n{one}{one.replace("ball", "other")}'))
+    assert create_object(written(f'objects:\n{one}')).name == 'ball'
+    with pytest.raises(ModelError, match=r'parameters\.yaml must list one object here, it lists 2'):
+        create_object(written(f'objects:\n{one}{one.replace("ball", "other")}'))
 
 
 GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
@@ -321,9 +311,9 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('objects: ' + 3000 * '[', 'is not YAML that is read here'),
     ('objects: ' + 3000 * '[' + 3000 * ']', 'it is nested too deeply'),
     ('1: 2', 'a key must be a text, got 1 in line 1'),
-    ('objects: []' + 1_000_000 * ' ', r'objects\.yaml is larger than 1000000 bytes')])
-def test_a_bad_list_is_refused_in_one_line_with_file_object_and_key(yaml_file, text, message):
-    path = yaml_file(text)
+    ('objects: []' + 1_000_000 * ' ', r'parameters\.yaml is larger than 1000000 bytes')])
+def test_a_bad_list_is_refused_in_one_line_with_file_object_and_key(written, text, message):
+    path = written(text)
     with pytest.raises(ModelError, match=message) as error:
         load_objects(path)
     assert str(error.value).count(str(path)) >= 1
@@ -332,7 +322,7 @@ def test_a_bad_list_is_refused_in_one_line_with_file_object_and_key(yaml_file, t
     assert 'nput' not in str(error.value)  # Not pydantic's words.
 
 
-def test_a_yaml_file_that_cannot_be_read_is_told(tmp_path):
+def test_a_written_that_cannot_be_read_is_told(tmp_path):
     with pytest.raises(ModelError, match=r'^no such YAML file: .*none\.yaml$'):
         load_objects(tmp_path / 'none.yaml')
     with pytest.raises(ModelError, match=r' cannot be read: Is a directory$'):

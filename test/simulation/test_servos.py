@@ -410,21 +410,26 @@ def test_step_keeps_to_what_the_torque_can_do_against_the_damping(one_joint_arm,
     assert simulation.robot.state().position[0] == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize('mode', ['position', 'velocity'])
-def test_dry_friction_that_a_weak_servo_could_not_overcome_is_overcome(one_joint_arm, mode):
-    arm = one_joint_arm('<position name="a" joint="joint1" kp="20" kv="4"/>')
-    arm.spec.joint('joint1').frictionloss = np.asarray(arm.spec.joint('joint1').frictionloss) + 1.0
+def sine_error(arm, mode, amplitude):
+    """Let the arm follow a sine of 0.5 Hz; return the root mean square of the error."""
     simulation = Simulation(World([arm]))
     simulation.robot.set_control_mode('arm', mode)
     errors = []
     for tick in range(400):
         phase = np.pi * tick * 0.01
-        goal = 0.2 * np.sin(phase) if mode == 'position' else 0.2 * np.pi * np.cos(phase)
+        goal = amplitude * (np.sin(phase) if mode == 'position' else np.pi * np.cos(phase))
         command(simulation, mode, simulation.robot.joint_names[0], goal)
         simulation.advance(5)
         errors.append(getattr(simulation.robot.state(), mode)[0] - goal)
+    return np.sqrt(np.mean(np.square(errors[100:])))
+
+
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+def test_dry_friction_that_a_weak_servo_could_not_overcome_is_overcome(one_joint_arm, mode):
+    arm = one_joint_arm('<position name="a" joint="joint1" kp="20" kv="4"/>')
+    arm.spec.joint('joint1').frictionloss = np.asarray(arm.spec.joint('joint1').frictionloss) + 1.0
     # Alone the servo would be off by the friction over its stiffness, 0.05 rad.
-    assert np.sqrt(np.mean(np.square(errors[100:]))) < (0.012 if mode == 'position' else 0.1)
+    assert sine_error(arm, mode, 0.2) < (0.012 if mode == 'position' else 0.1)
 
 
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
@@ -434,17 +439,8 @@ def test_dry_friction_that_a_light_joint_hardly_feels_is_not_overcome_in_full(on
     arm.spec.joint('joint1').armature = 8e-4
     for geom in arm.spec.geoms:
         geom.mass = 1e-4
-    simulation = Simulation(World([arm]))
-    simulation.robot.set_control_mode('arm', mode)
-    errors = []
-    for tick in range(400):
-        phase = np.pi * tick * 0.01
-        goal = 0.1 * np.sin(phase) if mode == 'position' else 0.1 * np.pi * np.cos(phase)
-        command(simulation, mode, simulation.robot.joint_names[0], goal)
-        simulation.advance(5)
-        errors.append(getattr(simulation.robot.state(), mode)[0] - goal)
     # All of the friction over the stiffness were 0.033 rad.
-    assert np.sqrt(np.mean(np.square(errors[100:]))) < (0.006 if mode == 'position' else 0.05)
+    assert sine_error(arm, mode, 0.1) < (0.006 if mode == 'position' else 0.05)
 
 
 def test_a_servo_much_too_damped_for_a_light_joint_stays_stiff(one_joint_arm, run):

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,7 +26,7 @@ _MUCH_TOO_LIGHT = 4.0
 _ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
 
 
-def own_each_joint(spec: Any, tree: BodyTree, actuators: Collection[int],
+def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[int],
                    start: Mapping[str, float]) -> tuple[set[str], list[str]]:
     """
     See to it that each joint has at most one actuator, a motor or a servo.
@@ -69,7 +68,8 @@ def own_each_joint(spec: Any, tree: BodyTree, actuators: Collection[int],
     return still, told
 
 
-def _give_rotors(spec: Any, model: Any, owner: Mapping[int, int]) -> list[str]:
+def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int, int]
+                 ) -> list[str]:
     """Give rotor inertia to joints without that are too light for their motor or servo."""
     light = []
     for joint, actuator in owner.items():
@@ -89,7 +89,7 @@ def _give_rotors(spec: Any, model: Any, owner: Mapping[int, int]) -> list[str]:
             f'{", ".join(light)}'] if light else []
 
 
-def _greatest_force(model: Any, joint: int, actuator: int) -> float:
+def _greatest_force(model: mujoco.MjModel, joint: int, actuator: int) -> float:
     gear, gain = abs(model.actuator_gear[actuator, 0]), abs(model.actuator_gainprm[actuator, 0])
     limits = [np.inf]
     if model.actuator_forcelimited[actuator]:
@@ -101,11 +101,11 @@ def _greatest_force(model: Any, joint: int, actuator: int) -> float:
     return float(min(limits))
 
 
-def _is_position_servo(model: Any, actuator: int) -> bool:
+def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(_is_usable(model, actuator) and model.actuator_biasprm[actuator, 1] < 0.0)
 
 
-def _is_usable(model: Any, actuator: int) -> bool:
+def _is_usable(model: mujoco.MjModel, actuator: int) -> bool:
     biases = (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE)
     return (int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
             and int(model.actuator_biastype[actuator]) in biases)
@@ -119,7 +119,7 @@ def _driven_joint(tree: BodyTree, actuator: int) -> int | None:
     return joint if tree.is_scalar(joint) else None
 
 
-def _drive_leader(spec: Any, tree: BodyTree, actuator: int) -> int | None:
+def _drive_leader(spec: mujoco.MjSpec, tree: BodyTree, actuator: int) -> int | None:
     """Let an actuator drive a joint that determines its tendon's length; return the joint."""
     model = tree.model
     tendon = int(model.actuator_trnid[actuator, 0])
@@ -141,7 +141,7 @@ def _drive_leader(spec: Any, tree: BodyTree, actuator: int) -> int | None:
     return None
 
 
-def _ratios(model: Any, leader: int) -> dict[int, float]:
+def _ratios(model: mujoco.MjModel, leader: int) -> dict[int, float]:
     """Return how fast joints move that are tied to one by constant ratios, itself included."""
     ratios, waiting = {leader: 1.0}, [leader]
     ties = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
@@ -160,7 +160,8 @@ def _ratios(model: Any, leader: int) -> dict[int, float]:
     return ratios
 
 
-def _hold(spec: Any, model: Any, actuator: int, start: Mapping[str, float]) -> None:
+def _hold(spec: mujoco.MjSpec, model: mujoco.MjModel, actuator: int, start: Mapping[str, float]
+          ) -> None:
     """Let a servo that nobody commands rest where the robot starts."""
     if int(model.actuator_biastype[actuator]) != _AFFINE:
         return
@@ -172,7 +173,7 @@ def _hold(spec: Any, model: Any, actuator: int, start: Mapping[str, float]) -> N
     element.biasprm[0] = -model.actuator_biasprm[actuator, 1] * data.actuator_length[actuator]
 
 
-def add_servos(spec: Any, tree: BodyTree) -> list[str]:
+def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     """
     Add position servos to the joints of a model that has no actuators.
 

@@ -93,7 +93,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     return base
 
 
-def _top(model_file: ModelFile, model: Any, description: BaseDescription) -> FloatArray:
+def _top(model_file: ModelFile, model: mujoco.MjModel, description: BaseDescription) -> FloatArray:
     """Return where the robot stands: what is said, or the highest point of what is on a floor."""
     if description.top is not None:
         return np.array(description.top)
@@ -105,7 +105,7 @@ def _top(model_file: ModelFile, model: Any, description: BaseDescription) -> Flo
     return np.array([0.0, 0.0, high - root_height])
 
 
-def _extent(model: Any) -> tuple[float, float]:
+def _extent(model: mujoco.MjModel) -> tuple[float, float]:
     """Return the lowest and highest point of all shapes at the start [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

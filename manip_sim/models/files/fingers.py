@@ -55,7 +55,7 @@ def _without_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def control_range(model: Any, actuator: int) -> tuple[float, float] | None:
+def control_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float] | None:
     """
     Return the range of an actuator's control, and of a servo no more than its joint can reach.
 
@@ -78,7 +78,7 @@ def control_range(model: Any, actuator: int) -> tuple[float, float] | None:
     return None
 
 
-def _reach(model: Any, actuator: int) -> tuple[float, float] | None:
+def _reach(model: mujoco.MjModel, actuator: int) -> tuple[float, float] | None:
     """Return the controls at which a servo rests at the ends of its joint's range, or None."""
     joint = int(model.actuator_trnid[actuator, 0])
     is_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -90,7 +90,7 @@ def _reach(model: Any, actuator: int) -> tuple[float, float] | None:
     return float(ends.min()), float(ends.max())
 
 
-def _is_servo(model: Any, actuator: int) -> bool:
+def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(int(model.actuator_biastype[actuator]) == _AFFINE
                 and model.actuator_gainprm[actuator, 0] > 0.0
                 and model.actuator_biasprm[actuator, 1] < 0.0)
@@ -132,11 +132,11 @@ class Fingers:
         origin = data.xpos[self._hand.body]
         return body, max(geoms, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - origin)))
 
-    def _tip_points(self, data: Any) -> FloatArray:
+    def _tip_points(self, data: mujoco.MjData) -> FloatArray:
         return np.array([data.geom_xpos[geom] if geom >= 0 else data.xpos[body]
                          for body, geom in self._tips])
 
-    def _palm_point(self, data: Any) -> FloatArray:
+    def _palm_point(self, data: mujoco.MjData) -> FloatArray:
         geoms = [g for g in range(self._model.ngeom) if self._model.geom_bodyid[g] in self._palm]
         points = data.geom_xpos[geoms] if geoms else data.xpos[[self._hand.body]]
         middle: FloatArray = np.asarray(points).mean(axis=0)
@@ -232,7 +232,7 @@ class Fingers:
         model.dof_damping[:] = damping.reshape(model.dof_damping.shape)
         return model
 
-    def _tips_at(self, model: Any, actuator: int, control: float) -> FloatArray:
+    def _tips_at(self, model: mujoco.MjModel, actuator: int, control: float) -> FloatArray:
         """Return the palm and the fingertips when an actuator has moved them, shape (n, 3)."""
         data = copy.copy(self._data)
         for other in range(model.nu):

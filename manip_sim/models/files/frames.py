@@ -38,7 +38,7 @@ def free_name(taken: Collection[str], wanted: str) -> str:
     return name
 
 
-def find_place(spec: Any, name: str, where: str) -> tuple[str, Any]:
+def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
     """
     Return ``body`` or ``site``, and the element of that name; a body goes before a site.
 
@@ -55,7 +55,7 @@ def find_place(spec: Any, name: str, where: str) -> tuple[str, Any]:
         element.name for element in [*spec.bodies[1:], *spec.sites]])
 
 
-def add_body_at(spec: Any, model: Any, place: tuple[str, Any], name: str,
+def add_body_at(spec: mujoco.MjSpec, model: mujoco.MjModel, place: tuple[str, Any], name: str,
                 position: ArrayLike = (0.0, 0.0, 0.0),
                 orientation: ArrayLike = (0.0, 0.0, 0.0)) -> Any:
     """

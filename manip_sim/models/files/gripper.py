@@ -8,6 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from manip_sim.models.files.description import GripperDescription
 from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.frames import quat_wxyz_of
@@ -66,12 +68,12 @@ class FileGripper(HandFromFile, registered=False):
             self._add_grasp_frame(spec, tree, hand, prefix)
         return spec
 
-    def _prepare_spec(self, spec: Any) -> None:
+    def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
         if not self._has_grasp_frame:
             super()._prepare_spec(spec)
 
 
-def _whole(model: Any) -> tuple[BodyTree, FoundHand]:
+def _whole(model: mujoco.MjModel) -> tuple[BodyTree, FoundHand]:
     """Return all of a model as a hand that hangs on its root body."""
     tree = BodyTree(model)
     return tree, FoundHand(1, tuple(range(model.njnt)), tuple(range(model.nu)))

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -43,7 +42,8 @@ class HandFromFile(GripperModel, registered=False):
     _open: FloatArray
     _closed: FloatArray
 
-    def _add_grasp_frame(self, spec: Any, tree: BodyTree, hand: FoundHand, prefix: str) -> None:
+    def _add_grasp_frame(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, prefix: str
+                         ) -> None:
         """
         Add a body in the middle of the fingers, with the standard sites and sensors.
 
@@ -140,7 +140,8 @@ def _rounded(position: ArrayLike) -> str:
     return ' '.join(f'{number:.3f}' for number in np.asarray(position))
 
 
-def fill_control_ranges(spec: Any, model: Any, actuators: list[int]) -> list[str]:
+def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: list[int]
+                        ) -> list[str]:
     """
     Give actuators of a hand the control range that an action stands for, where they have none.
 

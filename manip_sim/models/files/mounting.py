@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import itertools
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,14 +23,14 @@ _SHORT_M = 0.02
 _BEHIND_MOUNT_M = 0.05
 
 
-def place_root(spec: Any, position: ArrayLike, quat_wxyz: FloatArray) -> None:
+def place_root(spec: mujoco.MjSpec, position: ArrayLike, quat_wxyz: FloatArray) -> None:
     """Give the root body of a hand another pose on the body that it is mounted on."""
     root = spec.worldbody.bodies[0]
     root.pos, root.quat = np.asarray(position, dtype=float), quat_wxyz
     root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
-def stand_on_mount(spec: Any, tree: BodyTree, hand: FoundHand, start: Mapping[str, float]
+def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: Mapping[str, float]
                    ) -> list[str]:
     """
     Turn and move a hand whose root pose in the file is not that on an arm.

@@ -47,7 +47,7 @@ class OwnHand(HandFromFile, registered=False):
         self.inferred = []
         self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
 
-    def add_to(self, spec: Any, tree: BodyTree, hand: FoundHand) -> None:
+    def add_to(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand) -> None:
         """
         Add the grasp frame and sensors to the robot's spec.
 
@@ -135,8 +135,8 @@ class OwnHand(HandFromFile, registered=False):
         """
         raise ModelError(f'{self.name} is part of {self.file} and cannot be mounted elsewhere')
 
-    def attach_to(self, spec: Any, frame: Any) -> None:
+    def attach_to(self, spec: mujoco.MjSpec, frame: Any) -> None:
         """Change nothing: the hand comes with the robot."""
 
-    def _attach_recorded(self, spec: Any, frame: Any) -> None:
+    def _attach_recorded(self, spec: mujoco.MjSpec, frame: Any) -> None:
         pass

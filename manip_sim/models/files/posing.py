@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,7 +21,7 @@ _INSIDE = 0.25
 _BETTER_M = 1e-3
 
 
-def choose_pose(model: Any) -> tuple[FloatArray, list[str]]:
+def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
     """
     Return a pose in which joints are inside their ranges and links not inside each other.
 
@@ -57,7 +56,7 @@ def _away_from_ends(value: float, low: float, high: float) -> float:
     return value
 
 
-def _with(model: Any, choose: Callable[[float, float, float], float]
+def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
           ) -> tuple[FloatArray, list[str]]:
     """Return a pose with limited joints where a function wants them, and which it moved."""
     qpos: FloatArray = model.qpos0.copy()
@@ -73,7 +72,7 @@ def _with(model: Any, choose: Callable[[float, float, float], float]
     return qpos, moved
 
 
-def _overlap(model: Any, qpos: FloatArray) -> float:
+def _overlap(model: mujoco.MjModel, qpos: FloatArray) -> float:
     """Return the sum of how deep pairs of bodies are inside each other [m]."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos

@@ -40,7 +40,7 @@ class ModelFile:
     """
 
     file: Path
-    spec: Any
+    spec: mujoco.MjSpec
     tree: BodyTree
     start: dict[str, float]
     inferred: list[str] = field(default_factory=list)
@@ -81,7 +81,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     return ModelFile(file, spec, BodyTree(model), start, [*told, *changes])
 
 
-def compile_alone(spec: Any, name: str) -> Any:
+def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:
     """
     Compile a part that may have no mass of its own.
 
@@ -97,7 +97,7 @@ def compile_alone(spec: Any, name: str) -> Any:
         compiler.boundmass, compiler.boundinertia = bounds
 
 
-def _choose_key(model: Any, preferred: Sequence[str], wanted: str | None, file: Path
+def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], wanted: str | None, file: Path
                 ) -> int | None:
     names = [str(model.key(i).name) for i in range(model.nkey)]
     if wanted is not None:
@@ -110,14 +110,14 @@ def _choose_key(model: Any, preferred: Sequence[str], wanted: str | None, file: 
     return 0 if len(names) == 1 else None
 
 
-def _start_of(model: Any, qpos: FloatArray) -> dict[str, float]:
+def _start_of(model: mujoco.MjModel, qpos: FloatArray) -> dict[str, float]:
     """Return where scalar joints are in a pose, by name [rad or m]."""
     tree = BodyTree(model)
     return {str(model.joint(joint).name): float(qpos[model.jnt_qposadr[joint]])
             for joint in range(model.njnt) if tree.is_scalar(joint)}
 
 
-def _place_root(spec: Any, model: Any, qpos: FloatArray) -> list[str]:
+def _place_root(spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: FloatArray) -> list[str]:
     """Put free bodies where a pose has them, but not below the floor."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -135,7 +135,8 @@ def _place_root(spec: Any, model: Any, qpos: FloatArray) -> list[str]:
     return [f'raised by {raised:.3f} m, so that it stands on the floor'] if raised else []
 
 
-def shape_heights(model: Any, data: Any, which: BoolArray | None = None) -> FloatArray:
+def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray | None = None
+                  ) -> FloatArray:
     """
     Return the lowest and highest point of the box around each shape but planes [m].
 

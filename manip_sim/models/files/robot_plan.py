@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import mujoco
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.actuation import own_each_joint
@@ -47,7 +48,7 @@ class RobotPlan:
     file: Path
     description: RobotDescription
     where: str
-    spec: Any
+    spec: mujoco.MjSpec
     start: dict[str, float]
     subsystems: dict[str, str]
     ends: dict[str, str]
@@ -151,7 +152,7 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 
 
-def _declared_arm(spec: Any, tree: BodyTree, side: str, arm: ArmDescription,
+def _declared_arm(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: ArmDescription,
                   hands: list[FoundHand], where: str) -> FoundArm:
     name = arm.mount.at if isinstance(arm.mount, Frame) else arm.mount
     if name is None:
@@ -163,8 +164,8 @@ def _declared_arm(spec: Any, tree: BodyTree, side: str, arm: ArmDescription,
     return FoundArm(kind, name, hand, 'declared')
 
 
-def _add_end(spec: Any, tree: BodyTree, side: str, arm: FoundArm, description: RobotDescription,
-             where: str, told: list[str]) -> str:
+def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
+             description: RobotDescription, where: str, told: list[str]) -> str:
     """Return the end effector body of an arm; a site or an offset needs a new one."""
     declared = description.arm(side)
     mount = declared.mount if declared is not None else None
@@ -180,7 +181,7 @@ def _add_end(spec: Any, tree: BodyTree, side: str, arm: FoundArm, description: R
     return name
 
 
-def _own_hand(spec: Any, tree: BodyTree, side: str, hand: FoundHand,
+def _own_hand(spec: mujoco.MjSpec, tree: BodyTree, side: str, hand: FoundHand,
               description: RobotDescription, where: str, start: dict[str, float]) -> OwnHand:
     declared = _hand_description(description.arm(side)) or OwnHandDescription()
     own = OwnHand(side, declared, where, start)
@@ -188,7 +189,7 @@ def _own_hand(spec: Any, tree: BodyTree, side: str, hand: FoundHand,
     return own
 
 
-def _limit_velocities(spec: Any, limits: Mapping[str, float]) -> None:
+def _limit_velocities(spec: mujoco.MjSpec, limits: Mapping[str, float]) -> None:
     for name, limit in limits.items():
         joint = spec.joint(name)
         joint.userdata = [limit, *list(joint.userdata)[1:]]

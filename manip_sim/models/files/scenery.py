@@ -22,7 +22,7 @@ _TOUCHING_M = 1e-4
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
-def single_tree(spec: Any, model: Any, file: object) -> tuple[Any, list[str]]:
+def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tuple[Any, list[str]]:
     """
     Leave out what is no part of a robot or hand, and hang what remains on one root body.
 
@@ -58,7 +58,8 @@ def single_tree(spec: Any, model: Any, file: object) -> tuple[Any, list[str]]:
     return _wrapped(spec, name), told
 
 
-def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> list[str]:
+def exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[str, float]
+                       ) -> list[str]:
     """
     Let no links collide with what they turn on, if they touch or overlap where they start.
 
@@ -92,7 +93,7 @@ def exclude_neighbours(spec: Any, model: Any, start: Mapping[str, float]) -> lis
     return told
 
 
-def _leave_out(spec: Any, tree: BodyTree) -> list[str]:
+def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     world, told = spec.worldbody, []
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
@@ -109,7 +110,7 @@ def _leave_out(spec: Any, tree: BodyTree) -> list[str]:
     return told
 
 
-def _objects(spec: Any, tree: BodyTree) -> list[Any]:
+def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
     """Return the root bodies that are no part of what is driven."""
     model = tree.model
     driven = set().union(*(tree.driven(actuator) for actuator in range(model.nu)))
@@ -128,7 +129,7 @@ def _is_free(body: Any) -> bool:
     return any(int(joint.type) == _FREE for joint in body.joints)
 
 
-def _free_name(spec: Any, wanted: str) -> str:
+def _free_name(spec: mujoco.MjSpec, wanted: str) -> str:
     taken = {body.name for body in spec.bodies}
     name, number = wanted, 1
     while name in taken:
@@ -136,7 +137,7 @@ def _free_name(spec: Any, wanted: str) -> str:
     return name
 
 
-def _wrapped(spec: Any, name: str) -> Any:
+def _wrapped(spec: mujoco.MjSpec, name: str) -> Any:
     whole = mujoco.MjSpec()
     whole.modelname = spec.modelname
     whole.option = spec.option

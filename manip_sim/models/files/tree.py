@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import re
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -39,7 +38,7 @@ class BodyTree:
     :param model: a ``mujoco.MjModel``
     """
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
         self._parents = model.body_parentid.tolist()
         self._joints_of: dict[int, list[int]] = {}

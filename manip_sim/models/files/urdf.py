@@ -158,7 +158,7 @@ def _package_folders(package: str, file: Path) -> Iterator[Path]:
     return (folder for folder in found if folder.name == package and folder.is_dir())
 
 
-def _complete_joint(spec: Any, joint: ElementTree.Element) -> None:
+def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element) -> None:
     name = joint.get('name', '')
     element = spec.joint(name)
     if element is None:
@@ -174,7 +174,7 @@ def _complete_joint(spec: Any, joint: ElementTree.Element) -> None:
                         0.0, 0.0, 0.0]
 
 
-def _give_mass(spec: Any, robot: ElementTree.Element) -> list[str]:
+def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
     """Give a little mass to links that move and have neither inertia nor shape."""
     without = {str(link.get('name')) for link in robot.iter('link')
                if link.find('inertial') is None}

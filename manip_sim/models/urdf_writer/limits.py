@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,7 +20,7 @@ _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
-def actuated_joints(model: Any) -> dict[int, list[tuple[int, float]]]:
+def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]:
     """Return by id of the joint the actuators that move it, with their effort per force."""
     found: dict[int, list[tuple[int, float]]] = {}
     for actuator in range(model.nu):
@@ -41,7 +40,7 @@ def actuated_joints(model: Any) -> dict[int, list[tuple[int, float]]]:
     return found
 
 
-def effort_limit(model: Any, joint: int, actuators: list[tuple[int, float]]) -> float:
+def effort_limit(model: mujoco.MjModel, joint: int, actuators: list[tuple[int, float]]) -> float:
     """
     Return the greatest effort of the actuators at a joint [N m or N]; zero if there is none.
 
@@ -53,7 +52,7 @@ def effort_limit(model: Any, joint: int, actuators: list[tuple[int, float]]) -> 
     return effort if np.isfinite(effort) else DEFAULT_EFFORT
 
 
-def _force_limit(model: Any, actuator: int) -> float:
+def _force_limit(model: mujoco.MjModel, actuator: int) -> float:
     if model.actuator_forcelimited[actuator]:
         return float(np.abs(model.actuator_forcerange[actuator]).max())
     motor = (int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_NONE)
@@ -64,7 +63,7 @@ def _force_limit(model: Any, actuator: int) -> float:
     return float(np.inf)
 
 
-def velocity_limit(model: Any, joint: int, mimics: Mapping[int, Mimic]) -> float:
+def velocity_limit(model: mujoco.MjModel, joint: int, mimics: Mapping[int, Mimic]) -> float:
     """Return how fast a joint may move [rad/s or m/s]: as declared, or as what it follows."""
     declared = float(model.jnt_user[joint, 0]) if model.nuser_jnt else 0.0
     if declared > 0.0:

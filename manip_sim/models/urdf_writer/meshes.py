@@ -10,6 +10,7 @@ from pathlib import Path
 import struct
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.models.urdf_writer.numbers import matrix_of
@@ -49,7 +50,7 @@ def uri_of(file: Path) -> str:
     return f'file://{resolved}'
 
 
-def files_of_meshes(spec: Any, model: Any) -> dict[str, MeshFile]:
+def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MeshFile]:
     """
     Return the files that the meshes were read from, by name of the mesh.
 
@@ -74,7 +75,7 @@ def files_of_meshes(spec: Any, model: Any) -> dict[str, MeshFile]:
     return found
 
 
-def stl_of(model: Any, mesh: int) -> bytes:
+def stl_of(model: mujoco.MjModel, mesh: int) -> bytes:
     """Return a compiled mesh as binary STL, in its own frame."""
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[first:first + count]

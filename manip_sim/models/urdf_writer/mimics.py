@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 
@@ -44,7 +43,7 @@ class _Coupling:
                                   (mimic.offset - self.offset) / self.multiplier)
 
 
-def find_mimics(model: Any, joints: Collection[int], actuated: Iterable[int]
+def find_mimics(model: mujoco.MjModel, joints: Collection[int], actuated: Iterable[int]
                 ) -> tuple[dict[int, Mimic], list[str]]:
     """
     Return the linear couplings among some joints, from the equalities that are active.
@@ -90,7 +89,7 @@ def _spread(head: int, couplings: list[_Coupling], found: dict[int, Mimic],
                     waiting.append(other)
 
 
-def _coupling(model: Any, equality: int) -> _Coupling | None:
+def _coupling(model: mujoco.MjModel, equality: int) -> _Coupling | None:
     """Return a coupling of two joints that is active, in positions."""
     if (int(model.eq_type[equality]) != int(mujoco.mjtEq.mjEQ_JOINT)
             or not model.eq_active0[equality] or int(model.eq_obj2id[equality]) < 0):
@@ -104,5 +103,5 @@ def _coupling(model: Any, equality: int) -> _Coupling | None:
                      bool(slope) and not data[2:5].any())
 
 
-def _name(model: Any, joint: int) -> str:
+def _name(model: mujoco.MjModel, joint: int) -> str:
     return quoted(model.joint(joint).name)

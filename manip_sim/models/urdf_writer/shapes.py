@@ -38,30 +38,30 @@ class Shape:
     rotation: FloatArray
 
 
-def collides(model: Any, geom: int) -> bool:
+def collides(model: mujoco.MjModel, geom: int) -> bool:
     """Tell whether a geom can collide."""
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
-def is_seen(model: Any, geom: int) -> bool:
+def is_seen(model: mujoco.MjModel, geom: int) -> bool:
     """Tell whether MuJoCo shows a geom by default, and it is not transparent."""
     return int(model.geom_group[geom]) < _SHOWN_GROUPS and float(rgba_of(model, geom)[3]) > 0.0
 
 
-def rgba_of(model: Any, geom: int) -> FloatArray:
+def rgba_of(model: mujoco.MjModel, geom: int) -> FloatArray:
     """Return the colour of a geom, shape (4,)."""
     material = int(model.geom_matid[geom])
     return np.asarray(model.geom_rgba[geom] if material < 0 else model.mat_rgba[material],
                       dtype=float)
 
 
-def geoms_of_body(model: Any, body: int) -> range:
+def geoms_of_body(model: mujoco.MjModel, body: int) -> range:
     """Return the ids of the geoms of a body."""
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     return range(first, first + count)
 
 
-def shapes_of(model: Any, geom: int, meshes: Mapping[str, MeshFile]) -> Iterator[Shape]:
+def shapes_of(model: mujoco.MjModel, geom: int, meshes: Mapping[str, MeshFile]) -> Iterator[Shape]:
     """
     Return the shapes that make up a geom; none where URDF has nothing like it.
 

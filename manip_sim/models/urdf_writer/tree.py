@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -73,7 +72,7 @@ class KinematicTree:
     :ivar link_of_camera: names by id of the camera; its optical frame is another link
     """
 
-    def __init__(self, model: Any, joint_names: set[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, joint_names: set[str]) -> None:
         self._model = model
         self.links: list[Link] = [Link(ROOT_LINK)]
         self.joints: list[Joint] = []
@@ -109,7 +108,7 @@ class KinematicTree:
         return next((joint.parent for joint in self.joints if joint.child == link), None)
 
 
-def robot_tree(model: Any, robot: RobotModel) -> KinematicTree:
+def robot_tree(model: mujoco.MjModel, robot: RobotModel) -> KinematicTree:
     """
     Return the tree of a robot with all that is mounted on it, in ``world``.
 
@@ -124,7 +123,7 @@ def robot_tree(model: Any, robot: RobotModel) -> KinematicTree:
     return build_tree(model, model.body(robot.root_body).id, sites)
 
 
-def build_tree(model: Any, root: int, sites: list[int]) -> KinematicTree:
+def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicTree:
     """
     Return the tree of a body and all below it.
 
@@ -150,7 +149,7 @@ def build_tree(model: Any, root: int, sites: list[int]) -> KinematicTree:
     return tree
 
 
-def subtree(model: Any, root: int) -> list[int]:
+def subtree(model: mujoco.MjModel, root: int) -> list[int]:
     """Return the ids of a body and of all below it, parents first."""
     bodies = {root}
     for body in range(root + 1, model.nbody):
@@ -159,24 +158,24 @@ def subtree(model: Any, root: int) -> list[int]:
     return sorted(bodies)
 
 
-def joints_of_body(model: Any, body: int) -> range:
+def joints_of_body(model: mujoco.MjModel, body: int) -> range:
     """Return the ids of the joints of a body."""
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     return range(first, first + count)
 
 
-def _joint_name(model: Any, joint: int) -> str:
+def _joint_name(model: mujoco.MjModel, joint: int) -> str:
     return model.joint(joint).name or f'joint_{joint}'
 
 
-def _add_site(model: Any, tree: KinematicTree, site: int) -> None:
+def _add_site(model: mujoco.MjModel, tree: KinematicTree, site: int) -> None:
     name = tree.take_name(model.site(site).name or f'site_{site}', '_site')
     tree.link_of_site[site] = name
     tree.add_fixed(Link(name), tree.link_of_body[int(model.site_bodyid[site])],
                    model.site_pos[site], matrix_of(model.site_quat[site]))
 
 
-def _add_camera(model: Any, tree: KinematicTree, camera: int) -> None:
+def _add_camera(model: mujoco.MjModel, tree: KinematicTree, camera: int) -> None:
     name = tree.take_name(model.camera(camera).name or f'camera_{camera}', '_camera')
     optical = tree.take_name(name + OPTICAL, '_')
     tree.link_of_camera[camera] = name
@@ -185,7 +184,7 @@ def _add_camera(model: Any, tree: KinematicTree, camera: int) -> None:
     tree.add_fixed(Link(optical), name, np.zeros(3), _TO_OPTICAL)
 
 
-def _add_body(model: Any, tree: KinematicTree, body: int) -> None:
+def _add_body(model: mujoco.MjModel, tree: KinematicTree, body: int) -> None:
     name = tree.link_of_body[body]
     parent = tree.link_of_body.get(int(model.body_parentid[body]), ROOT_LINK)
     position, rotation = model.body_pos[body], matrix_of(model.body_quat[body])
@@ -203,7 +202,8 @@ def _add_body(model: Any, tree: KinematicTree, body: int) -> None:
     tree.add_fixed(Link(name, body), parent, position, rotation)
 
 
-def _moves(model: Any, body: int) -> Iterator[tuple[int, str, FloatArray, FloatArray, FloatArray]]:
+def _moves(model: mujoco.MjModel, body: int
+           ) -> Iterator[tuple[int, str, FloatArray, FloatArray, FloatArray]]:
     """
     Return the joints of a body one after the other.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
@@ -46,8 +45,9 @@ class Urdf:
     notes: tuple[str, ...]
 
 
-def write_urdf(model: Any, robot: RobotModel, meshes: Mapping[str, MeshFile] | None = None,
-               hardware: Hardware | None = None) -> Urdf:
+def write_urdf(model: mujoco.MjModel, robot: RobotModel,
+               meshes: Mapping[str, MeshFile] | None = None, hardware: Hardware | None = None
+               ) -> Urdf:
     """
     Return the URDF of a robot with its base and grippers, in ``world``.
 
@@ -69,7 +69,7 @@ class _Writer:
     :param meshes: files of meshes by name
     """
 
-    def __init__(self, model: Any, tree: KinematicTree, name: str,
+    def __init__(self, model: mujoco.MjModel, tree: KinematicTree, name: str,
                  meshes: Mapping[str, MeshFile]) -> None:
         self._model, self._tree, self._meshes = model, tree, meshes
         self._robot = ElementTree.Element('robot', name=name)
@@ -168,7 +168,7 @@ class _Writer:
         return self._materials.setdefault(text_of(rgba), f'colour_{len(self._materials)}')
 
 
-def _loops(model: Any, bodies: set[int]) -> list[str]:
+def _loops(model: mujoco.MjModel, bodies: set[int]) -> list[str]:
     """Tell the constraints that close loops: a URDF is a tree."""
     kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     count = sum(1 for e in range(model.neq) if int(model.eq_type[e]) in kinds
@@ -176,7 +176,7 @@ def _loops(model: Any, bodies: set[int]) -> list[str]:
     return [f'{count} constraints between bodies close loops: a URDF is a tree'] if count else []
 
 
-def _bodies_of(model: Any, equality: int) -> set[int]:
+def _bodies_of(model: mujoco.MjModel, equality: int) -> set[int]:
     ends = {int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])}
     if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
         return {int(model.site_bodyid[site]) for site in ends}
@@ -187,7 +187,7 @@ def _add_origin(element: ElementTree.Element, position: FloatArray, rotation: Fl
     ElementTree.SubElement(element, 'origin', xyz=text_of(position), rpy=text_of(rpy_of(rotation)))
 
 
-def _add_inertial(link: ElementTree.Element, model: Any, body: int) -> None:
+def _add_inertial(link: ElementTree.Element, model: mujoco.MjModel, body: int) -> None:
     if not model.body_mass[body] > 0.0:
         return
     turn = matrix_of(model.body_iquat[body])

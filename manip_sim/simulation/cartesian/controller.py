@@ -61,8 +61,8 @@ class CartesianController:
     :ivar period_s: length of the control period [s]
     """
 
-    def __init__(self, model: Any, data: Any, hands: Mapping[str, Hand], names: Sequence[str],
-                 servos: Servos, setpoints: SetpointGenerator) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hands: Mapping[str, Hand],
+                 names: Sequence[str], servos: Servos, setpoints: SetpointGenerator) -> None:
         self._hands = hands
         self._names = names
         self._servos = servos
@@ -76,7 +76,7 @@ class CartesianController:
         self._operational = OperationalSpaceController(model, servos, self._posture)
         self.rebind(model)
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which the robot is what and where it was."""
         self._model = model
         self._scratch: Any = mujoco.MjData(model) if self._hands else None
@@ -93,7 +93,7 @@ class CartesianController:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
         self.settings[arm] = self.settings[arm].changed(name, value)
 
-    def goal(self, arm: str, data: Any) -> Pose | None:
+    def goal(self, arm: str, data: mujoco.MjData) -> Pose | None:
         """
         Return where the hand of an arm shall be in ``world``, or None before the first command.
 
@@ -114,7 +114,7 @@ class CartesianController:
 
     # ------------------------------------------------------------------ when a command begins
 
-    def begin(self, command: CartesianCommand, data: Any, now_s: float) -> None:
+    def begin(self, command: CartesianCommand, data: mujoco.MjData, now_s: float) -> None:
         """
         Take a command over, at the beginning of a control period.
 
@@ -135,7 +135,7 @@ class CartesianController:
         return (self._targets[command.arm].settled_in is None
                 or bool(self._servos.gives_effort(command.indices).any()))
 
-    def begin_period(self, command: CartesianCommand, data: Any) -> None:
+    def begin_period(self, command: CartesianCommand, data: mujoco.MjData) -> None:
         """Solve anew in this control period, and see whether what carries the arm has moved."""
         target = self._targets[command.arm]
         target.solve_s = -math.inf
@@ -145,15 +145,15 @@ class CartesianController:
                     np.abs(place - target.settled_in).max() > _MOVED):
                 target.settled_in = None
 
-    def _place(self, command: CartesianCommand, target: Target, data: Any) -> FloatArray:
+    def _place(self, command: CartesianCommand, target: Target, data: mujoco.MjData) -> FloatArray:
         hand = self._hands[command.arm]
         bodies = [hand.origin.body, target.anchor.body]
         taken = np.setdiff1d(hand.qpos, self._servos.qpos[command.indices])
         return np.concatenate([data.xpos[bodies].ravel(), data.xmat[bodies].ravel(),
                                data.qpos[taken]])
 
-    def follow(self, command: CartesianCommand, data: Any, now_s: float, duration_s: float,
-               efforts: FloatArray) -> None:
+    def follow(self, command: CartesianCommand, data: mujoco.MjData, now_s: float,
+               duration_s: float, efforts: FloatArray) -> None:
         """
         Set velocities of setpoints, or efforts, for the next interval.
 
@@ -176,7 +176,7 @@ class CartesianController:
 
     # ------------------------------------------------------------------ by inverse kinematics
 
-    def _solve(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
+    def _solve(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                interval_s: float) -> None:
         indices, settings = command.indices, self.settings[command.arm]
         joints = self._joints(indices)
@@ -222,7 +222,7 @@ class CartesianController:
             self._high[indices], servos.cruising_velocity[indices],
             servos.acceleration_limit[indices], self._posture[indices])
 
-    def _look(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
+    def _look(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
               error: FloatArray, reached: bool, progress: float) -> None:
         """See whether the pose is reached, or the hand comes no nearer."""
         if reached and command.handle.is_active:
@@ -232,7 +232,7 @@ class CartesianController:
 
     # ------------------------------------------------------------------ by operational space
 
-    def _effort(self, command: CartesianCommand, target: Target, data: Any, now_s: float,
+    def _effort(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                 duration_s: float) -> FloatArray:
         streams = target.twist is not None
         solution = self._operational.follow(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -33,7 +32,7 @@ class Frame:
     body: int
     site: int | None = None
 
-    def pose(self, data: Any) -> tuple[FloatArray, FloatArray]:
+    def pose(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """
         Return position [m], shape (3,), and rotation matrix, shape (3, 3), in the world, copies.
 
@@ -43,7 +42,7 @@ class Frame:
             return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
         return data.xpos[self.body].copy(), data.xmat[self.body].reshape(3, 3).copy()
 
-    def jacobian(self, model: Any, data: Any, dofs: IntArray) -> FloatArray:
+    def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
         """
         Return how it moves and turns in the world with joints, shape (6, n).
 
@@ -64,7 +63,7 @@ class Frames:
     :param sites: names of frames on links, such as ``gripper0_right_grip_site``
     """
 
-    def __init__(self, model: Any, bodies: Iterable[str], sites: Iterable[str]) -> None:
+    def __init__(self, model: mujoco.MjModel, bodies: Iterable[str], sites: Iterable[str]) -> None:
         self._frames = {WORLD: Frame(WORLD, 0)}
         for name in bodies:
             self._frames[name] = Frame(name, int(model.body(name).id))

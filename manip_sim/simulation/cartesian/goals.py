@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.simulation.cartesian.commands import (
@@ -18,7 +18,7 @@ from manip_sim.simulation.cartesian.targets import Hand, Target
 _ACTION_STEP, _ACTION_TURN = 0.05, 0.5
 
 
-def target_of(command: CartesianCommand, hand: Hand, model: Any, data: Any,
+def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data: mujoco.MjData,
               before: Target | None, until_s: float) -> Target:
     """
     Return the target of a command.
@@ -48,7 +48,7 @@ def target_of(command: CartesianCommand, hand: Hand, model: Any, data: Any,
     return target
 
 
-def _moves(hand: Hand, frame: Frame, model: Any) -> bool:
+def _moves(hand: Hand, frame: Frame, model: mujoco.MjModel) -> bool:
     """Tell whether an arm moves a frame."""
     own = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, hand.qpos)].tolist())
     body = frame.body

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -57,20 +56,20 @@ class OperationalSpaceController:
     :param posture: which redundant arms are drawn to [rad], shape (n,)
     """
 
-    def __init__(self, model: Any, servos: Servos, posture: FloatArray) -> None:
+    def __init__(self, model: mujoco.MjModel, servos: Servos, posture: FloatArray) -> None:
         self._servos = servos
         self._posture = posture
         self._low, self._high = servos.position_clamp().T
         self._torque = servos.ranges['effort']
         self.rebind(model)
 
-    def rebind(self, model: Any) -> None:
+    def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which the robot is what and where it was."""
         self._model = model
         self._unit, self._column = np.zeros(model.nv), np.zeros(model.nv)
 
-    def follow(self, tip: Frame, target: Target, indices: IntArray, data: Any, duration_s: float,
-               settings: CartesianSettings) -> EffortSolution:
+    def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
+               duration_s: float, settings: CartesianSettings) -> EffortSolution:
         """
         Return the efforts for the next interval; the goal of a target with a twist moves.
 
@@ -101,7 +100,7 @@ class OperationalSpaceController:
             float(moved @ goes) / max(float(goes @ goes), 1e-12), held & (not rests),
             wanted.singular and not rests, wanted.slowed)
 
-    def _inertia(self, data: Any, dofs: IntArray) -> FloatArray:
+    def _inertia(self, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
         inertia = np.empty((len(dofs), len(dofs)))
         for index, dof in enumerate(dofs):
             self._unit[dof] = 1.0

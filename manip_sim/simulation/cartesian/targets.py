@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
@@ -58,7 +58,8 @@ class Target:
     settled_in: FloatArray | None = None
 
     @classmethod
-    def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: Any) -> Target:
+    def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
+           ) -> Target:
         """
         Return the target of a pose, which stays with a frame.
 
@@ -69,7 +70,7 @@ class Target:
         target.stay_at((position, rotation), data)
         return target
 
-    def stay_at(self, pose: tuple[FloatArray, FloatArray], data: Any) -> None:
+    def stay_at(self, pose: tuple[FloatArray, FloatArray], data: mujoco.MjData) -> None:
         """
         Put the goal somewhere else.
 
@@ -78,19 +79,19 @@ class Target:
         origin, turned = self.anchor.pose(data)
         self.position, self.rotation = turned.T @ (pose[0] - origin), turned.T @ pose[1]
 
-    def goal(self, data: Any) -> tuple[FloatArray, FloatArray]:
+    def goal(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation of the goal in the world."""
         origin, turned = self.anchor.pose(data)
         return origin + turned @ self.position, turned @ self.rotation
 
-    def twist_in_world(self, data: Any) -> FloatArray:
+    def twist_in_world(self, data: mujoco.MjData) -> FloatArray:
         """Return the twist in the axes of the world [m/s, rad/s], shape (6,)."""
         if self.twist is None:
             return np.zeros(6)
         _, axes = self.axes.pose(data)
         return np.concatenate([axes @ self.twist[:3], axes @ self.twist[3:]])
 
-    def move(self, data: Any, tip: Frame, twist: FloatArray, duration_s: float) -> None:
+    def move(self, data: mujoco.MjData, tip: Frame, twist: FloatArray, duration_s: float) -> None:
         """
         Move the goal with a twist, not far ahead of the hand.
 

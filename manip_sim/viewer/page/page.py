@@ -10,6 +10,8 @@ import math
 import time
 from typing import Any
 
+import mujoco
+
 from manip_sim.viewer.page.cameras import CameraPanel
 from manip_sim.viewer.page.commands import Commands, Events
 from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status
@@ -131,7 +133,7 @@ class Page:
             target.remove()
         self._build(robots, cameras)
 
-    def show_model(self, model: Any, latest: Latest) -> None:
+    def show_model(self, model: mujoco.MjModel, latest: Latest) -> None:
         """
         Put a model into the scene in the place of the one that was there.
 

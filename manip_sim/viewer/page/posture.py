@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,7 +24,7 @@ class Posture:
     :ivar data: its ``mujoco.MjData``, current after :meth:`compute`
     """
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
         self.data = mujoco.MjData(model)
         self._scalar = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 import math
 import os.path
-from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
@@ -95,7 +94,8 @@ def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
             if (limit := joint.find('limit')) is not None}
 
 
-def commanded_joints(model: Any, names: list[str], urdf: str, gripper: bool) -> tuple[Joint, ...]:
+def commanded_joints(model: mujoco.MjModel, names: list[str], urdf: str, gripper: bool
+                     ) -> tuple[Joint, ...]:
     """
     Return those joints that have an actuator of their own.
 

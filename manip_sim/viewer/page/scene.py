@@ -37,7 +37,7 @@ class Scene:
     :param data: where its bodies are at first
     """
 
-    def __init__(self, server: Any, model: Any, data: Any) -> None:
+    def __init__(self, server: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._server = server
         self._model = model
         self._paths = _paths(model)
@@ -72,7 +72,7 @@ class Scene:
             visible=not mesh.collides, cast_shadow=not mesh.collides)
         (self._collision if mesh.collides else self._visual).append(handle)
 
-    def _add_plane(self, geom: int, data: Any) -> None:
+    def _add_plane(self, geom: int, data: mujoco.MjData) -> None:
         half = self._model.geom_size[geom, :2]
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
@@ -82,7 +82,7 @@ class Scene:
             infinite_grid=not half.all(), cell_size=0.25, section_size=1.0, cell_thickness=0.5,
             section_thickness=1.0, fade_distance=_FADE_M, shadow_opacity=0.25, **_GRID)
 
-    def update(self, data: Any) -> None:
+    def update(self, data: mujoco.MjData) -> None:
         """
         Show where the bodies are; only those that have moved in their parent are sent.
 
@@ -126,7 +126,7 @@ class Scene:
         self._server.scene.remove_by_name(ROOT)
 
 
-def _paths(model: Any) -> list[str]:
+def _paths(model: mujoco.MjModel) -> list[str]:
     paths = [ROOT]
     for body in range(1, model.nbody):
         name = model.body(body).name or f'body{body}'
@@ -134,7 +134,7 @@ def _paths(model: Any) -> list[str]:
     return paths
 
 
-def local_poses(model: Any, data: Any) -> tuple[FloatArray, FloatArray]:
+def local_poses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
     """
     Return where each body is in the frame of its parent.
 
@@ -154,7 +154,7 @@ def local_poses(model: Any, data: Any) -> tuple[FloatArray, FloatArray]:
     return positions, quats
 
 
-def first_view(model: Any, data: Any, aspect: float, covered: float = 0.0,
+def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covered: float = 0.0,
                below: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """
     Return where to look from, and where to, so that robots and objects are seen.

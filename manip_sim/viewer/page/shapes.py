@@ -50,7 +50,7 @@ class BodyMesh:
     faces: NDArray[np.int64]
 
 
-def body_meshes(model: Any) -> list[BodyMesh]:
+def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """
     Return all shapes of a model but for planes and height fields.
 
@@ -68,12 +68,12 @@ def body_meshes(model: Any) -> list[BodyMesh]:
             for (body, rgba, collides), shapes in alike.items()]
 
 
-def planes(model: Any) -> Iterator[int]:
+def planes(model: mujoco.MjModel) -> Iterator[int]:
     """Return the geoms that are planes."""
     return (int(i) for i in np.flatnonzero(model.geom_type == _PLANE))
 
 
-def geom_rgba(model: Any, geom: int) -> tuple[float, ...]:
+def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
     """Return the colour of a geom, that of its material or the mean one of its texture."""
     rgba = np.array(model.geom_rgba[geom], dtype=float)
     material = int(model.geom_matid[geom])
@@ -86,7 +86,7 @@ def geom_rgba(model: Any, geom: int) -> tuple[float, ...]:
     return tuple(round(float(value), 4) for value in rgba)
 
 
-def _mean_color(model: Any, texture: int) -> FloatArray:
+def _mean_color(model: mujoco.MjModel, texture: int) -> FloatArray:
     channels = int(model.tex_nchannel[texture])
     size = int(model.tex_width[texture]) * int(model.tex_height[texture]) * channels
     begin = int(model.tex_adr[texture])
@@ -94,7 +94,7 @@ def _mean_color(model: Any, texture: int) -> FloatArray:
     return np.resize(mean, 3) / 255.0
 
 
-def _shape(model: Any, geom: int) -> Any:
+def _shape(model: mujoco.MjModel, geom: int) -> Any:
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     if kind == _BOX:
         return _unit_box().copy().apply_scale(2.0 * size)
@@ -135,7 +135,7 @@ def _capsule(radius: float, half_length: float) -> Any:
     return sphere
 
 
-def _mesh(model: Any, mesh: int) -> Any:
+def _mesh(model: mujoco.MjModel, mesh: int) -> Any:
     begin, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     found = trimesh.Trimesh(model.mesh_vert[begin:begin + count],
@@ -143,7 +143,7 @@ def _mesh(model: Any, mesh: int) -> Any:
     return found if faces > _MANY_FACES else found.smooth_shaded
 
 
-def _placed(model: Any, geom: int, shape: Any) -> Any:
+def _placed(model: mujoco.MjModel, geom: int, shape: Any) -> Any:
     matrix = np.eye(4)
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])

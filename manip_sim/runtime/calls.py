@@ -1,0 +1,69 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Functions that other threads let the simulation's thread run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
+import threading
+from typing import TypeVar
+
+from manip_sim.errors import SimulationEnded
+
+T = TypeVar('T')
+
+
+class Calls:
+    """
+    Functions that wait for the simulation's thread, in the order in which they came.
+
+    :param wake: what that thread waits for, with the lock of what it shares
+    """
+
+    def __init__(self, wake: threading.Condition) -> None:
+        self._wake = wake
+        self._waiting: list[tuple[Callable[[], object], Future[object]]] = []
+        self._ended = False
+
+    def __bool__(self) -> bool:
+        """Tell whether a function waits."""
+        return bool(self._waiting)
+
+    def run(self, function: Callable[[], T]) -> T:
+        """
+        Let the simulation's thread run a function, and wait for it.
+
+        :returns: what the function returns
+        :raises Exception: what the function raises
+        :raises SimulationEnded: if the simulation has ended, or does before it comes to this
+        """
+        future: Future[T] = Future()
+        with self._wake:
+            if self._ended:
+                raise SimulationEnded('the simulation has ended')
+            self._waiting.append((function, future))  # type: ignore[arg-type]
+            self._wake.notify()
+        try:
+            return future.result()
+        except CancelledError as error:
+            raise SimulationEnded('the simulation has ended') from error
+
+    def answer(self) -> None:
+        """Run all that wait, in the simulation's thread."""
+        with self._wake:
+            waiting, self._waiting = self._waiting, []
+        for function, future in waiting:
+            try:
+                future.set_result(function())
+            except Exception as error:
+                future.set_exception(error)
+
+    def end(self) -> None:
+        """Cancel those that wait, and take no more."""
+        with self._wake:
+            self._ended = True
+            waiting, self._waiting = self._waiting, []
+        for _, future in waiting:
+            future.cancel()
