@@ -247,7 +247,7 @@ objects:
 def test_a_yaml_file_with_one_object_is_an_object(written):
     one = '- {name: ball, shape: sphere, size: 0.1}\n'
     assert create_object(written(f'objects:\n{one}')).name == 'ball'
-    with pytest.raises(ModelError, match=r'parameters\.yaml must list one object here, it lists 2'):
+    with pytest.raises(ModelError, match=r'must list one object here, it lists 2'):
         create_object(written(f'objects:\n{one}{one.replace("ball", "other")}'))
 
 
