@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 import io
+import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+import time
 
-from harness import Served
+from harness import Served, START_S
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -129,7 +131,8 @@ def test_the_picture_shows_the_cube_and_the_robot(page):
     image = pytest.importorskip('PIL.Image')
 
     # The cube is the only thing that is red, and the mount the only one that is nearly black.
-    for _ in range(20):
+    end = time.monotonic() + START_S
+    while time.monotonic() < end:
         pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
         pixels = pixels[:, :460]  # Without the panel.
         red = (pixels[..., 0] > 150) & (pixels[..., 1:].max(axis=2) < 90)
@@ -208,6 +211,24 @@ def test_a_signal_ends_it_cleanly(number):
     process.send_signal(number)
     output, errors = process.communicate(timeout=20.0)
     assert (process.returncode, output, errors) == (0, '', '')
+
+
+def test_the_window_of_mujoco_ends_cleanly_too(node):
+    if shutil.which('Xvfb') is None:
+        pytest.skip('there is no Xvfb')
+    screen = subprocess.Popen(['Xvfb', '-displayfd', '1', '-screen', '0', '640x480x24'],
+                              text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        process = subprocess.Popen(
+            [*VIEWER, '--native'], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            env={**os.environ, 'DISPLAY': f':{screen.stdout.readline().strip()}'})
+        assert process.stdout.readline() == 'sim_view: waiting for the node /manip_sim\n'
+        assert process.stdout.readline() == 'sim_view: a window shows /manip_sim\n'
+        time.sleep(1.0)  # While it draws.
+        _, errors = end(process)
+        assert (process.returncode, errors) == (0, '')
+    finally:
+        end(screen)
 
 
 def run_viewer(*arguments, environment=None):

@@ -107,7 +107,7 @@ def joint_panel(rig, mode):
 def test_a_slider_sends_its_joint_alone_and_once(rig):
     panel = joint_panel(rig, 'position')
     assert (rig.gui.found['a'].min, rig.gui.found['a'].max) == (-1.0, 2.0)
-    assert 'left arm [rad]' in rig.gui.found
+    assert 'left: arm [rad]' in rig.gui.found
     rig.gui.found['a'].use(value=0.4)
     rig.gui.found['a'].use(value=0.5)
     rig.events.run()

@@ -84,7 +84,7 @@ class Robot:
 
     def titled(self, what: str) -> str:
         """Return the name of something of this robot, for people."""
-        return f'{self.title} {what}'.strip()
+        return f'{self.title}: {what}' if self.title else what
 
 
 def declared_limits(urdf: str) -> dict[str, dict[str, float]]:

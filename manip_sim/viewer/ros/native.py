@@ -5,19 +5,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+import contextlib
+import math
 import threading
 import time
 
+import mujoco
 import mujoco.viewer
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 
 from manip_sim.viewer.page.posture import Posture
+from manip_sim.viewer.page.scene import first_view
 from manip_sim.viewer.ros.discovery import Discovery
 from manip_sim.viewer.ros.states import States
 
 _PERIOD_S = 1.0 / 60.0
 _LOOK_S = 0.5
+#: Width by height of the picture that is sure to be seen between the panels of the window.
+_ASPECT = 0.6
+#: How long a window may take to close [s].
+_CLOSING_S = 5.0
 
 
 def show_native(node: Node, simulation: str, run_ready: Callable[[], None],
@@ -38,7 +48,10 @@ def show_native(node: Node, simulation: str, run_ready: Callable[[], None],
         if models is None:
             return
         posture = Posture(discovery.model)
-        with mujoco.viewer.launch_passive(posture.model, posture.data) as window:
+        with _open_window(posture) as window:
+            with window.lock():
+                aim(window.cam, *first_view(posture.model, posture.data, _ASPECT))
+            print(f'sim_view: a window shows /{simulation}', flush=True)
             look_s = 0.0
             while window.is_running() and discovery.models == models:
                 if ended.wait(_PERIOD_S):
@@ -58,6 +71,34 @@ def show_native(node: Node, simulation: str, run_ready: Callable[[], None],
                 window.sync()
             if not window.is_running():
                 return
+
+
+@contextlib.contextmanager
+def _open_window(posture: Posture) -> Iterator[mujoco.viewer.Handle]:
+    """Open a window, and close it; its thread must not outlive the interpreter."""
+    others = set(threading.enumerate())
+    with mujoco.viewer.launch_passive(posture.model, posture.data) as window:
+        drawing = set(threading.enumerate()) - others
+        yield window
+    for thread in drawing:
+        thread.join(_CLOSING_S)
+
+
+def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray[np.float64]
+        ) -> None:
+    """
+    Let a free camera look from a position to a target.
+
+    :param camera: is changed
+    :param position: in ``world``, shape (3,) [m]
+    :param target: in ``world``, shape (3,) [m]
+    """
+    way = target - position
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat = target
+    camera.distance = np.linalg.norm(way)
+    camera.azimuth = math.degrees(math.atan2(way[1], way[0]))
+    camera.elevation = math.degrees(math.atan2(way[2], math.hypot(way[0], way[1])))
 
 
 def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
