@@ -31,9 +31,8 @@ def measure_effect(settings: Settings) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         model = Bare(panda(PERIOD_S, 'effort')).save(Path(folder))
         with start_node(*NODE) as node, start_script('commander.py', 'effect', JOINT) as ours, \
-                start_script('plain_loop.py', model, '1', '1', namespace='plain',
-                             piped=False) as loop, \
-                start_script('commander.py', 'effect', JOINT, namespace='plain') as theirs:
+                start_script('plain_loop.py', model, '1', '1', piped=False, apart=True) as loop, \
+                start_script('commander.py', 'effect', JOINT, apart=True) as theirs:
             pairs = ((node, ours), (loop, theirs))
             for pair in pairs:
                 pair[1].line()
@@ -66,8 +65,8 @@ def measure_lockstep(settings: Settings) -> Iterator[Figure]:
     settings.tell('lockstep, round trips')
     words = f'rounds {_ROUND_S * settings.scale}'
     with start_node('stepping:=lockstep', *NODE), start_script('commander.py', 'rounds') as ours, \
-            start_script('echo.py', namespace='echo', piped=False), \
-            start_script('commander.py', 'rounds', namespace='echo') as theirs:
+            start_script('echo.py', piped=False, apart=True), \
+            start_script('commander.py', 'rounds', apart=True) as theirs:
         ours.line()
         theirs.line()
         rates = [(ours.ask(words), theirs.ask(words)) for _ in range(settings.rounds + 1)][1:]

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 import json
 import os
 from pathlib import Path
@@ -63,14 +64,16 @@ class Process:
 
     :param command: what is run
     :param piped: talk with it through its standard input and output
+    :param apart: let it live in another ROS domain than this process
     """
 
-    def __init__(self, command: Sequence[str], piped: bool = False) -> None:
+    def __init__(self, command: Sequence[str], piped: bool = False, apart: bool = False) -> None:
         # A pipe that nobody reads would block the process.
         self._errors = tempfile.TemporaryFile('w+', errors='replace')  # noqa: SIM115
         self._popen = subprocess.Popen(
             command, stdin=subprocess.PIPE if piped else subprocess.DEVNULL,
-            stdout=subprocess.PIPE if piped else self._errors, stderr=self._errors)
+            stdout=subprocess.PIPE if piped else self._errors, stderr=self._errors,
+            env={**os.environ, 'ROS_DOMAIN_ID': _other_domain()} if apart else None)
         self._read = b''
 
     @property
@@ -167,7 +170,18 @@ def start_node(*parameters: str) -> Process:
     return Process([sys.executable, '-m', 'manip_sim', '--ros-args', *words])
 
 
-def start_script(name: str, *arguments: str, namespace: str = '', piped: bool = True) -> Process:
-    """Start a script beside this module, in a ROS namespace."""
-    remap = ['--ros-args', '-r', f'__ns:=/{namespace}'] if namespace else []
-    return Process([sys.executable, str(_HERE / name), *arguments, *remap], piped)
+def start_script(name: str, *arguments: str, piped: bool = True, apart: bool = False) -> Process:
+    """Start a script beside this module."""
+    return Process([sys.executable, str(_HERE / name), *arguments], piped, apart)
+
+
+@cache
+def _other_domain() -> str:
+    """
+    Return the domain of what the node is measured by.
+
+    Fast DDS gives up the shared memory of a participant that stands still for a second while
+    others of its domain write to it; it hears nothing any more when it goes on.
+    """
+    from domains import reserve_domain  # Of the tests.
+    return str(reserve_domain()[0])

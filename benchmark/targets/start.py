@@ -51,13 +51,13 @@ def _bare_s(model: Path) -> float:
 
 def _first_state_s(model: Path | None = None) -> float:
     """Start the node, or the plain loop with a model."""
-    namespace = '' if model is None else 'plain'
+    apart = model is not None
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(
-            start_script('listener.py', 'joint_states', namespace=namespace))
+            start_script('listener.py', 'joint_states', apart=apart))
         listener.ask('begin')
         time.sleep(_SETTLE_S)
         begin = time.monotonic()
         stack.enter_context(start_node() if model is None else start_script(
-            'plain_loop.py', str(model), '5', '1', namespace=namespace, piped=False))
+            'plain_loop.py', str(model), '5', '1', piped=False, apart=apart))
         return float(listener.ask('first')) - begin

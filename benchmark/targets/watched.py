@@ -41,15 +41,15 @@ class Watched:
 
     :param server: publishes states
     :param topics: that are listened to
-    :param namespace: of the topics
+    :param apart: let the listener live in the other ROS domain
     """
 
-    def __init__(self, server: Process, topics: tuple[str, ...], namespace: str = '') -> None:
+    def __init__(self, server: Process, topics: tuple[str, ...], apart: bool = False) -> None:
         self._stack = contextlib.ExitStack()
         self.server: Process = self._stack.enter_context(server)
         try:
             self.listener: Process = self._stack.enter_context(
-                start_script('listener.py', *topics, namespace=namespace))
+                start_script('listener.py', *topics, apart=apart))
             self.listener.ask('ready', 60.0)
         except BaseException:
             self._stack.close()
@@ -96,5 +96,5 @@ def watched_node(topics: tuple[str, ...], *parameters: str) -> Watched:
 def watched_loop(topics: tuple[str, ...], model: str, every: int, realtime: bool) -> Watched:
     """Start the plain loop with a model file, and a listener."""
     loop = start_script('plain_loop.py', model, str(every), str(int(realtime)),
-                        namespace='plain', piped=False)
-    return Watched(loop, topics, 'plain')
+                        piped=False, apart=True)
+    return Watched(loop, topics, apart=True)
