@@ -18,6 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
+from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.reading import read_command, trajectory_fields
@@ -61,6 +62,7 @@ class CommandSubscribers:
     :param scope: where its topics are
     :param thread: takes the commands
     :param log: counts and tells what is rejected
+    :param inbox: takes what is quickly read in the simulation's thread; None is the executor
     :ivar robot: the robot
     :ivar scope: where its topics are
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
@@ -68,8 +70,9 @@ class CommandSubscribers:
     """
 
     def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, thread: SimulationThread,
-                 log: RejectionLog) -> None:
+                 log: RejectionLog, inbox: CommandInbox | None = None) -> None:
         self._node = node
+        self._inbox = inbox
         self.robot = robot
         self.scope = scope
         self._parse = robot.parse
@@ -121,7 +124,9 @@ class CommandSubscribers:
                 return
             self.count(topic, part, commands)
 
-        CommandSubscription(self._node, message_type, topic, take)
+        # A trajectory may take long to read, which would hold up the physics.
+        inbox = None if message_type is JointTrajectory else self._inbox
+        CommandSubscription(self._node, message_type, topic, take, inbox)
 
     def count_refused(self, part: str) -> None:
         """Count what came for a part and is not used."""

@@ -21,6 +21,7 @@ from manip_sim.models import World
 from manip_sim.ros.actions import Actions, offer_actions
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.cartesian import CartesianSubscribers
+from manip_sim.ros.command_inbox import create_command_inbox
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
@@ -77,11 +78,13 @@ class SimNode(Node):
         self._declared.check_names()
         for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
+        self._inbox = (create_command_inbox(self, self.rejections)
+                       if value('stepping') == 'lockstep' else None)
         self.thread = SimulationThread(
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self._robots.items()},
-            value('start_paused'), self._tell_failure)
+            value('start_paused'), self._tell_failure, self._inbox)
         self._check_lockstep()
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots(frame_prefix)
@@ -102,8 +105,8 @@ class SimNode(Node):
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
             self.thread.observe(publishers.publish, look=publishers.look)
-            self.commands.append(
-                CommandSubscribers(self, robot, scope, self.thread, self.rejections))
+            self.commands.append(CommandSubscribers(
+                self, robot, scope, self.thread, self.rejections, self._inbox))
             self._cartesian.append(
                 CartesianSubscribers(self.commands[-1], self._declared, self.thread, frame_prefix))
 

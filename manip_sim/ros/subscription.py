@@ -14,6 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from manip_sim.ros.command_inbox import CommandInbox
+
 #: How many commands of a topic may wait to be taken.
 COMMAND_DEPTH = 10
 
@@ -29,25 +31,32 @@ class CommandSubscription:
     :param message_type: of the topic
     :param topic: its name
     :param take: is called with each message as it was serialized
+    :param inbox: takes the messages; None is the executor
     """
 
-    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None]
-                 ) -> None:
+    def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None],
+                 inbox: CommandInbox | None = None) -> None:
         self._take = take
         self._taken: deque[tuple[int, int]] = deque(maxlen=4 * COMMAND_DEPTH)
         self._best_effort: Any = None
 
+        def subscribe(qos: QoSProfile, **arguments: Any) -> Any:
+            subscription = node.create_subscription(
+                message_type, topic, self._take_once, qos, raw=True,
+                callback_group=None if inbox is None else inbox.group, **arguments)
+            if inbox is not None:
+                inbox.add(subscription)
+            return subscription
+
         def match_best_effort(_: Any) -> None:
             if self._best_effort is None:
-                self._best_effort = node.create_subscription(
-                    message_type, topic, self._take_once,
-                    QoSProfile(depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
-                    raw=True)
+                self._best_effort = subscribe(QoSProfile(
+                    depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
 
-        self._reliable = node.create_subscription(
-            message_type, topic, self._take_once, QoSProfile(depth=COMMAND_DEPTH),
+        self._reliable = subscribe(
+            QoSProfile(depth=COMMAND_DEPTH),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=match_best_effort),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(), raw=True)
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
         which = info['source_timestamp'], info['publication_sequence_number']

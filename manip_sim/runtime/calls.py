@@ -11,6 +11,7 @@ import threading
 from typing import TypeVar
 
 from manip_sim.errors import SimulationEnded
+from manip_sim.runtime.inbox import Inbox
 
 T = TypeVar('T')
 
@@ -19,11 +20,12 @@ class Calls:
     """
     Functions that wait for the simulation's thread, in the order in which they came.
 
-    :param wake: what that thread waits for, with the lock of what it shares
+    :param inbox: what that thread waits for
     """
 
-    def __init__(self, wake: threading.Condition) -> None:
-        self._wake = wake
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._lock = threading.Lock()
         self._waiting: list[tuple[Callable[[], object], Future[object]]] = []
         self._ended = False
 
@@ -40,11 +42,11 @@ class Calls:
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
         future: Future[T] = Future()
-        with self._wake:
+        with self._lock:
             if self._ended:
                 raise SimulationEnded('the simulation has ended')
             self._waiting.append((function, future))  # type: ignore[arg-type]
-            self._wake.notify()
+        self._inbox.wake()
         try:
             return future.result()
         except CancelledError as error:
@@ -52,7 +54,7 @@ class Calls:
 
     def answer(self) -> None:
         """Run all that wait, in the simulation's thread."""
-        with self._wake:
+        with self._lock:
             waiting, self._waiting = self._waiting, []
         for function, future in waiting:
             try:
@@ -62,7 +64,7 @@ class Calls:
 
     def end(self) -> None:
         """Cancel those that wait, and take no more."""
-        with self._wake:
+        with self._lock:
             self._ended = True
             waiting, self._waiting = self._waiting, []
         for _, future in waiting:

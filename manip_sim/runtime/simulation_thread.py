@@ -14,6 +14,7 @@ from typing import TypeVar
 from manip_sim.errors import CommandError
 from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.runtime.inbox import Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
 from manip_sim.simulation import Simulation
@@ -22,6 +23,8 @@ from manip_sim.simulation.commands import Command, CommandHandle, Status
 T = TypeVar('T')
 #: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
 _ROUND_S = 5e-4
+#: How many messages of a topic are taken before what was called after them.
+_TAKEN_BEFORE_CALLS = 10
 #: How often a state is repeated while nothing moves it on, wall time [s].
 _REPEAT_S = 0.1
 
@@ -54,6 +57,7 @@ class SimulationThread:
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: wait for :meth:`pause` or :meth:`step`
     :param tell_failure: is told, in this thread, which command failed and how
+    :param inbox: what the thread waits for beside the time; may bring commands
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -61,7 +65,8 @@ class SimulationThread:
     def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
-                 tell_failure: Callable[[Command, Exception], None] | None = None) -> None:
+                 tell_failure: Callable[[Command, Exception], None] | None = None,
+                 inbox: Inbox | None = None) -> None:
         self._simulation = simulation
         self._steps = steps
         self._stepping = stepping
@@ -77,8 +82,9 @@ class SimulationThread:
         simulation.step_count = max(simulation.step_count, steps)
         self._paused = paused
         self._stopping = False
-        self._wake = threading.Condition()
-        self._calls = Calls(self._wake)
+        self._lock = threading.RLock()
+        self._inbox = inbox or Inbox()
+        self._calls = Calls(self._inbox)
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
         #: How many periods may follow each other in which nothing but physics happens.
@@ -125,9 +131,8 @@ class SimulationThread:
 
     def stop(self) -> None:
         """End the thread; calls that wait are cancelled."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
+        self._stopping = True
+        self._inbox.wake()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         self._calls.end()
@@ -164,7 +169,7 @@ class SimulationThread:
             answered already
         """
         buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
-        with self._wake:
+        with self._lock:
             if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
                 raise CommandError(f'lockstep: the command answers the state of '
                                    f'{stamp_ns / 1e9:.9f} s, {self._present()}')
@@ -172,8 +177,8 @@ class SimulationThread:
             for command in commands:
                 buffer.add(command)
                 handles.append(command.handle)
-            if self._stepping == 'lockstep':
-                self._wake.notify()
+        if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
+            self._inbox.wake()
         return handles
 
     def _present(self) -> str:
@@ -191,7 +196,7 @@ class SimulationThread:
         :raises Exception: what the function raises
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
         """
-        with self._wake:
+        with self._lock:
             if self._thread.ident is None and not self._stopping:
                 return function()
         return self._calls.run(function)
@@ -225,7 +230,7 @@ class SimulationThread:
         :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
-            with self._wake:
+            with self._lock:
                 self._present_ns = None
                 for buffer in self._buffers.values():
                     buffer.clear('the simulation was reset')
@@ -250,11 +255,13 @@ class SimulationThread:
             self._show()
             self._pacer.restart(time.monotonic())
             while True:
-                with self._wake:
-                    due = self._wait()
-                    if self._stopping:
-                        return
-                self._calls.answer()
+                due = self._wait()
+                if self._stopping:
+                    return
+                if self._calls:
+                    # What came before a call is used before it.
+                    self._inbox.take(_TAKEN_BEFORE_CALLS)
+                    self._calls.answer()
                 if due and not self._paused:
                     self._period(most=self._at_once)
                 elif self._repeats and time.monotonic() >= self._repeat_at:
@@ -274,11 +281,11 @@ class SimulationThread:
                     return True
                 if now >= self._repeat_at:
                     return False
-                self._wake.wait(self._repeat_at - now)
+                self._inbox.wait(self._repeat_at - now)
             elif self._stepping == 'free' or self._pacer.is_due(now):
                 return True
             else:
-                self._wake.wait(self._pacer.deadline_s - now)
+                self._inbox.wait(self._pacer.deadline_s - now)
         return False
 
     def _all_commanded(self) -> bool:
@@ -294,7 +301,7 @@ class SimulationThread:
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or several if nobody notices."""
-        with self._wake:
+        with self._lock:
             self._present_ns = None
             commands = [(name, buffer.take()) for name, buffer in self._buffers.items()
                         if buffer.waits]
@@ -325,7 +332,7 @@ class SimulationThread:
 
     def _show(self, number: int = 0) -> None:
         time_ns = self._simulation.time_ns
-        with self._wake:
+        with self._lock:
             self._present_ns = time_ns
         now = time.monotonic()
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)

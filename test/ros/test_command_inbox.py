@@ -1,0 +1,140 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""In lock-step the simulation's thread takes commands itself, where rclpy is known to allow it."""
+
+import threading
+import time
+
+from harness import DOMAIN
+import pytest
+import rclpy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from manip_sim.ros import command_inbox
+from manip_sim.ros.command_inbox import create_command_inbox
+from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.subscription import CommandSubscription
+
+COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
+
+
+@pytest.fixture
+def node():
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    node = rclpy.create_node('inbox', context=context)
+    yield node
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def inbox(node):
+    """Return an inbox, its log, and the messages of the topic ``command`` that it has taken."""
+    log, taken = RejectionLog(node.get_logger()), []
+    inbox = create_command_inbox(node, log)
+    if inbox is None:
+        pytest.skip('this rclpy is not known')
+    CommandSubscription(node, JointState, 'command', taken.append, inbox)
+    return inbox, log, taken
+
+
+def took_s(function):
+    begin = time.monotonic()
+    function()
+    return time.monotonic() - begin
+
+
+def test_a_wake_ends_the_wait_that_is_or_the_next_one(inbox):
+    inbox = inbox[0]
+    inbox.wake()
+    assert took_s(lambda: inbox.wait(20.0)) < 10.0
+    assert took_s(lambda: inbox.wait(0.05)) >= 0.04
+    threading.Timer(0.1, inbox.wake).start()
+    assert took_s(lambda: inbox.wait(20.0)) < 10.0
+
+
+def test_messages_are_taken_by_who_waits_and_not_by_the_executor(node, inbox, client):
+    inbox, _, taken = inbox
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    publisher = client.publisher(JointState, 'command')
+    for _ in range(3):
+        publisher.publish(COMMAND)
+    for _ in range(10):
+        executor.spin_once(timeout_sec=0.02)
+    assert not taken
+    client.spin_until(lambda: inbox.wait(0.05) or len(taken) == 3)
+    taken.clear()
+    for _ in range(6):
+        publisher.publish(COMMAND)
+    client.spin_until(lambda: inbox.take() or len(taken) >= 2)
+    # No more than asked for, for the sake of the physics, and not more than there is.
+    assert len(taken) == 2
+    inbox.take(3)
+    assert len(taken) == 5
+    inbox.take(10)
+    assert len(taken) == 6
+    executor.shutdown()
+
+
+def test_what_a_message_raises_is_told_and_counted_and_the_next_one_is_taken(
+        node, inbox, client):
+    inbox, log, taken = inbox
+
+    def fail(data):
+        taken.append(data)
+        raise RuntimeError('broken')
+    CommandSubscription(node, JointState, 'fails', fail, inbox)
+    for _ in range(2):
+        client.publish('fails', COMMAND)
+    client.spin_until(lambda: inbox.wait(0.02) or len(taken) == 2)
+    assert log.failed['callbacks'] == 2
+
+
+def test_after_the_end_of_the_context_waits_are_short_and_nothing_is_raised(node, inbox):
+    inbox = inbox[0]
+    rclpy.shutdown(context=node.context)
+    inbox.take()
+    for _ in range(3):
+        inbox.wait(0.01)
+    node.destroy_node()
+    inbox.wake()
+    inbox.take()
+    assert took_s(lambda: inbox.wait(5.0)) < 3.0
+
+
+@pytest.mark.parametrize('known', ['7.1.', 'another'])
+@pytest.mark.parametrize('stepping', ['lockstep', 'realtime'])
+def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, stepping, known):
+    monkeypatch.setattr(command_inbox, '_KNOWN', known)
+    node, threads = serve(stepping=stepping), []
+    parse = node.simulation.robot.parse.joint_command
+
+    def seen(*arguments):
+        threads.append(threading.current_thread().name)
+        return parse(*arguments)
+    node.simulation.robot.parse.joint_command = seen
+    for count in range(1, 6):
+        client.publish('arm/joint_command', COMMAND)
+        client.spin_until(lambda sent=count: node.commands[0].statistics['arm'].accepted == sent)
+    assert len(threads) == 5
+    # In real time a flood of messages must not take time from the physics.
+    physics = (stepping == 'lockstep' and known == '7.1.'
+               and create_command_inbox(node, node.rejections) is not None)
+    assert (set(threads) == {'physics'}) == physics
+
+
+def test_a_command_that_came_before_a_step_is_used_in_it(serve, client):
+    node = serve(stepping='lockstep', start_paused=True, control_mode__arm='effort')
+    client.publisher(JointState, 'arm/joint_command')
+    effort = JointState(name=['robot0_joint1'], effort=[5.0])
+    for count in range(1, 6):
+        client.publish('arm/joint_command', effort)
+        effort.effort[0] += 1.0
+        assert client.call(Trigger, 'manip_sim/step').success
+        assert node.commands[0].statistics['arm'].accepted == count
+        address = node.simulation.robot.joints._servos._activation[0]
+        assert node.simulation.data.act[address] == pytest.approx(4.0 + count)
