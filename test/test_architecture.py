@@ -26,7 +26,7 @@ MAY_IMPORT = {
     'viewer': ({'viewer'}, PURE | {'viser'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
-TOP_LEVEL = {'errors', 'quoting', 'resources', 'typing', 'without_opengl'}
+TOP_LEVEL = {'arrays', 'errors', 'quoting', 'resources', 'without_opengl'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

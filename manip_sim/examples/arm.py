@@ -15,9 +15,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from manip_sim.arrays import FloatArray
 from manip_sim.examples.inverse_kinematics import InverseKinematics
 from manip_sim.examples.task import Task, TaskFailed
-from manip_sim.typing import FloatArray
 
 #: The fastest joint of a motion moves so fast on average [rad/s], and a motion takes so long [s].
 _SPEED, _SHORTEST_S = 0.9, 0.8

@@ -18,9 +18,9 @@ from geometry_msgs.msg import PoseStamped
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
 from manip_sim.examples.task import run, Task, TaskFailed
-from manip_sim.typing import FloatArray
 
 #: Where ``left`` gives the cube to ``middle``, and that to ``right``, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])

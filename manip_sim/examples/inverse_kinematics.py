@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 _DAMPING = 1e-3
 _ITERATIONS = 500

@@ -16,9 +16,9 @@ import sys
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
 from manip_sim.examples.task import run, Task, TaskFailed
-from manip_sim.typing import FloatArray
 
 GRAVITY = 9.81
 _LIFT_M = 0.10

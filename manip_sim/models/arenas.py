@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arena_parameters import ArenaParameter, check_arguments
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -22,7 +23,6 @@ from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.sources import check_no_parameters
 from manip_sim.models.validation import finite_numbers
 from manip_sim.resources import asset_path
-from manip_sim.typing import FloatArray
 
 CUBE_EDGE_M = 0.05
 CUBE_MASS_KG = 0.1

@@ -12,12 +12,12 @@ from typing import Any, TYPE_CHECKING, Union
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.image_settings import ImageSettings
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.quoting import quoted
-from manip_sim.typing import FloatArray
 
 if TYPE_CHECKING:
     from manip_sim.models.camera_description import CameraDescription

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import shown
-from manip_sim.typing import FloatArray
 
 TYPES = ('gaussian', 'uniform')
 #: As in robosuite 1.5.2, ``initialization_noise='default'`` [rad or m].

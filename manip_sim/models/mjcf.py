@@ -13,12 +13,12 @@ from typing import Any, overload
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.naming import check_names_are_free, check_prefix
 from manip_sim.models.spec_edits import attach, name_main_default
-from manip_sim.typing import FloatArray
 
 _MIN_MASS_KG = 1e-6
 _MIN_INERTIA = 1e-9

@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
 from manip_sim.models.naming import check_names_are_free
 from manip_sim.models.spec_edits import rename_body
 from manip_sim.quoting import quoted
-from manip_sim.typing import FloatArray
 
 MIN_MASS_KG, MAX_MASS_KG = 1e-5, 1e5
 #: By shape: how many numbers are its size, and what they are [m].

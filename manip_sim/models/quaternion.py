@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 
 def wxyz_to_xyzw(quat_wxyz: ArrayLike) -> FloatArray:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.typing import FloatArray
 
 
 def finite_numbers(values: ArrayLike, length: int, what: str,

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot
-from manip_sim.typing import FloatArray
 
 START, OPEN, CLOSED = 'start', 'open', 'closed'
 #: Gripper actions; +1 closes.

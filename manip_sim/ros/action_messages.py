@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.ros.messages import nanoseconds_of, stamp_of
 from manip_sim.ros.reading import trajectory_fields
@@ -19,7 +20,6 @@ from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 from manip_sim.simulation.tolerances import JointTolerance
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
-from manip_sim.typing import FloatArray
 
 
 class ActionMessages(ABC):

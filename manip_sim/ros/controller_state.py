@@ -12,8 +12,8 @@ from builtin_interfaces.msg import Time
 import numpy as np
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation.state import ControllerState
-from manip_sim.typing import FloatArray
 
 try:
     from control_msgs.msg import JointTrajectoryControllerState

@@ -14,13 +14,13 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from manip_sim.arrays import FloatArray
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.contacts import read_contacts
 from manip_sim.simulation.wrench import EndEffectorReader
-from manip_sim.typing import FloatArray
 
 #: Length of the arrow of a force [m/N].
 FORCE_SCALE = 0.01

@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 WORLD = 'world'
 

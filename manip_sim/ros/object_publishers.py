@@ -11,11 +11,11 @@ import re
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 
+from manip_sim.arrays import FloatArray
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Output, Topic, Topics
 from manip_sim.simulation import Simulation
-from manip_sim.typing import FloatArray
 
 #: What a part of a topic's name may be.
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')

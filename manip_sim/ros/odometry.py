@@ -12,11 +12,11 @@ from nav_msgs.msg import Odometry
 import numpy as np
 from rclpy.node import Node
 
+from manip_sim.arrays import FloatArray
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Topic, Topics
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.odometry import OdometryReader
-from manip_sim.typing import FloatArray
 
 
 class OdometryPublisher(Topics):

@@ -15,10 +15,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from manip_sim.arrays import FloatArray
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
-from manip_sim.typing import FloatArray
 
 #: For who comes later too.
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)

@@ -12,8 +12,8 @@ from builtin_interfaces.msg import Time
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
+from manip_sim.arrays import FloatArray
 from manip_sim.ros.messages import stamp_of
-from manip_sim.typing import FloatArray
 
 #: Returns the message of a stamp and of numbers, shape (count,).
 Make = Callable[[Time, FloatArray], Any]

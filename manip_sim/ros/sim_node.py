@@ -32,7 +32,7 @@ from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublis
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.robot_description import DescriptionPublisher
 from manip_sim.ros.services import SimulationServices
-from manip_sim.ros.simulation_interfaces import offer_simulation_interfaces
+from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import Command

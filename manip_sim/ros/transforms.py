@@ -13,13 +13,13 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
+from manip_sim.arrays import FloatArray
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output, LATCHED, Output
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import Frame, FrameTree
-from manip_sim.typing import FloatArray
 
 try:
     from tf2_msgs.msg import TFMessage

@@ -10,10 +10,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.simulation.commands import (
     Command, CommandHandle, JointTrajectory, Status, STOPPED, TrajectoryStop)
 from manip_sim.simulation.ownership import JointOwners
-from manip_sim.typing import FloatArray, IntArray
 
 C = TypeVar('C', bound=Command)
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
-from manip_sim.typing import FloatArray, IntArray
 
 #: Lag of a position servo whose gains are derived [s]: damping over stiffness.
 _LAG_S = 0.013

@@ -11,9 +11,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation.simulation import Simulation
 from manip_sim.simulation.spawning import compile_visual, Plan
-from manip_sim.typing import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

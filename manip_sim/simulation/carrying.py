@@ -18,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.typing import BoolArray, IntArray
+from manip_sim.arrays import BoolArray, IntArray
 
 #: Sizes of a model whose elements have names, and where the names' addresses are.
 _NAMED = {

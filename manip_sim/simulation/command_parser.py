@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
@@ -21,7 +22,6 @@ from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import clamp, finite_numbers
 from manip_sim.simulation.trajectory import check_times, Trajectory
-from manip_sim.typing import FloatArray, IntArray
 
 #: A trajectory with more points is refused: it could not be checked in a moment.
 MAX_POINTS = 10_000

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.trajectory import Trajectory
-from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 C = TypeVar('C', bound='Command')
 #: Control modes of joints.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from manip_sim.typing import FloatArray, IntArray
+from manip_sim.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.state import ControllerState, JointReference
 from manip_sim.simulation.trajectory import Trajectory
-from manip_sim.typing import FloatArray, IntArray
 
 #: A trajectory that would have to be slowed down more than this is refused.
 _MAX_SLOWDOWN = 1000.0

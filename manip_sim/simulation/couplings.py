@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 import mujoco
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 #: At how many places of a joint's range the ratio of two velocities is looked at.
 _PLACES = 5

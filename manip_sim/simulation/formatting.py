@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.grippers import GripperModel
-from manip_sim.typing import FloatArray
 
 _STATE = (np.ndarray, list, dict, set)
 

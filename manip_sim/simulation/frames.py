@@ -18,11 +18,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.models.urdf_writer.tree import OPTICAL
 from manip_sim.simulation.joint_frames import JointFrames
 from manip_sim.simulation.poses import Pose
-from manip_sim.typing import FloatArray
 
 #: The root of the tree.
 WORLD = 'world'

@@ -14,10 +14,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.simulation.couplings import JointCouplings
 from manip_sim.simulation.parts import Part
-from manip_sim.typing import FloatArray, IntArray
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation.commands import (
     Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
@@ -17,7 +18,6 @@ from manip_sim.simulation.formatting import Formatter
 from manip_sim.simulation.gripper_actuators import GripperActuators
 from manip_sim.simulation.gripper_force import ForceLimit
 from manip_sim.simulation.parts import Part
-from manip_sim.typing import FloatArray, IntArray
 
 #: Rate at which the reference calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0

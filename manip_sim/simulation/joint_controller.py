@@ -12,6 +12,7 @@ from typing import TypeVar
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation.active_commands import ActiveCommands
 from manip_sim.simulation.cartesian.commands import CartesianCommand
@@ -23,7 +24,6 @@ from manip_sim.simulation.commands import (
 from manip_sim.simulation.controlled_joints import ControlledJoints
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
-from manip_sim.typing import FloatArray, IntArray
 
 C = TypeVar('C', bound=Command)
 

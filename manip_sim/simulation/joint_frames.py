@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.models import validation
-from manip_sim.typing import FloatArray
 
 
 def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.poses import Pose
-from manip_sim.typing import FloatArray
 
 
 @dataclass(frozen=True)

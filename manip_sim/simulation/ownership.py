@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from manip_sim.arrays import IntArray
 from manip_sim.simulation.commands import CommandHandle, Status
-from manip_sim.typing import IntArray
 
 
 class JointOwners:

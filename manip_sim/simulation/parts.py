@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import IntArray
 from manip_sim.errors import ModelError
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.robots.subsystems import driven_joint, SUBSYSTEMS
-from manip_sim.typing import IntArray
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation.numbers import finite_numbers
-from manip_sim.typing import FloatArray
 
 #: What is farther from the origin is lost [m].
 MAX_DISTANCE_M = 1e4

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.cartesian.frames import Frame, Frames
@@ -22,7 +23,6 @@ from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
-from manip_sim.typing import FloatArray, IntArray
 
 
 class SimulatedRobot:

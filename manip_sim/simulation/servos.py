@@ -16,9 +16,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
-from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: Span of an unlimited hinge that an abstract action of -1 to 1 stands for [rad].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)

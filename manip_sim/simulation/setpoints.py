@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.streams import RampEstimator, StreamEstimator
-from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: Time constant of each of the two low-pass stages behind a step [s].
 _SMOOTHING_S = 0.02

@@ -12,12 +12,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import BoolArray
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.simulation.couplings import JointCouplings
 from manip_sim.simulation.mechanism import actuated_joints, joints_between
 from manip_sim.simulation.start_defect import StartDefect
 from manip_sim.simulation.start_drives import find_drive_defects
-from manip_sim.typing import BoolArray
 
 #: What is less deep in something else only touches it [m].
 _TOUCHING_M = 0.0005

@@ -11,12 +11,12 @@ import copy
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import BoolArray
 from manip_sim.models.robots.subsystems import driven_joint
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.actuator_properties import effort_range
 from manip_sim.simulation.start_defect import StartDefect
-from manip_sim.typing import BoolArray
 
 #: What is nearer to a limit of force, as a part of it, is at the limit.
 _AT_LIMIT = 1e-6

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.simulation.poses import Pose, Twist
-from manip_sim.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

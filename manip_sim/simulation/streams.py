@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manip_sim.typing import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 
 #: Messages that come at least this often are a stream, of which a velocity can be told [s].
 STREAM_INTERVAL_S = 0.105

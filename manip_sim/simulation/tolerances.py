@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.quoting import quoted
 from manip_sim.simulation.goals import GoalCode, GoalError
-from manip_sim.typing import FloatArray
 
 #: What stands for no tolerance at all.
 ERASE = -1.0

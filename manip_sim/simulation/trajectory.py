@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
-from manip_sim.typing import FloatArray, IntArray
 
 #: Fractions of a segment at which its velocity is looked at.
 _SAMPLES = np.linspace(0.0, 1.0, 17)

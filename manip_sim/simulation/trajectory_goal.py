@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation.command_parser import check_names
 from manip_sim.simulation.commands import CommandHandle, JointTrajectory, Status
@@ -18,7 +19,6 @@ from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 from manip_sim.simulation.tolerances import ERASE, JointTolerance, Tolerances
-from manip_sim.typing import FloatArray
 
 #: The default of ``stopped_velocity_tolerance`` of joint_trajectory_controller [rad/s or m/s].
 STOPPED_VELOCITY = 0.01

@@ -9,11 +9,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector, Wrench
-from manip_sim.typing import FloatArray
 
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 

@@ -16,7 +16,7 @@ import pytest
 from std_msgs.msg import Header
 
 from manip_sim.models import compose
-from manip_sim.ros.simulation_interfaces import SimulationInterfaces
+from manip_sim.ros.standard_services import SimulationInterfaces
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_codes import (
     Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, SpawnCode, State)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
-from manip_sim.typing import FloatArray
 
 
 class RobotBaseModel(MujocoXMLModel):

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.files.actuation import own_each_joint
@@ -18,7 +19,6 @@ from manip_sim.models.files.description import BaseDescription
 from manip_sim.models.files.reading import (
     compile_alone, ModelFile, read_model, shape_heights)
 from manip_sim.models.files.tree import BodyTree
-from manip_sim.typing import FloatArray
 
 #: A base whose lowest point is nearer to the origin than this stands on it [m].
 _ON_FLOOR_M = 0.02

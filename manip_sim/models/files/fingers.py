@@ -13,9 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree, words_of
-from manip_sim.typing import FloatArray
 
 #: Words in the names of sites between fingertips, the best first.
 _GRASP_WORDS = ('pinch', 'grasp', 'grip', 'tcp')

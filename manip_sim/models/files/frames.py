@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
-from manip_sim.typing import FloatArray
 
 
 def quat_wxyz_of(orientation: ArrayLike) -> FloatArray:

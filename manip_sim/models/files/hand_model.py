@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.description import HandDescription
 from manip_sim.models.files.fingers import control_range, Fingers
@@ -19,7 +20,6 @@ from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
 from manip_sim.models.quaternion import relative_quat_wxyz
-from manip_sim.typing import FloatArray
 
 
 class HandFromFile(GripperModel, registered=False):

@@ -12,10 +12,10 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree
-from manip_sim.typing import FloatArray
 
 #: Fingers that reach less far point nowhere [m].
 _SHORT_M = 0.02

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.files.description import OwnHandDescription
 from manip_sim.models.files.fingers import Fingers
@@ -18,7 +19,6 @@ from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
-from manip_sim.typing import FloatArray
 
 if TYPE_CHECKING:
     from manip_sim.models.robots.robot_model import RobotModel

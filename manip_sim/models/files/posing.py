@@ -10,8 +10,8 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.files.tree import SCALAR
-from manip_sim.typing import FloatArray
 
 #: A joint that is nearer to an end than this part of its range is at that end.
 _AT_END = 0.05

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.posing import choose_pose
@@ -20,7 +21,6 @@ from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
-from manip_sim.typing import BoolArray, FloatArray
 
 _MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
 #: A free robot that starts farther below the floor was made for another floor [m].

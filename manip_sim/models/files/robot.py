@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
 from manip_sim.models.spec_edits import delete_elements
-from manip_sim.typing import FloatArray
 
 
 class FileRobot(RobotModel, registered=False):

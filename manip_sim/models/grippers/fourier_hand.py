@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.resources import asset_path
-from manip_sim.typing import FloatArray
 
 #: The motor behind each actuator: little, ring, middle and index finger, bend of the thumb, swing
 #: of the thumb.

@@ -15,12 +15,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.registry import Registry
 from manip_sim.models.validation import finite_numbers, unit_quaternion
-from manip_sim.typing import FloatArray
 
 _IDENTITY_WXYZ = (1.0, 0.0, 0.0, 0.0)
 _AXIS_SITE_OFFSET_M = 0.1

@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers.gripper_model import GripperModel
-from manip_sim.typing import FloatArray
 
 
 class OpenCloseGripper(GripperModel, registered=False):

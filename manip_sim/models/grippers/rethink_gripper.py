@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.grippers.open_close_gripper import OpenCloseGripper
 from manip_sim.resources import asset_path
-from manip_sim.typing import FloatArray
 
 
 class RethinkGripperBase(GripperModel, registered=False):

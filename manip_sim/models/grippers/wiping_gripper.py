@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.resources import asset_path
-from manip_sim.typing import FloatArray
 
 
 class WipingGripper(GripperModel):

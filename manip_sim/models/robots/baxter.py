@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement
 from manip_sim.resources import asset_path
-from manip_sim.typing import FloatArray
 
 
 class Baxter(ManipulatorModel):

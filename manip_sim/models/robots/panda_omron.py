@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.robots.panda import Panda
 from manip_sim.models.robots.robot_model import Placement
-from manip_sim.typing import FloatArray
 
 
 class PandaOmron(Panda):

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -23,7 +24,6 @@ from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.models.validation import finite_numbers
-from manip_sim.typing import FloatArray
 
 MANIPULATOR_MOUNT = 'manipulator_mount'
 #: A position [m], or a function that takes the length of the table [m] and returns one.

@@ -13,11 +13,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.validation import finite_numbers
-from manip_sim.typing import FloatArray
 
 SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs')
 #: In the order in which names are looked at; what fits none is arm.

@@ -13,9 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.urdf_writer.numbers import matrix_of
 from manip_sim.resources import PACKAGE, share_directory
-from manip_sim.typing import FloatArray
 
 #: A sphere of radius 1 for ellipsoids.
 UNIT_SPHERE = f'package://{PACKAGE}/assets/meshes/unit_sphere.stl'

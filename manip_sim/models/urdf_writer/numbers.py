@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 #: What the product of two rotations leaves of a zero.
 _NOTHING = 1e-16

@@ -12,9 +12,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.urdf_writer.meshes import ELLIPSOID, MeshFile, UNIT_SPHERE
 from manip_sim.models.urdf_writer.numbers import matrix_of, text_of
-from manip_sim.typing import FloatArray
 
 _GEOM = mujoco.mjtGeom
 #: Groups of geoms that MuJoCo shows by default.

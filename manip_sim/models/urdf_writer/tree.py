@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer.numbers import matrix_of
-from manip_sim.typing import FloatArray
 
 ROOT_LINK = 'world'
 OPTICAL = '_optical_frame'

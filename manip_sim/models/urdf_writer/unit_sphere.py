@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.urdf_writer.meshes import binary_stl
 from manip_sim.resources import share_directory
-from manip_sim.typing import FloatArray
 
 #: How often each triangle of the icosahedron is divided into four.
 _LEVELS = 3

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.hardware import add_hardware, Hardware
 from manip_sim.models.urdf_writer.limits import actuated_joints, effort_limit, velocity_limit
@@ -21,7 +22,6 @@ from manip_sim.models.urdf_writer.numbers import matrix_of, rpy_of, text_of
 from manip_sim.models.urdf_writer.shapes import (
     collides, geoms_of_body, is_seen, rgba_of, shapes_of)
 from manip_sim.models.urdf_writer.tree import Joint, KinematicTree, Link, robot_tree
-from manip_sim.typing import FloatArray
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 #: URDF wants limits of every prismatic joint [m].

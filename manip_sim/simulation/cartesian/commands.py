@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.commands import Command
-from manip_sim.typing import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

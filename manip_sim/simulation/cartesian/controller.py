@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.cartesian.commands import CartesianCommand
@@ -27,7 +28,6 @@ from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
-from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: Where control periods are longer, inverse kinematics is solved so often [s].
 _LONGEST_INTERVAL_S = 0.012

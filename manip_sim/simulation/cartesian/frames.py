@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.quoting import quoted
-from manip_sim.typing import FloatArray, IntArray
 
 WORLD = 'world'
 

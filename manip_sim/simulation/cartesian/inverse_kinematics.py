@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from manip_sim.typing import BoolArray, FloatArray
+from manip_sim.arrays import BoolArray, FloatArray
 
 #: Singular values of the Jacobian [m/rad and 1] below this are damped.
 _SINGULAR = 0.04

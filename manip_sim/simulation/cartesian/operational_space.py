@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.typing import FloatArray
 
 #: Singular values of the Jacobian [m/rad and 1] below this are damped.
 _SINGULAR = 0.06

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.cartesian.operational_space import effort, wanted_motion
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.servos import Servos
-from manip_sim.typing import BoolArray, FloatArray, IntArray
 
 #: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
 _REACHED = np.array([1e-3] * 3 + [1e-2] * 3)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.simulation.cartesian.commands import CartesianPose, CartesianTwist, PoseAction
@@ -18,7 +19,6 @@ from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import clamp, finite_numbers
 from manip_sim.simulation.poses import Pose, Twist
-from manip_sim.typing import FloatArray, IntArray
 
 
 class CartesianParser:

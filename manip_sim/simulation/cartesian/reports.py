@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 #: What is farther from its target [m, rad] and does not come nearer for a while [s], by this share
 #: of the motion that is wanted, is out of reach.

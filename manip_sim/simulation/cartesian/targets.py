@@ -11,8 +11,8 @@ import math
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
-from manip_sim.typing import FloatArray, IntArray
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3

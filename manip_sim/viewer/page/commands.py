@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import queue
 from typing import Protocol
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 
 class Commands(Protocol):

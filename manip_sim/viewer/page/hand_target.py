@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.commands import Commands
 from manip_sim.viewer.page.following import Following
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import Status
 
 

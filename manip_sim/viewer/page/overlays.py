@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 _NOTHING = np.zeros((0, 3))
 _POINT = (255, 140, 0)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.latest import JointStates, Latest
 from manip_sim.viewer.page.robots import Part, Robot
 

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.shapes import body_meshes, planes
 
 ROOT = '/world'

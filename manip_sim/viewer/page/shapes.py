@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 import trimesh
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 
 _TYPE = mujoco.mjtGeom
 _PLANE, _MESH = int(_TYPE.mjGEOM_PLANE), int(_TYPE.mjGEOM_MESH)

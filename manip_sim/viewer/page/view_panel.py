@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.scene import Scene

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import Status
 
 _ACTION_SIZE = 'action_size'

@@ -18,7 +18,7 @@ from rclpy.qos import qos_profile_sensor_data, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
-from manip_sim.typing import FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import Status
 from manip_sim.viewer.page.latest import JointStates, Latest, Pose
 from manip_sim.viewer.ros.layout import Layout
