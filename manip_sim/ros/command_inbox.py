@@ -2,19 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Let the simulation's thread take commands itself in lock-step.
+Take commands without rclpy's executor.
 
-An executor of rclpy asks all that a node has, in Python, before and after each wait, and what it
-takes has to wait for another thread then. Here one thread waits for the commands alone, takes them
-and uses them. In real time a flood of commands would take time from the physics, so the executor
-takes them there. There is no public way to wait for some subscriptions; where rclpy is another
-than those that this is known to work with, the executor takes commands as it does everything else.
+An executor asks all that a node has, in Python, before and after each wait. Here one thread waits
+for the commands alone and takes them: in lock-step it is the simulation's, which uses them then,
+else one of its own, as a flood would take time from the physics. There is no public way to wait
+for some subscriptions; where rclpy is another than those that this is known to work with, the
+executor takes commands as it does everything else.
 """
 
 from __future__ import annotations
 
 import contextlib
 from importlib.metadata import PackageNotFoundError, version
+import threading
+import time
 from typing import Any
 
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
@@ -28,6 +30,8 @@ from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.
 _KNOWN = '7.1.'
+#: Nothing else wakes a thread that waits for messages so long [s].
+_LONG_S = 1.0
 #: While the context is being shut down there is nothing to wait for; then it is looked again [s].
 _CLOSING_S = 0.01
 
@@ -129,14 +133,55 @@ class CommandInbox(Inbox):
             self._log.failure('callbacks', subscription.topic_name, error)
 
 
+class CommandThread:
+    """
+    Takes the messages of an inbox in a thread of its own.
+
+    It rests as long as it has worked, so that a flood leaves time to the physics.
+
+    :param inbox: holds the messages
+    """
+
+    def __init__(self, inbox: CommandInbox) -> None:
+        self._inbox = inbox
+        self._ending = False
+        self._thread = threading.Thread(target=self._run, name='commands')
+
+    def start(self) -> None:
+        """Begin to take messages."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the present message."""
+        self._ending = True
+        self._inbox.wake()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it takes messages."""
+        return self._thread.is_alive()
+
+    def _run(self) -> None:
+        while not self._ending:
+            begin_s = time.thread_time()
+            self._inbox.wait(_LONG_S)
+            time.sleep(time.thread_time() - begin_s)
+
+
 def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
     """
     Create what takes commands, or return None if the executor has to.
 
     :param log: counts and tells what callbacks raise, and what cannot be read
     """
+    return CommandInbox(node, log) if is_known() else None
+
+
+def is_known() -> bool:
+    """Tell whether rclpy is a release whose wait sets are known."""
     try:
-        known = version('rclpy').startswith(_KNOWN)
+        return version('rclpy').startswith(_KNOWN)
     except PackageNotFoundError:
-        known = False
-    return CommandInbox(node, log) if known else None
+        return False

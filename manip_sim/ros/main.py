@@ -120,6 +120,8 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
                 raise node.thread.error
             if not spinner.is_alive():
                 return _fail('the executor ended unexpectedly')
+            if not node.takes_commands:
+                return _fail('the thread that takes commands ended unexpectedly')
         return 0
     finally:
         if spinner.is_alive():

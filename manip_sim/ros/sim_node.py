@@ -21,7 +21,7 @@ from manip_sim.models import World
 from manip_sim.ros.actions import Actions, offer_actions
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.cartesian import CartesianSubscribers
-from manip_sim.ros.command_inbox import create_command_inbox
+from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.log import RejectionLog
@@ -78,13 +78,15 @@ class SimNode(Node):
         self._declared.check_names()
         for scope, robot in self._robots.items():
             self._declared.couple(scope, robot.parts)
-        self._inbox = (create_command_inbox(self, self.rejections)
-                       if value('stepping') == 'lockstep' else None)
+        self._inbox = create_command_inbox(self, self.rejections)
+        lockstep = value('stepping') == 'lockstep'
+        self._command_thread = (None if self._inbox is None or lockstep
+                                else CommandThread(self._inbox))
         self.thread = SimulationThread(
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self._robots.items()},
-            value('start_paused'), self._tell_failure, self._inbox)
+            value('start_paused'), self._tell_failure, self._inbox if lockstep else None)
         self._check_lockstep()
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots(frame_prefix)
@@ -220,6 +222,8 @@ class SimNode(Node):
         """
         self.cameras.start()
         self.thread.start()
+        if self._command_thread is not None:
+            self._command_thread.start()
         # Nobody should wait for these to get the first state.
         for publisher in self._descriptions:
             publisher.publish()
@@ -231,6 +235,11 @@ class SimNode(Node):
             self._actions.destroy()
         super().destroy_node()
 
+    @property
+    def takes_commands(self) -> bool:
+        """Whether the thread that takes commands runs, if there is one."""
+        return self._command_thread is None or self._command_thread.is_alive
+
     def end_goals(self) -> None:
         """Abort the goals of actions and let their clients know; the executor must still run."""
         if self._actions is not None:
@@ -238,5 +247,7 @@ class SimNode(Node):
 
     def stop(self) -> None:
         """End the simulation; the node can be destroyed then."""
+        if self._command_thread is not None:
+            self._command_thread.stop()
         self.thread.stop()
         self.cameras.stop()

@@ -13,6 +13,8 @@ import pytest
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
+from manip_sim.ros.command_inbox import is_known
+
 
 def catches(process, number):
     """Tell whether a process has come as far as to catch a signal."""
@@ -57,6 +59,7 @@ FAILS = """
 import os
 import sys
 from manip_sim.ros import main
+from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.simulation import Simulation
 
@@ -70,6 +73,8 @@ def out_of_memory():
 
 if sys.argv[1] == 'physics':
     fails(Simulation, 'advance', out_of_memory)
+elif sys.argv[1] == 'commands':
+    fails(CommandInbox, 'wait', sys.exit)
 else:
     fails(GuardedExecutor, 'spin_once', sys.exit)
 sys.exit(main.run([]))
@@ -78,8 +83,12 @@ sys.exit(main.run([]))
 
 @pytest.mark.parametrize('what, told', [
     ('physics', 'MemoryError: no memory for the physics'),
-    ('executor', 'sim_node: the executor ended unexpectedly')], ids=['physics', 'executor'])
+    ('executor', 'sim_node: the executor ended unexpectedly'),
+    ('commands', 'sim_node: the thread that takes commands ended unexpectedly')],
+    ids=['physics', 'executor', 'commands'])
 def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_path):
+    if what == 'commands' and not is_known():
+        pytest.skip('of this rclpy the executor takes commands')
     now = tmp_path / 'fail_now'
     node = subprocess.Popen([sys.executable, '-c', FAILS, what, str(now)], text=True,
                             stderr=subprocess.PIPE)
