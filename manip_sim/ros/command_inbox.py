@@ -19,13 +19,13 @@ import threading
 import time
 from typing import Any
 
-from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import EventHandler
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
 from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.rclpy_internals import RCLError, WaitSet
 from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.
@@ -109,7 +109,7 @@ class CommandInbox(Inbox):
             for handle in (self._node.context.handle, self._guard.handle,
                            *(subscription.handle for subscription in subscriptions)):
                 in_use.enter_context(handle)
-            wait_set = rclpy_implementation.WaitSet(
+            wait_set = WaitSet(
                 len(subscriptions), 1, 0, 0, 0, 0, self._node.context.handle)
             wait_set.clear_entities()
             wait_set.add_guard_condition(self._guard.handle)

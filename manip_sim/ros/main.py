@@ -16,13 +16,13 @@ import threading
 import warnings
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.overrides import for_other_nodes, without_source
+from manip_sim.ros.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime.camera_thread import THREAD_NAME
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
@@ -17,6 +17,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from manip_sim.arrays import FloatArray
 from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.rclpy_internals import RCLError
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
 

@@ -19,6 +19,7 @@ import yaml
 from manip_sim.errors import describe_choices, ParameterError
 from manip_sim.interface.parameter_files import matches, sections_of
 from manip_sim.quoting import quoted, quoted_names
+from manip_sim.ros.rclpy_internals import parameter_overrides
 
 _QOS = 'qos_overrides.'
 _CHOICES = {
@@ -61,7 +62,7 @@ def check_qos_names(node: Node) -> None:
 
 
 def _qos_overrides(node: Node) -> list[tuple[str, Any]]:
-    overrides = node._parameter_overrides
+    overrides = parameter_overrides(node)
     return [(name, overrides[name]) for name in sorted(overrides) if name.startswith(_QOS)]
 
 

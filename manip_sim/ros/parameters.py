@@ -18,6 +18,7 @@ from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import check_names
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.scope import Scope
+from manip_sim.ros.rclpy_internals import parameter_overrides
 from manip_sim.simulation.parts import Part
 
 #: Groups of parameters whose values for a part are those of the parts that it consists of.
@@ -45,7 +46,7 @@ class Parameters:
 
         :raises ParameterError: if a value cannot be used
         """
-        overrides = self._node._parameter_overrides
+        overrides = parameter_overrides(self._node)
         for spec in specs:
             self._specs[spec.name] = spec
             if spec.name in overrides:
@@ -64,7 +65,7 @@ class Parameters:
 
         :raises ParameterError: naming the nearest ones
         """
-        check_names(self._node._parameter_overrides, self._specs)
+        check_names(parameter_overrides(self._node), self._specs)
 
     def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
         """
@@ -76,7 +77,7 @@ class Parameters:
         :param parts: its parts by name
         """
         self._parts[scope] = parts
-        given = self._node._parameter_overrides
+        given = parameter_overrides(self._node)
         for whole in (True, False):
             for part in parts:
                 for group in _COUPLED:

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import contextlib
 from typing import Any
 
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -29,8 +28,9 @@ from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
-from manip_sim.ros.scene import check_frame_prefix, publish_scene
+from manip_sim.ros.rclpy_internals import RCLError
 from manip_sim.ros.robot_description import DescriptionPublisher
+from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
