@@ -4,10 +4,15 @@
 """Package manip_sim: for colcon (ament_python) and for pip."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'manip_sim'
+# With colcon's --symlink-install this file is run through a link in another folder.
+HERE = Path(__file__).resolve().parent
+ABOUT = ElementTree.parse(HERE / 'package.xml')
+MAINTAINER = ABOUT.find('maintainer')
 
 
 def files_below(folder: str) -> list:
@@ -20,7 +25,7 @@ def files_below(folder: str) -> list:
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version=ABOUT.findtext('version'),
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed']},
     data_files=[
@@ -29,7 +34,7 @@ setup(
         *files_below('assets'),
         *files_below('config'),
     ],
-    python_requires='>=3.10',
+    python_requires='>=3.10,<3.14',
     install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pydantic>=2', 'pyyaml'],
     extras_require={
         'cameras': ['pillow'],
@@ -43,10 +48,22 @@ setup(
                  'scipy', 'viser>=1.1,<2', 'yourdfpy'],
     },
     zip_safe=False,
-    maintainer='manip_sim maintainers',
-    maintainer_email='maintainers@example.com',
-    description='Simulated manipulators in MuJoCo, served over ROS 2.',
+    maintainer=MAINTAINER.text,
+    maintainer_email=MAINTAINER.get('email'),
+    description=ABOUT.findtext('description'),
+    long_description=(HERE / 'README.md').read_text(),
+    long_description_content_type='text/markdown',
     license='Apache-2.0',
+    keywords=['ROS 2', 'MuJoCo', 'robosuite', 'simulation', 'manipulator'],
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Developers',
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 14)),
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
     entry_points={
         'console_scripts': [
             f'sim_node = {PACKAGE}.__main__:main',

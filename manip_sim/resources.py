@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one place that knows where assets and configuration files lie."""
+"""The one place that knows where the files beside the package lie, and what they say of it."""
 
 from __future__ import annotations
 
@@ -36,6 +36,15 @@ def share_directory() -> Path:
                      f'any folder above {package}')
 
 
+@lru_cache(maxsize=1)
+def package_version() -> str:
+    """Return the version that ``package.xml`` declares."""
+    from xml.etree import ElementTree  # A node that starts needs neither.
+    version = ElementTree.parse(share_directory() / 'package.xml').findtext('version')
+    assert version is not None
+    return version
+
+
 def asset_path(kind: str, name: str) -> Path:
     """
     Return the MJCF file of one part.
@@ -44,8 +53,3 @@ def asset_path(kind: str, name: str) -> Path:
     :param name: the part's folder, such as ``panda``
     """
     return share_directory() / 'assets' / kind / name / f'{name}.xml'
-
-
-def config_path(name: str) -> Path:
-    """Return a file of ``config/``, such as ``panda.yaml``."""
-    return share_directory() / 'config' / name

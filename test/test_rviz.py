@@ -8,10 +8,10 @@ import yaml
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PUBLISHED, topics_of_world
 from manip_sim.models import compose
-from manip_sim.resources import config_path
+from manip_sim.resources import share_directory
 from manip_sim.simulation import Simulation
 
-CONFIG = yaml.safe_load(config_path('manip_sim.rviz').read_text())
+CONFIG = yaml.safe_load((share_directory() / 'config/manip_sim.rviz').read_text())
 #: Displays of rviz_default_plugins in ROS 2 Jazzy that show what the node publishes, and the type
 #: of their topic.
 DISPLAYS = {

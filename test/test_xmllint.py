@@ -5,9 +5,13 @@
 
 from pathlib import Path
 import re
+import subprocess
+import sys
 from xml.etree import ElementTree
 
 import pytest
+
+import manip_sim
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = [ROOT / 'package.xml', *sorted((ROOT / 'assets').rglob('*.xml'))]
@@ -20,12 +24,18 @@ def test_an_xml_file_is_well_formed(file):
 
 def test_package_xml_and_setup_py_agree():
     package = ElementTree.parse(ROOT / 'package.xml').getroot()
-    setup = (ROOT / 'setup.py').read_text()
+    maintainer = package.find('maintainer')
     assert package.get('format') == '3'
-    assert f"version='{package.findtext('version')}'" in setup
-    assert package.findtext('license') in setup
-    assert f"'{package.findtext('maintainer')}'" in setup
-    assert re.fullmatch(r'[^@\s]+@[^@\s]+\.[^@\s]+', package.find('maintainer').get('email'))
+    assert re.fullmatch(r'[^@\s]+@[^@\s]+\.[^@\s]+', maintainer.get('email'))
+    told = subprocess.run(
+        [sys.executable, '-W', 'ignore', 'setup.py', '--quiet', '--name', '--version',
+         '--license', '--maintainer', '--maintainer-email', '--description'],
+        cwd=ROOT, capture_output=True, text=True, check=True)
+    assert told.stdout.splitlines() == [
+        package.findtext('name'), package.findtext('version'), package.findtext('license'),
+        maintainer.text, maintainer.get('email'), package.findtext('description')]
+    assert manip_sim.__version__ == package.findtext('version')
+    assert f'version: {manip_sim.__version__}\n' in (ROOT / 'CITATION.cff').read_text()
 
 
 def test_every_ros_package_that_is_imported_is_declared():
@@ -35,5 +45,5 @@ def test_every_ros_package_that_is_imported_is_declared():
     for file in (ROOT / 'manip_sim').rglob('*.py'):
         imported |= set(re.findall(r'^(?:from|import) (rclpy|\w+_msgs|\w+_srvs|\w+_interfaces)\b',
                                    file.read_text(), re.MULTILINE))
-    assert imported - {'simulation_interfaces'} <= declared
+    assert imported <= declared
     assert 'rclpy' in imported

@@ -11,6 +11,8 @@ import math
 from pathlib import Path
 from typing import Any, NoReturn
 
+from manip_sim.resources import package_version
+
 #: The options of a composition; None where they are not given.
 COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'idn', 'prefix',
                'position', 'orientation', 'timestep', 'no_gravity_compensation', 'cameras',
@@ -31,7 +33,8 @@ class _Parser(argparse.ArgumentParser):
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """
-    Read a command line; ends the process with exit code 2 if it is wrong, 0 after ``--help``.
+    Read a command line; ends the process with exit code 2 if it is wrong, 0 after ``--help``
+    and ``--version``.
 
     :param arguments: the words, by default those of the process
     """
@@ -41,6 +44,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                     'of them, without ROS.',
         epilog=f"manip_sim COMMAND --help tells more. {_EXIT_CODES}. The node itself is "
                "'sim_node'.")
+    parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):

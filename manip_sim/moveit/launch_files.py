@@ -18,7 +18,7 @@ _PACKAGE = """<?xml version="1.0"?>
   <name>{package}</name>
   <version>0.1.0</version>
   <description>MoveIt configuration of {robot}, written by manip_sim.</description>
-  <maintainer email="maintainers@example.com">manip_sim maintainers</maintainer>
+  <maintainer email="you@{package}.invalid">you</maintainer>
   <license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
 {dependencies}

@@ -11,8 +11,8 @@ import pytest
 from rclpy.node import Node
 
 from manip_sim.interface.topics import actions_of
-from manip_sim.resources import config_path
-from manip_sim.ros import simulation_interfaces, transforms
+from manip_sim.resources import share_directory
+from manip_sim.ros import standard_services, transforms
 
 #: Together they have all parts that there are.
 ROBOTS = ('PandaOmron', 'GR1')
@@ -28,7 +28,7 @@ FRAMES = {'/tf', '/tf_static'}
 
 def granted(enclave, kind, permission):
     """Return the full names that an enclave of the policy allows."""
-    (profile,) = ElementTree.parse(config_path('security_policy.xml')).findall(
+    (profile,) = ElementTree.parse(share_directory() / 'config/security_policy.xml').findall(
         f'./enclaves/enclave[@path="{enclave}"]/profiles/profile')
     names = [element.text for element in
              profile.findall(f'./{kind}s[@{permission}="ALLOW"]/{kind}')]
@@ -67,7 +67,7 @@ def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
     allowed = granted('/manip_sim/sim_node', kind, permission)
     if kind == 'service':
         assert allowed >= STANDARD_SERVICES
-        if not simulation_interfaces.AVAILABLE:
+        if not standard_services.AVAILABLE:
             allowed -= STANDARD_SERVICES
     if permission == 'publish':
         assert allowed >= FRAMES
