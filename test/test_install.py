@@ -14,8 +14,8 @@ from domains import reserve_domain
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'README.md', 'resource', 'manip_sim',
-         'assets', 'config']
+PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'README.md', 'resource',
+         'manip_sim', 'assets', 'config']
 FIND = ('from ament_index_python import get_package_prefix; '
         "print(get_package_prefix('manip_sim'))")
 TALK = """
