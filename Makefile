@@ -63,7 +63,7 @@ lint: $(TEST_READY)
 	$(BIN)/python -m mypy benchmark/*.py benchmark/targets/*.py
 
 docs: $(DOCS_READY)
-	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs
+	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs
 
 bench: $(READY)
 	$(BIN)/python benchmark/bench.py $(BENCH_ARGS)

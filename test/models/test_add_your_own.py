@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The steps of ``docs/how_to/add_your_own.md``, followed to the letter in a copy of the package."""
+"""The steps of ``docs/how_to/add_your_own.md``, followed to the letter in a package copy."""
 
 import os
 from pathlib import Path
@@ -16,7 +16,8 @@ from manip_sim.resources import share_directory
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / 'docs' / 'how_to' / 'add_your_own.md'
-FILE = re.compile(r'^`([^`\n]+)`:\n\n(?:<!-- .* -->\n)?```\w+\n(.*?)```$', re.DOTALL | re.MULTILINE)
+FILE = re.compile(r'^`([^`\n]+)`:\n\n(?:<!-- [^>]* -->\n)?```\w+\n(.*?)```$',
+                  re.DOTALL | re.MULTILINE)
 SCRIPT = re.compile(r'^```python\n(from .*?)```$', re.DOTALL | re.MULTILINE)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 import importlib
-import os
 from pathlib import Path
 import re
 import subprocess
