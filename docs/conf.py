@@ -55,6 +55,8 @@ nitpick_ignore_regex = [
 # The theme of docs.ros.org where furo is not installed.
 html_theme = 'furo' if find_spec('furo') else 'sphinx_rtd_theme'
 html_title = 'manip_sim'
+html_static_path = ['_static']
+html_css_files = ['wide.css']
 html_show_sphinx = False
 
 
