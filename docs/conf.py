@@ -23,7 +23,8 @@ if _setup.exists():
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode']
 source_suffix = {'.md': 'markdown'}
-exclude_patterns = ['_build']
+# Of README.md a link, because rosdoc2 copies this folder alone.
+exclude_patterns = ['_build', '_front_page.md']
 
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
@@ -60,6 +61,13 @@ html_css_files = ['wide.css']
 html_show_sphinx = False
 
 
+def _begin_with_front_page(app, docname, source):
+    """Begin the index with README.md, whose links are those of the folder above."""
+    if docname == 'index':
+        page = Path(app.srcdir, '_front_page.md').read_text().partition('## Documentation')[0]
+        source[0] = page.replace('](docs/', '](') + source[0]
+
+
 def _resolve_short_name(app, env, node, contnode):
     """Link a name in a docstring that is defined in another module."""
     if node.get('refdomain') != 'py' or node.get('reftype') not in ('class', 'func', 'meth'):
@@ -70,4 +78,5 @@ def _resolve_short_name(app, env, node, contnode):
 
 
 def setup(app):
+    app.connect('source-read', _begin_with_front_page)
     app.connect('missing-reference', _resolve_short_name)

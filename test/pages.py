@@ -19,7 +19,8 @@ import shlex
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / 'docs'
-PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted(DOCS.rglob('*.md'))]
+PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md',
+         *sorted(page for page in DOCS.rglob('*.md') if not page.is_symlink())]
 BLOCK = re.compile(r"""
     (?:^`(?P<file>[\w./]+)`:\n\n)?                   # the file that the block is
     (?:<!--\ (?P<marker>needs|tested\ by):\ (?P<names>[^>]+?)\ -->\n)?
