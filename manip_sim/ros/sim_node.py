@@ -179,7 +179,8 @@ class SimNode(Node):
             name = f'{scope.name}: ' if scope.name else ''
             lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
                          f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
-                         f'{self.simulation.timestep_s:g} s')
+                         f'{self.simulation.timestep_s:g} s'
+                         + (', paused until ~/pause is called' if self.thread.paused else ''))
             lines += self._parts_in_words(scope, robot)
         space = '<robot>/' if any(scope.name for scope in self._robots) else ''
         lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '
