@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import contextlib
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
@@ -159,6 +160,13 @@ class SimNode(Node):
                 found = self._declared.of_part(parameter.name)
                 if found is not None:
                     self._change_part(*found, parameter.value)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters as rclpy does, which says less of those that cannot be set."""
+        reason = self._declared.refusal(parameter_list)
+        if reason is not None:
+            return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
         robot = self._robots[scope]
