@@ -4,13 +4,14 @@
 # make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
 # make bench  how fast the node is, in a table of targets and figures (BENCH_ARGS=--help)
+# make docs   build the documentation as a site, build/docs/index.html; a warning is an error
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
 #
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
 # site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix.
 
 # The node and its clients talk within this machine, unless the environment says otherwise:
-# ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/security.md)
+# ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/how_to/security.md)
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -39,9 +40,10 @@ endif
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready-$(ROS_FROM)
 VIEW_READY = $(VENV)/.ready-to-view-$(ROS_FROM)
+DOCS_READY = $(VENV)/.ready-for-docs
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 
-.PHONY: run pick view test lint bench soak clean
+.PHONY: run pick view test lint docs bench soak clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -60,6 +62,9 @@ lint: $(TEST_READY)
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy benchmark/*.py benchmark/targets/*.py
 
+docs: $(DOCS_READY)
+	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs
+
 bench: $(READY)
 	$(BIN)/python benchmark/bench.py $(BENCH_ARGS)
 
@@ -76,6 +81,10 @@ $(READY): setup.py
 
 $(VIEW_READY): $(READY)
 	$(BIN)/python -m pip install --editable '.$(VIEW_EXTRAS)'
+	touch $@
+
+$(DOCS_READY): $(READY)
+	$(BIN)/python -m pip install --editable '.[docs]'
 	touch $@
 
 $(TEST_READY): $(READY)

@@ -38,6 +38,7 @@ setup(
     install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pydantic>=2', 'pyyaml'],
     extras_require={
         'cameras': ['pillow'],
+        'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'gallery': ['pillow>=10.1'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],

@@ -7,7 +7,8 @@ Measure how fast the node is, and print a table of the figures against their tar
 Every figure is a ratio to something bare in the same run, or the node as another process sees it,
 and the median of several rounds in which what is compared takes turns (A B A B). All processes
 stay on two cores of this machine, in a ROS domain that nobody else uses. The column "plain loop"
-is a loop of rclpy and MuJoCo without this package. What is measured: docs/performance.md.
+is a loop of rclpy and MuJoCo without this package. What is measured:
+docs/explanation/performance.md.
 
 Writes bench.json and, where matplotlib is installed, pictures. The exit code is 0 if all targets
 are met, 1 if one is missed or could not be measured, 2 if the command line is wrong.

@@ -49,3 +49,8 @@ def one_line(text: str, limit: int = _LINE_LIMIT) -> str:
     if cut.isprintable():
         return cut
     return ''.join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count and what is counted, such as ``1 number`` and ``2 numbers``."""
+    return f'{count} {noun}' if count == 1 else f'{count} {noun}s'

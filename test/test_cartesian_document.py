@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The example of ``docs/cartesian.md`` that needs no ROS, run."""
+"""The example of ``docs/how_to/cartesian.md`` that needs no ROS, run."""
 
 from pathlib import Path
 import re
@@ -10,7 +10,7 @@ import numpy as np
 
 from manip_sim.simulation.commands import Status
 
-DOCUMENT = (Path(__file__).resolve().parents[1] / 'docs' / 'cartesian.md').read_text()
+DOCUMENT = (Path(__file__).resolve().parents[1] / 'docs' / 'how_to' / 'cartesian.md').read_text()
 
 
 def test_the_example_of_the_document_runs():

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The tables of topics and services against those of the README, and filled in."""
+"""The tables of topics and services against those of the reference, and filled in."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,8 @@ from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of
 
-README = (Path(__file__).resolve().parents[1] / 'README.md').read_text()
+REFERENCE = Path(__file__).resolve().parents[1] / 'docs' / 'reference'
+TABLES = '\n'.join((REFERENCE / page).read_text() for page in ('topics.md', 'services.md'))
 
 
 @dataclass
@@ -23,12 +24,12 @@ class Part:
 
 
 def rows_below(header):
-    """Return name and type of the rows of the README's table with a header."""
-    table = README.split(f'\n| {header} |')[1].split('\n\n')[0]
+    """Return name and type of the rows of the reference's table with a header."""
+    table = TABLES.split(f'\n| {header} |')[1].split('\n\n')[0]
     return re.findall(r'^\| `([^`]+)` \| (\w+/\w+) \|', table, re.MULTILINE)
 
 
-def test_topics_and_services_are_those_of_the_readme_in_its_order():
+def test_topics_and_services_are_those_of_the_reference_in_its_order():
     for header, direction in (('published | type | content', PUBLISHED),
                               ('subscribed | type | meaning', SUBSCRIBED)):
         assert rows_below(header) == [

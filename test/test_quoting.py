@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from manip_sim.quoting import one_line, quoted, quoted_names
+from manip_sim.quoting import counted, one_line, quoted, quoted_names
 
 FORGED = 'x\n[ERROR] [1.0] [manip_sim]: the physics diverged\x1b[2J\u202e'
 
@@ -39,3 +39,7 @@ def test_a_long_name_is_cut_and_costs_no_more():
 def test_of_many_names_the_first_are_shown():
     assert quoted_names(['a', 'b']) == "'a', 'b'"
     assert quoted_names(['a'] * 1_000_000) == "'a', 'a', 'a', 'a', 'a' and 999995 more"
+
+
+def test_what_is_counted_is_singular_or_plural():
+    assert [counted(n, 'number') for n in (0, 1, 2)] == ['0 numbers', '1 number', '2 numbers']

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The types that users see: the Python examples of the README pass ``mypy --strict``."""
+"""The types that users see: the Python examples of the documentation pass ``mypy --strict``."""
 
 import os
 from pathlib import Path
@@ -17,8 +17,8 @@ from manip_sim.models import World
 from manip_sim.models.robots import Panda
 
 ROOT = Path(__file__).resolve().parents[1]
-BLOCKS = [block for block in re.findall(r'```python\n(.*?)```', (ROOT / 'README.md').read_text(),
-                                        re.DOTALL) if 'manip_sim' in block]
+BLOCKS = [block for block in re.findall(r'```python\n(.*?)```', (
+    ROOT / 'docs' / 'how_to' / 'python.md').read_text(), re.DOTALL)]
 WRONG = """
 from manip_sim.models.robots import Panda, Pandda
 from manip_sim.models.grippers import PandaGripper
@@ -45,7 +45,7 @@ def check(tmp_path):
     return run
 
 
-def test_the_python_examples_of_the_readme_are_well_typed(check):
+def test_the_python_examples_of_the_documentation_are_well_typed(check):
     assert BLOCKS
     for block in BLOCKS:
         assert check(block) == 'Success: no issues found in 1 source file\n'

@@ -68,8 +68,10 @@ class Task(Node):
         :returns: the simulation's model
         :raises TaskFailed: if nothing comes, telling how to start the simulation
         """
-        self.wait_until(lambda: self._mjcf is not None and ready(),
-                        f"no node answers: start one with '{self._start}'")
+        start = f"start one with '{self._start}'"
+        self.wait_until(lambda: self._mjcf is not None, f'no node answers: {start}')
+        self.wait_until(ready, 'the node that answers has no arm with a gripper by the names that '
+                        f'this example uses: {start}')
         return mujoco.MjModel.from_xml_string(self._mjcf)
 
     def wait_until(self, condition: Callable[[], bool], problem: str) -> None:
@@ -87,7 +89,8 @@ class Task(Node):
     def next_state(self) -> None:
         """Wait for a newer state."""
         last = self.now_s
-        self.wait_until(lambda: self.now_s > last, 'the simulation stands still')
+        self.wait_until(lambda: self.now_s > last,
+                        'the simulation stands still: is it paused, or in lock-step?')
 
     def wait(self, duration_s: float) -> None:
         """Wait for so long in simulation time [s]."""

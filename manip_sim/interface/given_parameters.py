@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from manip_sim.errors import describe_choices, ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec, type_name
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
+from manip_sim.quoting import quoted
 
 #: Parameters that every rclpy node knows.
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
@@ -81,5 +82,5 @@ def check_names(given: Iterable[str], known: Iterable[str]) -> None:
         missing = [f'this robot has no {part}, ' for part in name.split('.')
                    if part in SUBSYSTEMS and not any(
                        other.endswith(f'control_mode.{part}') for other in known)]
-        raise ParameterError(f"unknown parameter '{name}': {''.join(missing)}"
+        raise ParameterError(f"unknown parameter {quoted(name, 200)}: {''.join(missing)}"
                              f'{describe_choices(name, known)}')

@@ -12,7 +12,7 @@ from manip_sim.errors import describe_choices
 from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG, SIZES
 from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number)
-from manip_sim.quoting import shown
+from manip_sim.quoting import counted, shown
 
 #: What is farther from the origin is lost [m].
 _MAX_DISTANCE_M = 1e4
@@ -118,7 +118,7 @@ class ShapeDescription(PlacedDescription):
         count, meaning = SIZES[self.shape]
         if len(self.size) != count:
             raise ValueError(f"'size' of a {self.shape} is {meaning} [m], got "
-                             f'{len(self.size)} numbers: {shown(self.size)}')
+                             f'{counted(len(self.size), "number")}: {shown(self.size)}')
         if self.mass is not None and self.density is not None:
             raise ValueError("give 'mass' or 'density', not both")
         if not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.quoting import counted
 
 
 def finite_numbers(values: ArrayLike, length: int, what: str,
@@ -30,7 +31,7 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
         raise error(f'{what} must be numbers, got {values!r:.60}') from cause
     if numbers.shape != (length,):
         found = str(numbers.size) if numbers.ndim == 1 else f'the shape {numbers.shape}'
-        raise error(f'{what} must have {length} numbers, got {found}')
+        raise error(f'{what} must have {counted(length, "number")}, got {found}')
     bad = np.flatnonzero(~np.isfinite(numbers))
     if bad.size:
         raise error(f'{what} must be finite, got {numbers[bad[0]]} at index {bad[0]}')

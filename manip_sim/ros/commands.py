@@ -18,6 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
+from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
@@ -150,8 +151,9 @@ class CommandSubscribers:
             self.statistics[name].clamped += count
             self.statistics[name].last_s = now_s
         if clamped:
-            self._log.warn(topic, 'clamped', f'clamped {clamped} numbers of a message on {topic} '
-                           'to their limits')
+            example = next((c.clamped_example for c in commands if c.clamped_example), '')
+            self._log.warn(topic, 'clamped', f'clamped {counted(clamped, "number")} of a message '
+                           f'on {topic}{": " + example if example else " to its limits"}')
         for command in commands:
             if isinstance(command, TrajectoryCommand) and command.slowed > 1.0:
                 self.statistics[entry].slowed += 1

@@ -67,6 +67,18 @@ class Parameters:
         """
         check_names(parameter_overrides(self._node), self._specs)
 
+    def refusal(self, parameters: Sequence[Parameter]) -> str | None:
+        """Return why parameters cannot be changed, whatever their values are, or None."""
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is not None and not spec.live:
+                return f"parameter '{spec.name}' is read-only: set it at the start"
+            try:
+                check_names([parameter.name], self._specs)
+            except ParameterError as error:
+                return str(error)
+        return None
+
     def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
         """
         Let parameters of a part set those of the parts that it consists of, and the reverse.

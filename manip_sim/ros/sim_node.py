@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import contextlib
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -165,6 +166,13 @@ class SimNode(Node):
                 if found is not None:
                     self._change_part(*found, parameter.value)
 
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters as rclpy does, which says less of those that cannot be set."""
+        reason = self._declared.refusal(parameter_list)
+        if reason is not None:
+            return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
     def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
         robot = self._robots[scope]
         change = robot.set_control_mode if group == 'control_mode' else robot.set_command_timeout
@@ -184,7 +192,8 @@ class SimNode(Node):
             name = f'{scope.name}: ' if scope.name else ''
             lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
                          f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
-                         f'{self.simulation.timestep_s:g} s')
+                         f'{self.simulation.timestep_s:g} s'
+                         + (', paused until ~/pause is called' if self.thread.paused else ''))
             lines += self._parts_in_words(scope, robot)
         space = '<robot>/' if any(scope.name for scope in self._robots) else ''
         lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '

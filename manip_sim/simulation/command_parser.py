@@ -14,13 +14,14 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
-from manip_sim.quoting import quoted
+from manip_sim.quoting import counted, quoted
 from manip_sim.simulation.commands import (
     BaseTwist, Command, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory,
     TrajectoryStop)
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
-from manip_sim.simulation.numbers import clamp, finite_numbers
+from manip_sim.simulation.numbers import (
+    action_example, clamp, clamped_example, finite_numbers)
 from manip_sim.simulation.trajectory import check_times, Trajectory
 
 #: A trajectory with more points is refused: it could not be checked in a moment.
@@ -60,12 +61,14 @@ class CommandParser:
             numbers = finite_numbers(action, gripper.dof, f'{part}: an action')
             inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
             return GripperAction(parts=frozenset([part]), indices=gripper.indices, action=inside,
-                                 clamped=clamped)
+                                 clamped=clamped,
+                                 clamped_example=action_example(numbers, inside))
         indices = self._joints.indices_of(part)
         numbers = finite_numbers(action, len(indices), f'{part}: an action')
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
         return JointSetpoint(
             parts=self._joints.parts_of(indices), indices=indices, clamped=clamped,
+            clamped_example=action_example(numbers, inside),
             modes=self._joints.modes_of(indices), values=self._formatted(part, indices, inside))
 
     def _formatted(self, part: str, indices: IntArray, action: FloatArray) -> FloatArray:
@@ -137,8 +140,8 @@ class CommandParser:
         takers = self._takers(field, names, modes)
         observed = [i for i in takers[given.size:] if names[i] not in self._gripper_of]
         if given.size > len(takers) or observed:
-            raise CommandError(f'{what}: {field} must have {len(names)} numbers, got '
-                               f'{given.size}: one for each joint')
+            raise CommandError(f'{what}: {field} must have {counted(len(names), "number")}, '
+                               f'got {given.size}: one for each joint')
         placed[takers[:given.size]] = given
         return placed
 
@@ -170,14 +173,17 @@ class CommandParser:
             inside, clamped = clamp(values[own], self._joints.clamps(indices))
             yield JointSetpoint(
                 parts=self._joints.parts_of(indices), indices=indices, values=inside,
-                modes=self._joints.modes_of(indices), clamped=clamped)
+                modes=self._joints.modes_of(indices), clamped=clamped,
+                clamped_example=clamped_example([names[i] for i in own], values[own], inside))
         for part, gripper in self._grippers.items():
             fingers = [i for i, name in enumerate(names) if self._gripper_of.get(name) is gripper]
             if fingers:
                 joints = tuple(names[i] for i in fingers)
                 inside, clamped = clamp(values[fingers], gripper.joint_ranges(joints))
                 yield GripperSetpoint(parts=frozenset([part]), joints=joints, values=inside,
-                                      indices=gripper.actuators_of(joints), clamped=clamped)
+                                      indices=gripper.actuators_of(joints), clamped=clamped,
+                                      clamped_example=clamped_example(
+                                          joints, values[fingers], inside))
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None,
@@ -213,8 +219,8 @@ class CommandParser:
         times = finite_numbers(times_s, len(times_s), f'{part}: time_from_start')
         check_times(times)
         shape = (len(times), len(names))
-        goal, clamped = clamp(_points(part, 'positions', positions, shape),
-                              joints.clamps(indices))
+        wanted = _points(part, 'positions', positions, shape)
+        goal, clamped = clamp(wanted, joints.clamps(indices))
         speeds = None if velocities is None else _points(part, 'velocities', velocities, shape)
         bends = None if accelerations is None else _points(part, 'accelerations', accelerations,
                                                            shape)
@@ -229,7 +235,8 @@ class CommandParser:
             start_ns = 0
         return JointTrajectory(
             parts=joints.parts_of(indices), indices=indices, trajectory=trajectory,
-            columns=np.arange(len(names)), start_ns=start_ns, slowed=slowed, clamped=clamped)
+            columns=np.arange(len(names)), start_ns=start_ns, slowed=slowed, clamped=clamped,
+            clamped_example=clamped_example(names, wanted, goal))
 
     def _check_position_mode(self, part: str, names: Sequence[str]) -> None:
         for name in names:
@@ -256,7 +263,8 @@ class CommandParser:
             raise CommandError(f'base takes a twist in velocity mode only, it is in {mode} mode')
         inside, clamped = clamp(values, self._joints.clamps(indices))
         return BaseTwist(parts=self._joints.parts_of(indices), indices=indices, twist=inside,
-                         clamped=clamped)
+                         clamped=clamped, clamped_example=clamped_example(
+                             ('linear.x', 'linear.y', 'angular.z'), values, inside))
 
 
 def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:
@@ -285,8 +293,8 @@ def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) ->
     except ValueError:
         numbers = np.empty(0)
     if numbers.shape != shape:
-        raise CommandError(f'{part}: {field} must have {shape[1]} numbers at each of {shape[0]} '
-                           'points')
+        raise CommandError(f'{part}: {field} must have {counted(shape[1], "number")} at each of '
+                           f'{counted(shape[0], "point")}')
     if not np.isfinite(numbers).all():
         raise CommandError(f'{part}: {field} must be finite')
     return numbers

@@ -72,12 +72,14 @@ class Command:
     :ivar parts: the parts that it is for, arms one by one
     :ivar indices: of the simulation's controlled joints, or of the gripper's actuators
     :ivar clamped: how many numbers had to be brought into their range
+    :ivar clamped_example: the first of them in words, such as ``joint1 from 9 to 2.8973``
     :ivar handle: tells what becomes of the command
     """
 
     parts: frozenset[str]
     indices: IntArray
     clamped: int = 0
+    clamped_example: str = ''
     handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
 
     def without(self: C, indices: IntArray) -> C | None:

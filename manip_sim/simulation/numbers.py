@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -32,3 +34,22 @@ def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
     """
     inside = np.clip(values, ranges[..., 0], ranges[..., 1])
     return inside, int(np.count_nonzero(inside != values))
+
+
+def clamped_example(names: Sequence[str], values: FloatArray, inside: FloatArray) -> str:
+    """
+    Say of the first number that was brought into its range which it is, and to what.
+
+    :param names: of the columns of the values
+    :param values: as they came, shape (n,) or (n_points, n)
+    :param inside: the same in range
+    :returns: such as ``joint1 from 9 to 2.8973``; empty if all are in range
+    """
+    for place in map(tuple, np.argwhere(inside != values)[:1]):
+        return f'{names[place[-1]]} from {values[place]:g} to {inside[place]:g}'
+    return ''
+
+
+def action_example(numbers: FloatArray, inside: FloatArray) -> str:
+    """Return what :func:`clamped_example` says of an action, whose numbers have no names."""
+    return clamped_example([f'data[{i}]' for i in range(len(numbers))], numbers, inside)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The steps of ``docs/add_your_own.md``, followed to the letter in a copy of the package."""
+"""The steps of ``docs/how_to/add_your_own.md``, followed to the letter in a package copy."""
 
 import os
 from pathlib import Path
@@ -15,8 +15,9 @@ import pytest
 from manip_sim.resources import share_directory
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENT = ROOT / 'docs' / 'add_your_own.md'
-FILE = re.compile(r'^`([^`\n]+)`:\n\n```\w+\n(.*?)```$', re.DOTALL | re.MULTILINE)
+DOCUMENT = ROOT / 'docs' / 'how_to' / 'add_your_own.md'
+FILE = re.compile(r'^`([^`\n]+)`:\n\n(?:<!-- [^>]* -->\n)?```\w+\n(.*?)```$',
+                  re.DOTALL | re.MULTILINE)
 SCRIPT = re.compile(r'^```python\n(from .*?)```$', re.DOTALL | re.MULTILINE)
 
 

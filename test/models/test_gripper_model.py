@@ -131,9 +131,9 @@ def test_franka_hand_has_the_names_and_numbers_of_the_reference(reference):
 
 
 @pytest.mark.parametrize(('action', 'message'), [
-    ([], r'^an action of PandaGripper must have 1 numbers, got 0$'),
-    ([1.0, 1.0], r'^an action of PandaGripper must have 1 numbers, got 2$'),
-    (1.0, r'^an action of PandaGripper must have 1 numbers, got the shape \(\)$'),
+    ([], r'^an action of PandaGripper must have 1 number, got 0$'),
+    ([1.0, 1.0], r'^an action of PandaGripper must have 1 number, got 2$'),
+    (1.0, r'^an action of PandaGripper must have 1 number, got the shape \(\)$'),
     ([np.nan], r'^an action of PandaGripper must be finite, got nan at index 0$'),
     ([-np.inf], r'^an action of PandaGripper must be finite, got -inf at index 0$'),
     (['shut'], r"^an action of PandaGripper must be numbers, got \['shut'\]$")])

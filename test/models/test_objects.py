@@ -265,7 +265,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('objects: [{name: brick, shape: box, size: [1, 1]}]',
      r"object 'brick': 'size' of a box is \[x, y, z\], its full extents \[m\], got 2 numbers"),
     ('objects: [{name: can, shape: cylinder, size: 0.1}]',
-     r"'size' of a cylinder is \[radius, length\] \[m\], got 1 numbers"),
+     r"'size' of a cylinder is \[radius, length\] \[m\], got 1 number"),
     ('objects: [{name: brick, shape: box, size: [1, 0, 1]}]',
      r"'size'\[1\] must be at least 0.0001, got 0"),
     ('objects: [{name: brick, shape: box, size: [1, 1, true]}]',

@@ -227,7 +227,7 @@ def test_world_in_xml_is_the_same_model(panda):
 
 def test_start_that_does_not_fit_the_joints_is_refused(one_joint_arm, arm_class):
     arm_class.init_qpos = np.zeros(3)
-    with pytest.raises(ModelError, match=r'^init_qpos of Arm0 must have 1 numbers, got 3$'):
+    with pytest.raises(ModelError, match=r'^init_qpos of Arm0 must have 1 number, got 3$'):
         World([one_joint_arm()]).init_qpos()
 
 

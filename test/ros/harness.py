@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import os
 import threading
 import time
@@ -105,11 +105,11 @@ class Client:
 class Served:
     """A node that runs in this process, with an executor thread of its own."""
 
-    def __init__(self, parameters: dict[str, Any]) -> None:
+    def __init__(self, parameters: dict[str, Any], arguments: Sequence[str] = ()) -> None:
         from manip_sim.ros.executor import GuardedExecutor
         from manip_sim.ros.sim_node import SimNode
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN)
+        rclpy.init(context=self.context, domain_id=DOMAIN, args=list(arguments))
         self.node = SimNode(context=self.context, parameter_overrides=[
             Parameter(name, value=value) for name, value in parameters.items()])
         self.executor = GuardedExecutor(self.node.rejections, context=self.context)

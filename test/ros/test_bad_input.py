@@ -43,8 +43,8 @@ REFUSED = {
         (action(NAN, *[0.0] * 6), 'must be finite'),
         (action(*[0.0] * 6, -INF), 'must be finite')],
     'right/gripper/command': [
-        (action(), 'must have 1 numbers, got'),
-        (action(1.0, 1.0), 'must have 1 numbers, got'),
+        (action(), 'must have 1 number, got'),
+        (action(1.0, 1.0), 'must have 1 number, got'),
         (action(NAN), 'must be finite')],
     'arm/joint_command': [
         (joints([]), 'no joint is named'),
@@ -52,7 +52,7 @@ REFUSED = {
         (joints(['joint2'], [0.0]), "did you mean 'robot0_joint2'? available: robot0_joint1, "),
         (joints([FINGER], [0.0]), 'that can be commanded'),
         (joints([J1, J1], [0.0, 0.1]), 'named twice'),
-        (joints([J1], [0.0, 0.1]), 'must have 1 numbers, got'),
+        (joints([J1], [0.0, 0.1]), 'must have 1 number, got'),
         (joints([J1], [INF]), 'must be finite'),
         (joints([J1], [NAN]), 'no joint is commanded: each number'),
         (joints([J1]), 'no joint is commanded: each number'),
@@ -74,7 +74,7 @@ REFUSED = {
         (trajectory([], point([])), 'no joint is named'),
         (trajectory(['elbow'], point([0.1])), "no joint 'elbow'"),
         (trajectory(['elbow']), "no joint 'elbow'"),
-        (trajectory([J1], point([0.1, 0.2])), 'must have 1 numbers at each of 1 points'),
+        (trajectory([J1], point([0.1, 0.2])), 'must have 1 number at each of 1 point'),
         (trajectory([J1], point([NAN])), 'must be finite'),
         (trajectory([J1], point([0.1], sec=-1)), 'must not be negative'),
         (trajectory([J1], point([0.1]), point([0.2], 2, velocities=[1.0])), 'velocities'),

@@ -76,7 +76,8 @@ def test_in_lockstep_the_same_commands_give_the_same_bits():
 
 
 def test_the_policy_of_the_document_lifts_the_hand(serve, client):
-    document = (Path(__file__).resolve().parents[2] / 'docs' / 'cartesian.md').read_text()
+    page = Path(__file__).resolve().parents[2] / 'docs' / 'how_to' / 'cartesian.md'
+    document = page.read_text()
     script = next(block for block in re.findall(r'```python\n(.*?)```', document, re.DOTALL)
                   if 'rclpy.spin' in block)
     serve(arena='table', publish_rate=20.0, control_mode__arm='effort', stepping='lockstep',

@@ -8,7 +8,8 @@ import re
 import signal
 
 import pytest
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rcl_interfaces.srv import (
+    DescribeParameters, GetParameters, ListParameters, SetParameters)
 from rclpy.parameter import Parameter, parameter_value_to_python
 import yaml
 
@@ -147,3 +148,15 @@ def test_parameters_may_be_set_before_the_simulation_runs_and_after_it_has_ended
                         ('command_timeout.right', 1.0)):
         (result,) = node.set_parameters([Parameter(name, value=value)])
         assert result.successful
+
+
+@pytest.mark.parametrize(('name', 'value', 'reason'), [
+    ('timestep', 0.001, "parameter 'timestep' is read-only: set it at the start"),
+    ('control_mode.arms', 'effort', "unknown parameter 'control_mode.arms': did you mean "
+     "'control_mode.arm'")])
+def test_a_change_that_is_refused_says_what_to_do(name, value, reason, serve, client):
+    serve(start_paused=True)
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    (result,) = client.call(SetParameters, '/manip_sim/set_parameters', request).results
+    assert not result.successful
+    assert result.reason.startswith(reason)

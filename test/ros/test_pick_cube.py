@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 
+from manip_sim.examples import pick_cube
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 
 ROBOTS = [create_robot(name) for name in robot_names()]
@@ -67,3 +68,15 @@ def test_without_a_cube_the_example_says_so(sim_process, process):
     _, errors = controller.communicate(timeout=30.0)
     assert controller.returncode == 1
     assert 'there is no cube' in errors
+
+
+@pytest.mark.parametrize(('parameters', 'problem'), [
+    ({'gripper': 'none'}, 'the node that answers has no arm with a gripper'),
+    ({'start_paused': True}, 'the simulation stands still: is it paused, or in lock-step?')])
+def test_the_example_tells_what_is_wrong_with_a_node_that_answers(
+        parameters, problem, serve, client, monkeypatch, capsys):
+    monkeypatch.setattr('manip_sim.examples.task._PATIENCE_S', 2.0)
+    serve(arena='table', **parameters)
+    client.state()
+    assert pick_cube.main([]) == 1
+    assert problem in capsys.readouterr().err

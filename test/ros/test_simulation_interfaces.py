@@ -130,9 +130,9 @@ def test_the_services_are_documented_with_their_types(serve, client):
     services = client.node.get_service_names_and_types_by_node('manip_sim', '/')
     found = {(name.replace('/manip_sim/', '~/'), kinds[0].replace('/srv/', '/'))
              for name, kinds in services if kinds[0].startswith('simulation_interfaces/')}
-    readme = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
-    assert found == set(re.findall(r'^\| `(~/\w+)` \| (simulation_interfaces/\w+) \|', readme,
-                                   re.MULTILINE))
+    page = Path(__file__).resolve().parents[2] / 'docs' / 'reference' / 'services.md'
+    assert found == set(re.findall(r'^\| `(~/\w+)` \| (simulation_interfaces/\w+) \|',
+                                   page.read_text(), re.MULTILINE))
 
 
 def test_a_simulation_plays_is_paused_and_stopped(serve, client):

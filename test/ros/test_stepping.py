@@ -132,3 +132,9 @@ def test_a_trajectory_with_a_stamp_ahead_starts_at_that_instant(serve, client):
         assert way[310_000_000 + round(part * 50) * 10_000_000] == pytest.approx(
             expected, abs=0.002)
     assert np.diff(list(way.values())).min() > -1e-4
+
+
+def test_a_start_that_is_paused_is_told(serve, client):
+    log = client.log()
+    serve(start_paused=True)
+    client.spin_until(lambda: any('paused until ~/pause is called' in line for line in log))

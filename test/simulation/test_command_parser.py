@@ -56,13 +56,13 @@ def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mo
      r"commanded: did you mean 'robot0_joint\d' .*available: robot0_joint1, robot0_joint2"),
     ([J1, FINGER], {'position': [0, 0]}, r"^arm has no joint 'gripper0_right_finger_joint1'"),
     ([J1, J1], {'position': [0, 0]}, r"^arm: joint 'robot0_joint1' is named twice$"),
-    ([J1], {'position': [0, 1]}, r'^arm: position must have 1 numbers, got 2: one for each '),
+    ([J1], {'position': [0, 1]}, r'^arm: position must have 1 number, got 2: one for each '),
     ([J1], {}, r'^arm: no joint is commanded: each number in the field of the '
      r'control mode \(position\) is NaN or missing$'),
     ([J1, J2], {'position': [NAN, NAN]}, r'^arm: no joint is commanded: each number '),
     ([J1], {'position': [0], 'velocity': [1]}, r"^arm: joint 'robot0_joint1' is in position mode, "
      r'which does not use the field velocity: leave it empty, or NaN for this joint$'),
-    ([J1], {'effort': [1]}, r'^arm: effort must have 1 numbers, got 1: one for each joint$|'
+    ([J1], {'effort': [1]}, r'^arm: effort must have 1 number, got 1: one for each joint$|'
      r"^arm: joint 'robot0_joint1' is in position mode, which does not use the field effort"),
     ([J1, J2], {'position': [0, np.inf]}, r'^arm: position must be finite, got inf at index 1$'),
     ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf')])
@@ -81,6 +81,19 @@ def test_joint_command_is_clamped_and_the_clamps_are_counted(parse):
     (goal,) = parse.joint_command([J2, J1], [-9.0, 0.5])
     assert goal.clamped == 1
     np.testing.assert_allclose(goal.values, [-1.7628, 0.5])
+
+
+def test_what_is_clamped_is_named_with_its_value_and_its_limit(parse):
+    (goal,) = parse.joint_command([J1, J2], [0.5, -9.0])
+    assert goal.clamped_example == 'robot0_joint2 from -9 to -1.7628'
+    motion = parse.trajectory('arm', [J1, J2], [1.0, 2.0], [[0.0, 0.0], [0.1, 5.0]])
+    assert motion.clamped_example == 'robot0_joint2 from 5 to 1.7628'
+    action = parse.action('arm', [0.0, 0.5, -3.0, *[0.0] * 4])
+    assert action.clamped_example == 'data[2] from -3 to -1'
+    assert parse.action('right/gripper', [1.5]).clamped_example == 'data[0] from 1.5 to 1'
+    (finger,) = parse.joint_command(['gripper0_right_finger_joint1'], [0.5])
+    assert finger.clamped_example == 'gripper0_right_finger_joint1 from 0.5 to 0.04'
+    assert parse.joint_command([J1], [0.5])[0].clamped_example == ''
 
 
 @pytest.mark.parametrize(('mode', 'limit'), [('velocity', 2.175), ('effort', 87.0)])
@@ -192,10 +205,10 @@ def test_of_a_command_only_the_joints_whose_mode_changed_are_lost(panda_sim, par
      r'point to point, got -1 s at point 0$'),
     (([J1], [1.0, 1.0], [[0], [0]]), r'must increase .*got 1 s at point 1 after 1 s$'),
     (([J1], [NAN], [[0.0]]), r'^arm: time_from_start must be finite, got nan'),
-    (([J1], [1.0], [[0.0, 1.0]]), r'^arm: positions must have 1 numbers at each of 1 points$'),
-    (([J1], [1.0, 2.0], [[0.0], []]), r'^arm: positions must have 1 numbers at each of 2 points'),
+    (([J1], [1.0], [[0.0, 1.0]]), r'^arm: positions must have 1 number at each of 1 point$'),
+    (([J1], [1.0, 2.0], [[0.0], []]), r'^arm: positions must have 1 number at each of 2 points'),
     (([J1], [1.0], [[NAN]]), r'^arm: positions must be finite$'),
-    (([J1], [1.0], [[0.0]], [[]]), r'^arm: velocities must have 1 numbers'),
+    (([J1], [1.0], [[0.0]], [[]]), r'^arm: velocities must have 1 number'),
     (([J1], [1.0], [[0.0]], [[0.0]], [[np.inf]]), r'^arm: accelerations must be finite$'),
     (([J1], [1.0], [[0.0]], None, [[0.0]]), r'^arm: accelerations need velocities$'),
     (([], [1.0], [[]]), r'^arm: no joint is named$'),

@@ -351,7 +351,7 @@ def test_goal_with_a_command_that_failed_is_aborted(panda):
     ({'path_tolerance': at_most(1.0, joint='elbow')}, 'INVALID_JOINTS', "the joint 'elbow'"),
     ({'times_s': []}, 'INVALID_GOAL', 'a goal needs at least one point'),
     ({'times_s': [2.0, 1.0], 'positions': [[0.1], [0.2]]}, 'INVALID_GOAL', 'must increase'),
-    ({'positions': [[0.1, 0.2]]}, 'INVALID_GOAL', 'must have 1 numbers'),
+    ({'positions': [[0.1, 0.2]]}, 'INVALID_GOAL', 'must have 1 number'),
     ({'positions': [[math.nan]]}, 'INVALID_GOAL', 'must be finite'),
     ({'positions': [[2.95]]}, 'INVALID_GOAL', 'is 2.95, its range ends at 2.897'),
     ({'velocities': [[0.1]]}, 'INVALID_GOAL', 'must stand still at the last point'),

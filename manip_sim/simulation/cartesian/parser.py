@@ -17,7 +17,7 @@ from manip_sim.simulation.cartesian.commands import CartesianPose, CartesianTwis
 from manip_sim.simulation.cartesian.frames import Frames, rotation_of
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.joint_controller import JointController
-from manip_sim.simulation.numbers import clamp, finite_numbers
+from manip_sim.simulation.numbers import action_example, clamp, finite_numbers
 from manip_sim.simulation.poses import Pose, Twist
 
 
@@ -91,7 +91,8 @@ class CartesianParser:
         numbers = finite_numbers(action, 6, f'{arm}: a pose action')
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
         return PoseAction(parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-                          action=inside, clamped=clamped)
+                          action=inside, clamped=clamped, clamped_example=action_example(
+                              numbers, inside))
 
     def _indices_of(self, arm: str) -> IntArray:
         if arm not in self._settings:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The README's tables of topics and services against the running node; its example, pasted."""
+"""The reference of topics and services against the running node; the README's example, pasted."""
 
 from pathlib import Path
 import re
@@ -13,19 +13,21 @@ from rclpy.qos import QoSDurabilityPolicy
 from manip_sim.ros import transforms
 from manip_sim.interface.topics import ACTIONS
 
-README = (Path(__file__).resolve().parents[2] / 'README.md').read_text()
+ROOT = Path(__file__).resolve().parents[2]
+TABLES = '\n'.join((ROOT / 'docs' / 'reference' / page).read_text()
+                   for page in ('topics.md', 'services.md'))
 PARTS = ('arm', 'base', 'torso', 'head', 'legs')
 
 
 def documented(kinds):
     """Return (name, type) of the table rows whose type is of some packages."""
     return {(name, kind) for name, kind in re.findall(
-        r'^\| `([^`]+)` \| (\w+/\w+) \|', README, re.MULTILINE)
+        r'^\| `([^`]+)` \| (\w+/\w+) \|', TABLES, re.MULTILINE)
         if kind.split('/')[0] in kinds}
 
 
 def general(name):
-    """Turn the name of a topic into the form that the README has."""
+    """Turn the name of a topic into the form that the tables have."""
     name = re.sub(r'^/manip_sim/', '~/', name)
     if name not in ('/clock', '/diagnostics', '/tf', '/tf_static'):
         name = name.lstrip('/')
@@ -92,7 +94,8 @@ def test_the_model_is_latched(serve, client):
 
 def test_the_pasted_controller_moves_the_robot(serve, client):
     serve()
-    example = next(block for block in re.findall(r'```python\n(.*?)```', README, re.DOTALL)
+    example = next(block for block in re.findall(
+        r'```python\n(.*?)```', (ROOT / 'README.md').read_text(), re.DOTALL)
                    if 'rclpy.spin' in block)
     assert len([line for line in example.splitlines() if line]) == 10
     # A terminal ends a block at an empty line, and only there.
