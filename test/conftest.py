@@ -3,6 +3,7 @@
 
 """What all tests share: MJCF files of a few lines, small robots and the Panda in an arena."""
 
+import importlib.util
 import json
 import os
 from pathlib import Path
@@ -22,6 +23,13 @@ from manip_sim.models.robots.robot_model import ROBOTS
 from manip_sim.models.world import World
 from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.simulation import Simulation
+
+if importlib.util.find_spec('hypothesis'):
+    from hypothesis import HealthCheck, settings
+    # The same examples each time: a failure is that of the change that is tested.
+    settings.register_profile('repeatable', derandomize=True, database=None, deadline=None,
+                              max_examples=100, suppress_health_check=list(HealthCheck))
+    settings.load_profile('repeatable')
 
 ARM_WORLDBODY = """
 <body name="base">
