@@ -38,7 +38,8 @@ setup(
         'jazzy-test': ['ros-jazzy-test-msgs'],
         # trimesh smooths shapes by scipy.
         'viewer': ['scipy', 'trimesh', 'viser>=1.1,<2'],
-        'test': ['colcon-common-extensions', 'flake8', 'hypothesis', 'lxml', 'mypy', 'pillow', 'pin',
+        'mutate': ['cosmic-ray'],
+        'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis', 'lxml', 'mypy', 'pillow', 'pin',
                  'playwright', 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
                  'scipy', 'viser>=1.1,<2', 'yourdfpy'],
     },
