@@ -45,8 +45,8 @@ ARM_WORLDBODY = """
 MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 
 
-#: Files with much to do, the longest first. With two workers and a file for one of them, a long file
-#: that comes last keeps one worker waiting for the other.
+#: Files with much to do, the longest first. With two workers and a file for one of them, a long
+#: file that comes last keeps one worker waiting for the other.
 LONGEST = (
     'ros/test_viewer.py', 'simulation/test_control_figures.py', 'ros/test_lockstep.py',
     'ros/test_pick_cube.py', 'models/test_add_your_own.py', 'ros/test_process.py',
@@ -57,8 +57,10 @@ LONGEST = (
     'test_typing.py', 'ros/test_parameters.py', 'ros/test_start.py')
 
 
-def pytest_collection_modifyitems(items):
-    """Let the longest files begin first, then those with the most tests."""
+def pytest_collection_modifyitems(config, items):
+    """Let several workers begin with the longest files, then go on with those of most tests."""
+    if not hasattr(config, 'workerinput'):
+        return
     here = Path(__file__).parent
     rank = {here / name: place for place, name in enumerate(LONGEST)}
     count = Counter(item.path for item in items)

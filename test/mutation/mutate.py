@@ -14,10 +14,13 @@ from __future__ import annotations
 import argparse
 import ast
 from collections.abc import Iterator, Sequence
+import contextlib
 from dataclasses import dataclass
 import difflib
 import hashlib
+import importlib
 import json
+import math
 import os
 from pathlib import Path
 import random
@@ -32,6 +35,7 @@ import time
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 #: By area, its sources and how much of a sample is taken from it.
@@ -39,13 +43,16 @@ AREAS = {
     'simulation': (['manip_sim/simulation'], 0.6),
     'models': (['manip_sim/models'], 0.3),
     'messages': (['manip_sim/ros/messages.py', 'manip_sim/ros/serialized.py'], 0.1)}
-#: The tests that changes are tried by; those of rendering and of whole nodes take too long, and one
-#: runs others.
+#: The tests that changes are tried by; those of rendering and of whole nodes take too long, and
+#: one runs others.
 TESTS = ['test/models', 'test/simulation', 'test/runtime/test_command_buffer.py',
          'test/ros/test_serialized.py', 'test/ros/test_message_fields.py',
          'test/test_parameter_properties.py', '--ignore=test/models/test_add_your_own.py']
 #: What fails at once wherever it is, as bits of a float do, says nothing about tests.
 _LEFT_OUT = re.compile(r'RemoveDecorator|BinaryOperator.*_(BitAnd|BitOr|BitXor|LShift|RShift)$')
+#: What most tests import, and what takes long.
+_IMPORTED = ('hypothesis', 'mujoco', 'pydantic', 'scipy.spatial.transform', 'yaml',
+             'hypothesis.strategies', 'numpy.testing', 'rclpy.serialization', 'sensor_msgs.msg')
 RECORD_FILE = ROOT / '.mutation' / 'tests.json'
 
 
@@ -169,27 +176,50 @@ class Laboratory:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, target)
 
-    def pytest(self, arguments: Sequence[str], timeout_s: float | None = None,
-               **environment: str) -> int | None:
+    def pytest(self, arguments: Sequence[str], timeout_s: float = math.inf, **environment: str
+               ) -> int | None:
         """
-        Run tests.
+        Run tests in a fork of this process, which has imported what takes long to import.
 
-        :returns: the exit code of pytest, None if they take longer than a time
+        :returns: the exit code of pytest, None if they take longer than a time or crash
         """
-        command = [sys.executable, '-m', 'pytest', '-q', '--no-header', '-p', 'no:cacheprovider',
-                   '-p', 'no:randomly', *arguments]
-        python_path = os.pathsep.join(
-            [str(self.folder), str(self.folder / 'test'), os.environ.get('PYTHONPATH', '')])
-        process = subprocess.Popen(
-            command, cwd=self.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            start_new_session=True, env={**os.environ, 'PYTHONPATH': python_path,
-                                         'PYTHONDONTWRITEBYTECODE': '1', **environment})
+        child = os.fork()
+        if not child:
+            self._become_pytest(arguments, environment)
+        end_s = time.monotonic() + timeout_s
+        while True:
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                # What tests have started and left behind ends with them.
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(child, signal.SIGKILL)
+                return os.waitstatus_to_exitcode(status)
+            if time.monotonic() > end_s:
+                os.killpg(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+                return None
+            time.sleep(0.02)
+
+    def _become_pytest(self, arguments: Sequence[str], environment: dict[str, str]) -> None:
+        """Run tests and end this process."""
+        code = 3
         try:
-            return process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            return None
+            os.setsid()
+            os.chdir(self.folder)
+            nothing = os.open(os.devnull, os.O_RDWR)
+            for descriptor in range(3):
+                os.dup2(nothing, descriptor)
+            paths = [str(self.folder), str(self.folder / 'test')]
+            sys.path[:0] = paths
+            sys.dont_write_bytecode = True
+            os.environ.update(
+                environment, PYTHONDONTWRITEBYTECODE='1',
+                PYTHONPATH=os.pathsep.join([*paths, os.environ.get('PYTHONPATH', '')]))
+            # Of what is imported already pytest cannot rewrite the assertions.
+            code = int(pytest.main(['-q', '-p', 'no:cacheprovider', '-W',
+                                    'ignore::pytest.PytestAssertRewriteWarning', *arguments]))
+        finally:
+            os._exit(code)
 
     def record(self) -> None:
         """Run all tests once and write which lines each of them runs."""
@@ -256,6 +286,14 @@ def _sources_digest() -> str:
     return digest.hexdigest()
 
 
+def _import_early() -> None:
+    """Import what the tests of every change would import again."""
+    for name in _IMPORTED:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
+    assert not any(name.split('.')[0] == 'manip_sim' for name in sys.modules)
+
+
 def _recorded(laboratory: Laboratory, again: bool) -> Record:
     """Return the record of the sources as they are; it is kept from run to run."""
     digest_file = RECORD_FILE.with_suffix('.sha256')
@@ -270,6 +308,8 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='make mutate', description=__doc__)
     parser.add_argument('--sample', type=int, help='try so many changes, chosen at random')
     parser.add_argument('--seed', type=int, default=1, help='of the sample, 1 by default')
+    parser.add_argument('--begin', type=int, default=1, metavar='N',
+                        help='begin with the N-th change, as to go on with a sample')
     parser.add_argument('--only', default='', help='part of the names of files')
     parser.add_argument('--seconds', type=float, default=40.0,
                         help='of tests for each change at most, 40 by default')
@@ -285,8 +325,9 @@ def main() -> int:
     survivors, begin_s = 0, time.monotonic()
     with tempfile.TemporaryDirectory(prefix='manip_sim_mutation_') as folder:
         laboratory = Laboratory(Path(folder).resolve())
+        _import_early()
         record = _recorded(laboratory, options.record)
-        for count, mutant in enumerate(mutants, 1):
+        for count, mutant in list(enumerate(mutants, 1))[options.begin - 1:]:
             tests = record.tests_of(mutant.file, mutant.line, options.seconds)
             names = [name for name, _ in tests]
             survived = not tests or laboratory.survives(
@@ -297,9 +338,9 @@ def main() -> int:
                   f'{len(tests)} tests, {time.monotonic() - begin_s:.0f} s', flush=True)
             if survived:
                 print(mutant.difference, flush=True)
-    killed = len(mutants) - survivors
-    print(f'{killed} of {len(mutants)} changes were seen by tests '
-          f'({killed / max(1, len(mutants)):.1%})')
+    tried = len(mutants) - options.begin + 1
+    killed = tried - survivors
+    print(f'{killed} of {tried} changes were seen by tests ({killed / max(1, tried):.1%})')
     return 0
 
 
