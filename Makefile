@@ -67,7 +67,9 @@ test: $(TEST_READY)
 # Beside the tests, which lines of the package they and the processes that they start run.
 coverage: $(TEST_READY)
 	rm -f .coverage .coverage.*
-	COVERAGE_FILE=$(CURDIR)/.coverage $(BIN)/python -m coverage run -m pytest $(TEST_DIST) $(PYTEST_ARGS)
+	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))'; then \
+		export COVERAGE_CORE=sysmon; fi; COVERAGE_FILE=$(CURDIR)/.coverage \
+		$(BIN)/python -m coverage run -m pytest $(TEST_DIST) $(PYTEST_ARGS)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 
