@@ -74,7 +74,7 @@ coverage: $(TEST_READY)
 	$(BIN)/python -m coverage report
 
 mutate: $(MUTATE_READY)
-	PYTHONPATH=test $(BIN)/python test/mutation/mutate.py $(MUTATE_ARGS)
+	$(BIN)/python test/mutation/mutate.py $(MUTATE_ARGS)
 
 lint: $(TEST_READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark docs setup.py

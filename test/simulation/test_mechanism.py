@@ -54,6 +54,9 @@ def test_a_spring_in_a_tendon_moves_the_joints_of_the_bodies_that_it_spans():
     spans = '<spatial stiffness="3">{}</spatial>'
     sites = '<site site="s1"/><site site="s3"/>'
     assert moved(f'<tendon>{spans.format(sites)}</tendon>') == {1, 3}
+    # A pulley is no place: behind it another branch begins.
+    branches = f'{sites}<pulley divisor="2"/><site site="s1"/><site site="fixed"/>'
+    assert moved('<tendon>' + spans.format(branches.replace('s3', 's2')) + '</tendon>') == {1, 2}
     # It also goes around a shape, whose body it pulls at.
     around = '<site site="fixed"/><geom geom="g2"/><site site="fixed"/>'
     assert moved(f'<tendon>{spans.format(around)}</tendon>') == {2}
