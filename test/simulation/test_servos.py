@@ -353,6 +353,25 @@ def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(n
     assert samples.position[:, joint].max() < start + 1.2
 
 
+@pytest.mark.parametrize(('name', 'joint', 'most'), [
+    ('Panda', 5, 3e-5), ('IIWA', 5, 4e-5), ('UR5e', 2, 1.2e-4)])
+def test_joints_that_swing_hardly_push_one_aside_that_stands(name, joint, most):
+    simulation = whole_robot(name)
+    arm, moved = Driven(simulation, 'right'), [0, 1, 3]
+    start, pace = arm.position, 2.0 * np.pi / 1.2
+    times = np.arange(1, 121) * 0.01
+    swing = 0.6 * arm.velocity_limit[moved] / pace * np.sin(
+        pace * times[:, None] * [1.0, 0.5, 0.5])**2
+    simulation.robot.apply(simulation.robot.parse.trajectory(
+        'right', [arm.names[i] for i in moved], times, start[moved] + swing))
+    aside = []
+    for _ in range(115):
+        simulation.advance(5)
+        aside.append(abs(arm.position[joint] - start[joint]))
+    # Centrifugal and Coriolis forces are known, so they are met before they move anything.
+    assert max(aside) < most
+
+
 @pytest.mark.parametrize(('name', 'joint'), [('Panda', 0), ('Kinova3', 4), ('IIWA', 4)])
 def test_blocked_joint_presses_with_all_the_torque_that_it_has(name, joint):
     simulation = whole_robot(name)
