@@ -39,9 +39,9 @@ setup(
         # trimesh smooths shapes by scipy.
         'viewer': ['scipy', 'trimesh', 'viser>=1.1,<2'],
         'mutate': ['cosmic-ray'],
-        'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis', 'lxml', 'mypy', 'pillow', 'pin',
-                 'playwright', 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
-                 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
+        'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis',
+                 'lxml', 'mypy', 'pillow', 'pin', 'playwright', 'pydocstyle', 'pytest',
+                 'pytest-timeout', 'pytest-xdist', 'ruff', 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer='manip_sim maintainers',
