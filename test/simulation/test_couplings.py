@@ -48,3 +48,9 @@ def test_an_offset_is_that_of_the_equality():
     pair = couplings(tied(1, 0, 3.0, offset=0.05))
     assert pair.follow({0: 0.1})[1] == pytest.approx(0.35)
     assert pair.follow({1: 0.35})[0] == pytest.approx(0.1)
+
+
+def test_a_polynomial_counts_up_to_its_fourth_power():
+    pair = couplings('<joint joint1="j1" joint2="j0" polycoef="0.1 0.2 0.3 0.4 0.5"/>')
+    assert pair.follow({0: 0.5})[1] == pytest.approx(
+        0.1 + 0.2 * 0.5 + 0.3 * 0.25 + 0.4 * 0.125 + 0.5 * 0.0625)

@@ -23,3 +23,8 @@ def test_shapes_that_are_only_seen_are_left_out_unless_they_are_wanted():
     collides = (seen.geom_contype != 0) | (seen.geom_conaffinity != 0)
     assert simulated.ngeom >= collides.sum()
     assert (simulated.nq, simulated.nu) == (seen.nq, seen.nu)
+
+
+def test_no_command_has_come_too_late_at_the_start():
+    timeouts = whole_robot('PandaOmron').robot.joints.timeouts
+    assert {'arm', 'torso', 'base'} <= set(timeouts) and set(timeouts.values()) == {0}
