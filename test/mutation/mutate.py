@@ -256,20 +256,21 @@ class Record:
         Return tests that run a line and how long they take, the shortest first.
 
         Of a test with many cases, a second case comes behind the first ones of all others. A line
-        that runs only as its module is imported is left to all tests that use the module.
+        that runs only as its module is imported is left to all tests that use the module, or to
+        all tests if the module does nothing later.
 
         :param most_s: how long they may take together [s]
         """
         of_file = self._lines.get(file, {})
         numbers = of_file.get(str(line)) or sorted(
-            {n for tests in of_file.values() for n in tests})
+            {n for tests in of_file.values() for n in tests}) or range(len(self._tests))
         cases: dict[str, int] = {}
         ranked = []
         for name, duration_s in sorted((self._tests[n] for n in numbers), key=lambda t: t[1]):
             function = name.partition('[')[0]
             cases[function] = cases.get(function, -1) + 1
             # Tests that are named as the module come first: they say the most about it.
-            strange = Path(file).stem not in function
+            strange = Path(file).stem not in name.lower()
             ranked.append((cases[function] // 3, strange, duration_s, name))
         chosen, sum_s = [], 0.0
         for _, _, duration_s, name in sorted(ranked):
