@@ -3,6 +3,9 @@
 # make view   in another shell: see and drive it in the browser
 # make test   set up and run all tests, two files at a time (TEST_JOBS=2)
 # make lint   style and types
+# make coverage  the same, and which lines no test runs
+# make mutate    change 150 places of the code, one by one, and see which changes no test finds
+#                (MUTATE_ARGS=--help)
 # make bench  how fast the node is, in a table of targets and figures (BENCH_ARGS=--help)
 # make docs   build the documentation as a site, build/docs/index.html; a warning is an error
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
@@ -19,6 +22,9 @@ RUN_ARGS ?= --ros-args -p arena:=table
 VIEW_ARGS ?=
 PYTEST_ARGS ?=
 TEST_JOBS ?= 2
+# The files begin in the order of test/conftest.py.
+TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
+MUTATE_ARGS ?= --sample 150
 SOAK_ARGS ?=
 BENCH_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -29,12 +35,14 @@ VENV_ARGS = --system-site-packages
 RUN_EXTRAS =
 VIEW_EXTRAS = [viewer]
 TEST_EXTRAS = [test]
+MUTATE_EXTRAS = [test,mutate]
 else
 ROS_FROM = wheels
 VENV_ARGS =
 RUN_EXTRAS = [jazzy]
 VIEW_EXTRAS = [jazzy,viewer]
 TEST_EXTRAS = [jazzy,jazzy-test,test]
+MUTATE_EXTRAS = [jazzy,jazzy-test,test,mutate]
 endif
 
 BIN = $(VENV)/bin
@@ -42,8 +50,9 @@ READY = $(VENV)/.ready-$(ROS_FROM)
 VIEW_READY = $(VENV)/.ready-to-view-$(ROS_FROM)
 DOCS_READY = $(VENV)/.ready-for-docs
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
+MUTATE_READY = $(VENV)/.ready-to-mutate-$(ROS_FROM)
 
-.PHONY: run pick view test lint docs bench soak clean
+.PHONY: run pick view test coverage lint docs bench soak mutate clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -55,7 +64,19 @@ view: $(VIEW_READY)
 	exec $(BIN)/sim_view $(VIEW_ARGS)
 
 test: $(TEST_READY)
-	$(BIN)/python -m pytest --numprocesses $(TEST_JOBS) --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest $(TEST_DIST) $(PYTEST_ARGS)
+
+# Beside the tests, which lines of the package they and the processes that they start run.
+coverage: $(TEST_READY)
+	rm -f .coverage .coverage.*
+	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))'; then \
+		export COVERAGE_CORE=sysmon; fi; COVERAGE_FILE=$(CURDIR)/.coverage \
+		$(BIN)/python -m coverage run -m pytest $(TEST_DIST) $(PYTEST_ARGS)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report
+
+mutate: $(MUTATE_READY)
+	$(BIN)/python test/mutation/mutate.py $(MUTATE_ARGS)
 
 lint: $(TEST_READY)
 	$(BIN)/python -m ruff check manip_sim test benchmark docs setup.py
@@ -89,6 +110,10 @@ $(DOCS_READY): $(READY)
 
 $(TEST_READY): $(READY)
 	$(BIN)/python -m pip install --editable '.$(TEST_EXTRAS)'
+	touch $@
+
+$(MUTATE_READY): $(TEST_READY)
+	$(BIN)/python -m pip install --editable '.$(MUTATE_EXTRAS)'
 	touch $@
 
 clean:

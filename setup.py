@@ -44,9 +44,10 @@ setup(
         'jazzy-test': ['ros-jazzy-test-msgs'],
         # trimesh smooths shapes by scipy.
         'viewer': ['scipy', 'trimesh', 'viser>=1.1,<2'],
-        'test': ['colcon-common-extensions', 'flake8', 'lxml', 'mypy', 'pillow', 'pin',
-                 'playwright', 'pydocstyle', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
-                 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
+        'mutate': ['cosmic-ray'],
+        'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis',
+                 'lxml', 'mypy', 'pillow', 'pin', 'playwright', 'pydocstyle', 'pytest',
+                 'pytest-timeout', 'pytest-xdist', 'ruff', 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer=MAINTAINER.text,

@@ -3,6 +3,8 @@
 
 """What all tests share: MJCF files of a few lines, small robots and the Panda in an arena."""
 
+from collections import Counter
+import importlib.util
 import json
 import os
 from pathlib import Path
@@ -23,6 +25,13 @@ from manip_sim.models.world import World
 from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.simulation import Simulation
 
+if importlib.util.find_spec('hypothesis'):
+    from hypothesis import HealthCheck, settings
+    # The same examples each time: a failure is that of the change that is tested.
+    settings.register_profile('repeatable', derandomize=True, database=None, deadline=None,
+                              max_examples=100, suppress_health_check=list(HealthCheck))
+    settings.load_profile('repeatable')
+
 ARM_WORLDBODY = """
 <body name="base">
   <geom size="0.05" mass="1"/>
@@ -34,6 +43,29 @@ ARM_WORLDBODY = """
 </body>
 """
 MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
+
+
+#: Files with much to do, the longest first. With two workers and a file for one of them, a long
+#: file that comes last keeps one worker waiting for the other.
+LONGEST = (
+    'ros/test_viewer.py', 'simulation/test_control_figures.py', 'ros/test_lockstep.py',
+    'ros/test_pick_cube.py', 'models/test_add_your_own.py', 'ros/test_process.py',
+    'rendering/test_catalogue_cameras.py', 'cli/test_cli_render.py',
+    'ros/test_cartesian_lockstep.py', 'ros/test_hand_over.py', 'ros/test_diagnostics.py',
+    'ros/test_neighbours.py', 'models/test_catalogue_matrix.py', 'ros/test_soak.py',
+    'ros/test_parameter_effects.py', 'ros/test_stepping.py', 'cli/test_cli_describe.py',
+    'test_typing.py', 'ros/test_parameters.py', 'ros/test_start.py')
+
+
+def pytest_collection_modifyitems(config, items):
+    """Let several workers begin with the longest files, then go on with those of most tests."""
+    if not hasattr(config, 'workerinput'):
+        return
+    here = Path(__file__).parent
+    rank = {here / name: place for place, name in enumerate(LONGEST)}
+    count = Counter(item.path for item in items)
+    items.sort(key=lambda item: (rank.get(item.path, len(rank)), -count[item.path],
+                                 str(item.path)))
 
 
 @pytest.fixture(autouse=True)

@@ -27,8 +27,14 @@ PandaGripper().add_base(None)
 """
 
 
+@pytest.fixture(scope='module')
+def cache(tmp_path_factory):
+    """Return a folder where mypy keeps what it knows of our modules from one test to the next."""
+    return tmp_path_factory.mktemp('mypy')
+
+
 @pytest.fixture
-def check(tmp_path):
+def check(tmp_path, cache):
     """Return a function that checks code as a user does, without the settings of this project."""
     pytest.importorskip('mypy', reason='mypy is not installed')
 
@@ -37,7 +43,7 @@ def check(tmp_path):
         file.write_text(code)
         done = subprocess.run(
             [sys.executable, '-m', 'mypy', '--strict', '--config-file=',
-             '--follow-imports=silent', str(file)],
+             '--follow-imports=silent', f'--cache-dir={cache}', str(file)],
             capture_output=True, text=True, cwd=tmp_path, timeout=110,
             env={**os.environ, 'MYPYPATH': str(ROOT)})
         assert not done.stderr

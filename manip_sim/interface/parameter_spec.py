@@ -27,6 +27,14 @@ def type_name(value: Any) -> str:
     return f'{names.pop()}_array' if len(names) == 1 else 'array'
 
 
+def _as_double(value: float) -> float:
+    """Return a number as a double; a whole number from a file may be too great for one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
 @dataclass(frozen=True)
 class ParameterSpec:
     """
@@ -68,11 +76,11 @@ class ParameterSpec:
         Integers are numbers too, and an empty array of strings is one with an empty string.
         """
         if isinstance(self.default, float) and type(value) is int:
-            return float(value)
+            return _as_double(value)
         if self.length:
             whole = isinstance(value, Sequence) and not isinstance(value, str) and value and all(
                 type(item) is int for item in value)
-            return [float(item) for item in value] if whole else value
+            return [_as_double(item) for item in value] if whole else value
         if isinstance(self.default, list) and not value:
             return ['']
         return value
@@ -114,5 +122,6 @@ class ParameterSpec:
         if (self.minimum is not None and self.maximum is not None
                 and not self.minimum <= value <= self.maximum):
             return (f"parameter '{self.name}' must be from {self.minimum:g} to "
-                    f'{self.maximum:g}{self.unit and " " + self.unit}, got {value:g}')
+                    f'{self.maximum:g}{self.unit and " " + self.unit}, got '
+                    f'{_as_double(value):g}')
         return None

@@ -31,7 +31,7 @@ def _listed(value: object) -> object:
 
 
 def _known_shape(value: object) -> object:
-    if value not in SIZES:
+    if not isinstance(value, str) or value not in SIZES:
         raise ValueError(f'is unknown: {describe_choices(value, SIZES)}')
     return value
 

@@ -27,7 +27,7 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     """
     try:
         numbers: FloatArray = np.array(values, dtype=float)
-    except (TypeError, ValueError) as cause:
+    except (OverflowError, TypeError, ValueError) as cause:
         raise error(f'{what} must be numbers, got {values!r:.60}') from cause
     if numbers.shape != (length,):
         found = str(numbers.size) if numbers.ndim == 1 else f'the shape {numbers.shape}'
@@ -43,12 +43,14 @@ def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
     Return a quaternion with unit norm, shape (4,), a copy.
 
     :param what: what it is, for the message
-    :raises ModelError: if it has not four finite numbers, or all are zero
+    :raises ModelError: if it has not four finite numbers, all are zero, or its norm is infinite
     """
     quat = finite_numbers(values, 4, what)
-    norm = float(np.linalg.norm(quat))
+    norm = math.hypot(*quat)  # That of numpy warns of an overflow.
     if not norm > 0.0:
         raise ModelError(f'{what} must not be zero')
+    if not norm < math.inf:
+        raise ModelError(f'{what} must have a finite norm')
     return quat / norm
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,7 +48,7 @@ class Pose:
         if np.abs(place).max() > MAX_DISTANCE_M:
             raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
                                f'{place.tolist()}')
-        norm = float(np.linalg.norm(quat))
+        norm = math.hypot(*quat)  # That of numpy warns of an overflow.
         if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
             raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
                                f'{quat.tolist()} of length {norm:g}')

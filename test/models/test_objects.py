@@ -392,3 +392,14 @@ def test_a_world_with_objects_in_xml_is_the_same_model(panda):
     from_xml, ours = mujoco.MjModel.from_xml_string(world.to_xml()), world.compile()
     assert from_xml.names.split(b'\0', 1)[1] == ours.names.split(b'\0', 1)[1]
     np.testing.assert_allclose(from_xml.body_mass, ours.body_mass, rtol=1e-5)
+
+
+@pytest.mark.parametrize(('length', 'accepted'), [(0.996, True), (1.004, True), (0.99, False),
+                                                  (1.01, False)])
+def test_a_quaternion_may_be_off_its_length_by_half_a_percent(length, accepted):
+    values = {'name': 'ball', 'shape': 'sphere', 'size': 0.1, 'quat_xyzw': [0.0, 0.0, 0.0, length]}
+    if accepted:
+        create_object(values)
+    else:
+        with pytest.raises(ModelError, match="'quat_xyzw' must be a quaternion x, y, z, w of"):
+            create_object(values)

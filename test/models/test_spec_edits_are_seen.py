@@ -181,6 +181,8 @@ def test_a_place_that_is_none_is_refused_at_once(method, values, message):
 @pytest.mark.parametrize(('pose', 'message'), [
     ({'pos': [0.0, 0.0]}, 'position of PandaGripper0 must have 3 numbers, got 2'),
     ({'quat_wxyz': [0.0] * 4}, 'quaternion of PandaGripper0 must not be zero'),
+    ({'quat_wxyz': [1.7e308] * 4}, 'quaternion of PandaGripper0 must have a finite norm'),
+    ({'pos': [0.0, 0.0, 10**400]}, 'position of PandaGripper0 must be numbers, got '),
     ({'quat_wxyz': [1.0, np.nan, 0.0, 0.0]}, 'quaternion of PandaGripper0 must be finite')])
 def test_a_mount_pose_that_is_none_is_refused(pose, message):
     with pytest.raises(ModelError, match=f'^{message}'):

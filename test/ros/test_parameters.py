@@ -11,6 +11,7 @@ import pytest
 from rcl_interfaces.srv import (
     DescribeParameters, GetParameters, ListParameters, SetParameters)
 from rclpy.parameter import Parameter, parameter_value_to_python
+from starts import starts
 import yaml
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
@@ -42,15 +43,28 @@ REFUSED = [
 ]
 
 
+@pytest.fixture(scope='module')
+def refused():
+    """Return how the starts with wrong parameters end, by parameter."""
+    parameters = [parameter for parameter, *_ in REFUSED]
+    return dict(zip(parameters, starts([['--ros-args', '-p', p] for p in parameters])))
+
+
 @pytest.mark.parametrize('parameter, what, hint', REFUSED)
-def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, sim_process):
-    node = sim_process(parameter)
-    _, errors = node.communicate(timeout=20.0)
-    assert node.returncode == 1
+def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, refused):
+    code, output, errors = refused[parameter]
+    assert (code, output) == (1, '')
     lines = errors.strip().splitlines()
     assert len(lines) == 1, errors
     assert what in lines[0]
     assert hint in lines[0]
+
+
+def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_process, refused):
+    parameter = REFUSED[0][0]
+    node = sim_process(parameter)
+    output, errors = node.communicate(timeout=20.0)
+    assert (node.returncode, output, errors) == refused[parameter]
 
 
 def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):

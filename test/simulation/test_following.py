@@ -244,6 +244,12 @@ def test_trajectory_that_is_absurdly_fast_is_refused(op):
         op.follow('arm', [J1], [1e-5], [[2.0]])
 
 
+def test_joint_that_is_named_is_the_one_that_exceeds_its_limit_most(op):
+    # The one that is faster may also move faster, by more than that.
+    with pytest.raises(CommandError, match=r"^joint 'robot0_joint1' would"):
+        op.follow('arm', [J1, 'robot0_joint5'], [1e-5], [[2.0, 2.2]])
+
+
 @pytest.mark.parametrize(('times', 'positions', 'velocities'), [
     ([1.0, 100.0], [[0.0], [0.1]], [[1e308], [1e308]]), ([1.0], [[0.1]], [[1e200]])])
 def test_numbers_that_are_finite_and_huge_are_refused_and_change_nothing(op, times, positions,

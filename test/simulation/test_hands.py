@@ -12,6 +12,7 @@ from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.gripper_force import ForceLimit
 
 GRIPPER = 'right/gripper'
 LEFT, RIGHT = 'gripper0_left', 'gripper0_right'
@@ -467,3 +468,17 @@ def test_activation_leaves_the_forces_of_servos_as_they_are(name):
     data.ctrl[ids] = goal
     mujoco.mj_forward(plain, data)
     np.testing.assert_allclose(simulation.data.actuator_force[ids], data.actuator_force[ids])
+
+
+def test_an_effort_at_a_finger_is_the_force_of_its_actuator_by_gear_and_tendon(hand_sim):
+    simulation = hand_sim(TENDON_SERVO.replace('tendon=', 'gear="3" tendon='), TENDON)
+    actuators = simulation.robot.grippers[GRIPPER]._actuators
+    limit = ForceLimit(simulation.model, actuators)
+    limit.set(6.0)
+    # 4 N of the actuator are 12 N in the tendon, half of them at each finger.
+    (actuator,) = actuators.ids
+    assert simulation.model.actuator_forcerange[actuator] == pytest.approx([-4.0, 4.0])
+    limit.set(60.0)
+    assert simulation.model.actuator_forcerange[actuator] == pytest.approx([-20.0, 20.0])
+    limit.set(0.0)
+    assert simulation.model.actuator_forcerange[actuator] == pytest.approx([-20.0, 20.0])

@@ -156,3 +156,14 @@ def test_a_goal_of_an_action_goes_with_the_base():
     op.run(1.0, lambda: op.robot.apply(op.robot.parse.twist(0.2, 0.0, 0.0), period_s=0.05))
     np.testing.assert_allclose(op.goal[0] - before, [0.2, 0.0, 0.0], atol=0.02)
     assert distance(op.pose, op.goal)[0] < 5e-3
+
+
+@pytest.mark.parametrize('axis', range(3))
+@pytest.mark.parametrize('way', [-0.05, 0.05])
+def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):
+    op = hand_of('Panda', mode='effort')
+    position, rotation = op.pose
+    goal = position.copy()
+    goal[axis] += way
+    op.run_until_done([op.go_to((goal, rotation))])
+    assert op.report.counts == {'unreachable': 0, 'joint_limit': 0, 'singular': 0, 'slowed': 0}

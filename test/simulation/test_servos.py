@@ -353,6 +353,40 @@ def test_blocked_joint_presses_within_its_limit_and_is_released_without_a_race(n
     assert samples.position[:, joint].max() < start + 1.2
 
 
+@pytest.mark.parametrize(('name', 'joint', 'most'), [
+    ('Panda', 5, 3e-5), ('IIWA', 5, 4e-5), ('UR5e', 2, 1.2e-4)])
+def test_joints_that_swing_hardly_push_one_aside_that_stands(name, joint, most):
+    simulation = whole_robot(name)
+    arm, moved = Driven(simulation, 'right'), [0, 1, 3]
+    start, pace = arm.position, 2.0 * np.pi / 1.2
+    times = np.arange(1, 121) * 0.01
+    swing = 0.6 * arm.velocity_limit[moved] / pace * np.sin(
+        pace * times[:, None] * [1.0, 0.5, 0.5])**2
+    simulation.robot.apply(simulation.robot.parse.trajectory(
+        'right', [arm.names[i] for i in moved], times, start[moved] + swing))
+    aside = []
+    for _ in range(115):
+        simulation.advance(5)
+        aside.append(abs(arm.position[joint] - start[joint]))
+    # Centrifugal and Coriolis forces are known, so they are met before they move anything.
+    assert max(aside) < most
+
+
+@pytest.mark.parametrize(('name', 'joint'), [('Panda', 0), ('Kinova3', 4), ('IIWA', 4)])
+def test_blocked_joint_presses_with_all_the_torque_that_it_has(name, joint):
+    simulation = whole_robot(name)
+    arm = Driven(simulation, 'right')
+    blocked, start = simulation.model.joint(arm.names[joint]), arm.position[joint]
+    force = simulation.model.jnt_actfrcrange[blocked.id, 1]
+    blocked.limited[0], blocked.range[:] = 1, [start - 0.5, start + 0.02]
+    arm.command('position', [start + 1.0], [arm.names[joint]])
+    with sampled(arm) as samples:
+        for _ in range(150):
+            simulation.advance(5)
+    # The setpoint goes on until it has come so far ahead that the servo saturates.
+    assert samples.effort[-1, joint] == pytest.approx(force, rel=0.01)
+
+
 def test_twist_is_clamped_in_the_frame_of_the_base_and_counted():
     simulation = whole_robot('PandaOmron')
     base, speeds = Driven(simulation, 'base'), []

@@ -346,3 +346,16 @@ def test_a_robot_of_the_catalogue_with_a_weak_joint_is_told():
         assert len(sentences) == told_count
         assert all("joint 'robot0_joint2' needs" in text for text in sentences)
     assert np.isfinite(needed) and needed > 5.0
+
+
+@pytest.mark.parametrize(('gravcomp', 'carried_by', 'weak'), [
+    (0.0, 'false', True), (1.0, 'false', False), (1.0, 'true', False)])
+def test_weight_that_is_compensated_asks_nothing_of_a_weak_actuator(gravcomp, carried_by, weak):
+    defects = defects_of(
+        f'<body name="root" gravcomp="{gravcomp}"><joint name="lift" type="slide" axis="0 0 1" '
+        f'range="-1 1" limited="true" actuatorgravcomp="{carried_by}"/>'
+        '<geom size="0.05" mass="2"/></body>',
+        '<actuator><motor joint="lift" ctrlrange="-1 1" ctrllimited="true" forcerange="-1 1" '
+        'forcelimited="true"/></actuator>', gravity=9.81)
+    assert [defect.text for defect in defects if 'lift' in defect.text] != [] if weak else (
+        defects == [])

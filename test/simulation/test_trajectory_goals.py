@@ -201,6 +201,14 @@ def test_trajectory_that_is_slowed_down_succeeds_later_unless_the_client_sets_a_
     assert f'slowed down by the factor {goal.command.slowed:.3g}' in goal.outcome.reason
 
 
+def test_late_goal_tells_also_a_small_factor_that_it_was_slowed_down_by(panda):
+    factor = panda.start(times_s=[0.1], positions=[[1.0]]).command.slowed
+    goal = panda.start(times_s=[0.1 * factor / 1.3], positions=[[1.0]], goal_time_s=0.01)
+    assert 1.1 < goal.command.slowed < 1.9
+    panda.run(3.0, until=goal)
+    assert f'slowed down by the factor {goal.command.slowed:.3g}' in goal.outcome.reason
+
+
 def test_goal_that_starts_later_waits_and_its_end_counts_from_its_stamp(panda):
     panda.run(0.1)
     now_s = panda.simulation.time_s
