@@ -20,7 +20,6 @@ import time
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
-from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
@@ -30,17 +29,17 @@ from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.
 _KNOWN = '7.1.'
-#: Nothing else wakes a thread that waits for messages so long [s].
-_LONG_S = 1.0
+#: How often events are looked at [s].
+_EVENTS_S = 0.2
 #: While the context is being shut down there is nothing to wait for; then it is looked again [s].
 _CLOSING_S = 0.01
 
 
 class _NotByExecutors(CallbackGroup):
-    """What executors leave to somebody else, but its events."""
+    """What executors leave to somebody else."""
 
     def can_execute(self, entity: Any) -> bool:
-        return isinstance(entity, EventHandler)
+        return False
 
     def beginning_execution(self, entity: Any) -> bool:
         return True
@@ -52,6 +51,9 @@ class _NotByExecutors(CallbackGroup):
 class CommandInbox(Inbox):
     """
     Takes the messages of subscriptions in the thread that waits.
+
+    It sees to their events too, a few times a second: in Fast DDS a subscription and its events
+    wake together, and who waits for the one while another thread waits for the other may not wake.
 
     :param node: the node
     :param log: counts and tells what callbacks raise, and what cannot be read
@@ -65,7 +67,7 @@ class CommandInbox(Inbox):
         self.group = _NotByExecutors()
         self._guard = node.create_guard_condition(lambda: None, self.group)
         self._subscriptions: list[Any] = []
-        self._wait_set: Any = None
+        self._look_at_s = 0.0
 
     def add(self, subscription: Any) -> None:
         """Take the messages of a subscription of the group; any thread may call this."""
@@ -105,6 +107,11 @@ class CommandInbox(Inbox):
     def _receive(self, timeout_s: float) -> bool:
         """Wait for messages and take one of each topic that has some; tell whether one has."""
         subscriptions = self._subscriptions
+        now_s = time.monotonic()
+        if now_s >= self._look_at_s:
+            self._look_at_s = now_s + _EVENTS_S
+            self._see_events([event for subscription in subscriptions
+                              for event in subscription.event_handlers])
         with contextlib.ExitStack() as in_use:
             for handle in (self._node.context.handle, self._guard.handle,
                            *(subscription.handle for subscription in subscriptions)):
@@ -115,12 +122,34 @@ class CommandInbox(Inbox):
             wait_set.add_guard_condition(self._guard.handle)
             for subscription in subscriptions:
                 wait_set.add_subscription(subscription.handle)
-            wait_set.wait(max(0, int(timeout_s * 1e9)))
+            wait_set.wait(max(0, int(min(timeout_s, _EVENTS_S) * 1e9)))
             ready = [subscription for index, subscription in enumerate(subscriptions)
                      if wait_set.is_ready('subscription', index)]
             for subscription in ready:
                 self._take(subscription)
         return bool(ready)
+
+    def _see_events(self, events: list[Any]) -> None:
+        """Let callbacks see the events that have come, such as a publisher that does not match."""
+        with contextlib.ExitStack() as in_use:
+            for entity in (self._node.context.handle, *events):
+                in_use.enter_context(entity)
+            wait_set = WaitSet(0, 0, 0, 0, 0, len(events), self._node.context.handle)
+            wait_set.clear_entities()
+            for event in events:
+                event.add_to_wait_set(wait_set)
+            wait_set.wait(0)
+            for event in events:
+                if event.is_ready(wait_set):
+                    self._tell(event)
+
+    def _tell(self, event: Any) -> None:
+        try:
+            data = event.take_data()
+            if data:
+                event.callback(data)
+        except Exception as error:
+            self._log.failure('callbacks', f'an event of kind {event.event_type}', error)
 
     def _take(self, subscription: Any) -> None:
         try:
@@ -166,7 +195,7 @@ class CommandThread:
     def _run(self) -> None:
         while not self._ending:
             begin_s = time.thread_time()
-            self._inbox.wait(_LONG_S)
+            self._inbox.wait(_EVENTS_S)
             time.sleep(time.thread_time() - begin_s)
 
 
