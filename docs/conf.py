@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-import re
 import sys
+from xml.etree import ElementTree
 
 # rosdoc2 executes this file from another folder, and puts the package on the path by itself.
 ROOT = Path(__file__).resolve().parents[1] if '__file__' in globals() else Path.cwd()
@@ -17,9 +17,9 @@ sys.path.insert(0, str(ROOT))
 project = 'manip_sim'
 author = 'The manip_sim developers'
 project_copyright = f'2026, {author}'
-_setup = ROOT / 'setup.py'
-if _setup.exists():
-    release = version = re.findall(r"version='([^']+)'", _setup.read_text())[0]
+_package = ROOT / 'package.xml'
+if _package.exists():
+    release = version = ElementTree.parse(_package).findtext('version')
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode']
 source_suffix = {'.md': 'markdown'}
