@@ -62,7 +62,7 @@ class GivenParameters:
 
     def check_names(self) -> None:
         """
-        Refuse what was given and nobody declared.
+        Reject what was given and nobody declared.
 
         :raises ParameterError: naming the nearest parameters
         """
@@ -71,7 +71,7 @@ class GivenParameters:
 
 def check_names(given: Iterable[str], known: Iterable[str]) -> None:
     """
-    Refuse names of parameters that are not known, but for those that every node has.
+    Reject names of parameters that are not known, but for those that every node has.
 
     :raises ParameterError: naming the nearest parameters
     """

@@ -53,7 +53,7 @@ class ArenaParameter:
 
     def check(self, value: Any, arena: str) -> None:
         """
-        Refuse a value of the wrong type or outside the limits.
+        Reject a value of the wrong type or outside the limits.
 
         :raises ModelError: naming arena, parameter and limits
         """

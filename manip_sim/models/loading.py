@@ -56,11 +56,11 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
             model = spec.compile()
     except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
-    _refuse_not_finite(model, name)
+    _reject_not_finite(model, name)
     return model
 
 
-def _refuse_not_finite(model: mujoco.MjModel, name: str) -> None:
+def _reject_not_finite(model: mujoco.MjModel, name: str) -> None:
     for kind, what in ((kind, what) for kind, fields in _NUMBERS.items() for what in fields):
         values = getattr(model, f'{kind}_{what}')
         bad = np.isnan(values) if what in _MAY_BE_INFINITE else ~np.isfinite(values)

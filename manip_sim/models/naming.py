@@ -27,7 +27,7 @@ _WITH_DEFAULTS = ('joints', 'geoms', 'sites', 'cameras', 'lights', 'actuators', 
 
 def check_prefix(prefix: str) -> None:
     """
-    Refuse a prefix that names in ROS cannot begin with.
+    Reject a prefix that names in ROS cannot begin with.
 
     :raises ModelError: if it is not a letter followed by at most 63 letters, digits, underscores
     """
@@ -39,7 +39,7 @@ def check_prefix(prefix: str) -> None:
 def check_names_are_free(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str,
                          part: str) -> None:
     """
-    Refuse to attach a spec to another that has one of its names already.
+    Reject to attach a spec to another that has one of its names already.
 
     MuJoCo would compile neither, or write an XML that it cannot read again.
 

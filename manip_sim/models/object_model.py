@@ -41,7 +41,7 @@ _NOT_IN_OBJECTS = {
 def check_object_name(name: str, where: str,
                       what: str = 'an object, its body and its topics') -> None:
     """
-    Refuse a name that a body and topics cannot have.
+    Reject a name that a body and topics cannot have.
 
     :param where: what has the name, for the message
     :param what: what it is a name of, for the message

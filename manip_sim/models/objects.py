@@ -90,7 +90,7 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
 
 def check_object_names(objects: Iterable[ObjectModel]) -> None:
     """
-    Refuse objects of one name.
+    Reject objects of one name.
 
     :raises ModelError: naming it
     """

@@ -202,7 +202,7 @@ def is_path(name: str) -> bool:
 
 def check_no_parameters(name: object, parameters: Any) -> None:
     """
-    Refuse parameters for what a file declares.
+    Reject parameters for what a file declares.
 
     :raises ModelError: if there are any
     """

@@ -77,7 +77,7 @@ class XmlFacts:
 
 def check_xml(file: Path) -> XmlFacts:
     """
-    Read all XML files of a model, and refuse what could take the process down.
+    Read all XML files of a model, and reject what could take the process down.
 
     :param file: MJCF or URDF
     :raises ModelError: naming file and line
@@ -133,7 +133,7 @@ class _Model:
         parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
-        parser.EntityDeclHandler = self._refuse_entities
+        parser.EntityDeclHandler = self._reject_entities
         self._chain.append(real)
         self._parsers.append(parser)
         try:
@@ -148,7 +148,7 @@ class _Model:
         line = self._parsers[-1].CurrentLineNumber
         return f'{one_line(str(self._chain[-1]))}, line {line}'
 
-    def _refuse_entities(self, name: str, *_: object) -> NoReturn:
+    def _reject_entities(self, name: str, *_: object) -> NoReturn:
         raise ModelError(f'{self._place}: the entity {quoted(name)} is declared; models must not '
                          'declare any')
 
@@ -180,15 +180,15 @@ class _Model:
     def _check_numbers(self, tag: str, attributes: dict[str, str]) -> None:
         for (element, names), most in _MAX_PRODUCT.items():
             if element == tag and _product(attributes, *names) > most:
-                self._refuse_number(f'{" times ".join(names)} of {tag}', most)
+                self._reject_number(f'{" times ".join(names)} of {tag}', most)
         if tag == 'mesh' and max(_numbers(attributes, 'params'), default=0) > _MAX_MESH_PARAMETER:
-            self._refuse_number('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)
+            self._reject_number('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)
         if tag == 'texture':
             width, height = (_product(attributes, name) for name in ('width', 'height'))
             if width * (height if attributes.get('type') == '2d' else 6 * width) > _MAX_PIXELS:
-                self._refuse_number('the number of pixels of a texture', _MAX_PIXELS)
+                self._reject_number('the number of pixels of a texture', _MAX_PIXELS)
 
-    def _refuse_number(self, what: str, most: float) -> NoReturn:
+    def _reject_number(self, what: str, most: float) -> NoReturn:
         raise ModelError(f'{self._place}: {what} is more than {most:g}')
 
     def _follow(self, tag: str, attributes: dict[str, str]) -> None:

@@ -41,14 +41,14 @@ class CommandStatistics:
     What came in for a part.
 
     :ivar accepted: messages that were used
-    :ivar refused: messages that were refused
+    :ivar rejected: messages that were rejected
     :ivar clamped: numbers that were brought into their range
     :ivar slowed: trajectories that were slowed down to keep to the velocity limits
     :ivar last_s: monotonic wall time of the last accepted message [s]
     """
 
     accepted: int = 0
-    refused: int = 0
+    rejected: int = 0
     clamped: int = 0
     slowed: int = 0
     last_s: float | None = None
@@ -105,7 +105,7 @@ class CommandSubscribers:
         Subscribe to commands.
 
         :param name: of the topic within the scope
-        :param part: whose statistics count what is refused
+        :param part: whose statistics count what is rejected
         :param parse: makes commands of a message
         """
         topic = self.scope.topic(name)
@@ -120,8 +120,8 @@ class CommandSubscribers:
                            if isinstance(message, _ANSWERS) else 0)
                 self._thread.submit(commands, answers, self.robot.name)
             except CommandError as error:
-                self.statistics[entry].refused += 1
-                self._log.warn(topic, kind_of(error), f'refused a message on {topic}: {error}')
+                self.statistics[entry].rejected += 1
+                self._log.warn(topic, kind_of(error), f'rejected a message on {topic}: {error}')
                 return
             self.count(topic, part, commands)
 
@@ -129,9 +129,9 @@ class CommandSubscribers:
         inbox = None if message_type is JointTrajectory else self._inbox
         CommandSubscription(self._node, message_type, topic, take, inbox)
 
-    def count_refused(self, part: str) -> None:
+    def count_rejected(self, part: str) -> None:
         """Count what came for a part and is not used."""
-        self.statistics[self._entry_of[part]].refused += 1
+        self.statistics[self._entry_of[part]].rejected += 1
 
     def count(self, topic: str, part: str, commands: Sequence[Command]) -> None:
         """

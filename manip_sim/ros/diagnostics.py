@@ -180,7 +180,7 @@ class Diagnostics:
         values: dict[str, object] = {
             'rate': f'{came / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0',
             'age': 'never' if statistics.last_s is None else f'{now_s - statistics.last_s:.3f}',
-            'accepted': statistics.accepted, 'dropped': statistics.refused,
+            'accepted': statistics.accepted, 'dropped': statistics.rejected,
             'clamped': statistics.clamped, 'slowed': statistics.slowed}
         if part in robot.grippers:
             values['control_mode'] = 'position'

@@ -58,7 +58,7 @@ class GoalServer:
         try:
             goal = self._messages.goal_of(request)
         except GoalError as error:
-            self._commands.count_refused(self._messages.part)
+            self._commands.count_rejected(self._messages.part)
             self._log.warn(self._name, kind_of(error), f'rejected a goal of {self._name}: '
                            f'{error.code.name} ({error.code.value}): {error}')
             return GoalResponse.REJECT

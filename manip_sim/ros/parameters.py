@@ -61,13 +61,13 @@ class Parameters:
 
     def check_names(self) -> None:
         """
-        Refuse parameters that the user gave and nobody declared.
+        Reject parameters that the user gave and nobody declared.
 
         :raises ParameterError: naming the nearest ones
         """
         check_names(parameter_overrides(self._node), self._specs)
 
-    def refusal(self, parameters: Sequence[Parameter]) -> str | None:
+    def rejection(self, parameters: Sequence[Parameter]) -> str | None:
         """Return why parameters cannot be changed, whatever their values are, or None."""
         for parameter in parameters:
             spec = self._specs.get(parameter.name)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Services that control the simulation; each says why it refuses."""
+"""Services that control the simulation; each says why it cannot do what it is called for."""
 
 from __future__ import annotations
 

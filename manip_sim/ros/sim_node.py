@@ -168,7 +168,7 @@ class SimNode(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as rclpy does, which says less of those that cannot be set."""
-        reason = self._declared.refusal(parameter_list)
+        reason = self._declared.rejection(parameter_list)
         if reason is not None:
             return SetParametersResult(successful=False, reason=reason)
         return super().set_parameters_atomically(parameter_list)

@@ -22,7 +22,7 @@ from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.refusal import Refusal, tell
+from manip_sim.ros.rejection import Rejection, tell
 from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
@@ -63,15 +63,15 @@ class SpawningServices:
 
     def _spawn(self, request: Any, response: Any) -> None:
         if request.entity_namespace.strip('/'):
-            raise Refusal(SpawnCode.NAMESPACE_INVALID,
-                          'an object is published below objects/, it has no namespace of its own')
+            raise Rejection(SpawnCode.NAMESPACE_INVALID,
+                            'an object is published below objects/ and has no namespace')
         item = _created(request)
         item.name = self._free_name(request.name or item.name, request.allow_renaming)
         _place(item, request.initial_pose)
         try:
             self._take_over(plan_with(self._simulation.plan, item))
         except ModelError as error:
-            raise Refusal(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
+            raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
         response.entity_name = item.name
 
     def _free_name(self, wanted: str, may_rename: bool) -> str:
@@ -83,26 +83,26 @@ class SpawningServices:
                 free, number = f'{wanted}_{number}', number + 1
             wanted = free
         elif wanted in taken:
-            raise Refusal(SpawnCode.NAME_NOT_UNIQUE,
-                          f'there is an entity {quoted(wanted)} already')
+            raise Rejection(SpawnCode.NAME_NOT_UNIQUE,
+                            f'there is an entity {quoted(wanted)} already')
         try:
             check_object_name(wanted, 'name')
         except ModelError as error:
-            raise Refusal(SpawnCode.NAME_INVALID, str(error)) from error
+            raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
         return wanted
 
     def _delete(self, request: Any, response: Any) -> None:
         name, plan = request.entity, self._simulation.plan
         if name in self._simulation.entities.names and name not in plan.object_names:
-            raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
-                          f"'{name}' belongs to a robot or the arena and cannot be deleted")
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
+                            f"'{name}' belongs to a robot or the arena and cannot be deleted")
         self._take_over(plan_without(plan, name))
 
     def _take_over(self, plan: Plan) -> None:
         def change() -> None:
             if self._simulation.diverged is not None:
-                raise Refusal(ResultCode.RESULT_INCORRECT_STATE,
-                              f'{self._simulation.diverged}; reset it first')
+                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
+                                f'{self._simulation.diverged}; reset it first')
             self._simulation.change_objects(plan)
         self._thread.call(change)
         self._changed(self._simulation)
@@ -126,8 +126,8 @@ def _created(request: Any) -> ObjectModel:
             return _from_file(_path(request.uri))
         text = request.resource_string.strip()
         if not text:
-            raise Refusal(SpawnCode.NO_RESOURCE,
-                          'give a file (uri) or a text (resource_string)')
+            raise Rejection(SpawnCode.NO_RESOURCE,
+                            'give a file (uri) or a text (resource_string)')
         if not text.startswith('<'):
             return create_object({'name': _UNNAMED, **parse_yaml(text, 'resource_string')})
         with tempfile.TemporaryDirectory(prefix='manip_sim_') as folder:
@@ -135,7 +135,7 @@ def _created(request: Any) -> ObjectModel:
             file.write_text(text)
             return _from_file(str(file))
     except ModelError as error:
-        raise Refusal(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
+        raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
 
 
 def _from_file(path: str) -> ObjectModel:
@@ -150,23 +150,23 @@ def _from_file(path: str) -> ObjectModel:
 def _path(uri: str) -> str:
     parts = urlsplit(uri)
     if parts.scheme not in ('', 'file'):
-        raise Refusal(SpawnCode.UNSUPPORTED_FORMAT,
-                      f'uri {quoted(uri)}: only paths and file:// can be read')
+        raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
+                        f'uri {quoted(uri)}: only paths and file:// can be read')
     if Path(parts.path).suffix not in ('.xml', '.mjcf', '.yaml', '.yml'):
-        raise Refusal(SpawnCode.UNSUPPORTED_FORMAT,
-                      f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
+        raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
+                        f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
     return unquote(parts.path)
 
 
 def _place(item: ObjectModel, pose: Any) -> None:
     if pose.header.frame_id not in ('', WORLD):
-        raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                      f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it empty "
-                      f"or write '{WORLD}'")
+        raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                        f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it "
+                        f"empty or write '{WORLD}'")
     position, turn = pose.pose.position, pose.pose.orientation
     try:
         place = Pose.checked([position.x, position.y, position.z],
                              [turn.x, turn.y, turn.z, turn.w])
     except CommandError as error:
-        raise Refusal(SpawnCode.INVALID_POSE, str(error)) from error
+        raise Rejection(SpawnCode.INVALID_POSE, str(error)) from error
     item.place(place.position, xyzw_to_wxyz(place.quat_xyzw))

@@ -16,7 +16,7 @@ from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import stamp_of, WORLD
 from manip_sim.ros.posix_ere import PosixExpression
-from manip_sim.ros.refusal import Refusal, tell
+from manip_sim.ros.rejection import Rejection, tell
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_codes import (
     BoundsType, Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, State)
@@ -37,8 +37,8 @@ _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation
           'of a reset restarts simulation time, scope STATE lets it go on.')
 
 
-class _Others:
-    """Await it to let the executor of a node do what else there is to do, and then come back."""
+class _YieldToExecutor:
+    """Awaited in a coroutine, lets the executor run what else is ready, and then come back."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -130,15 +130,15 @@ class SimulationInterfaces:
     async def _set_state(self, request: Any, response: Any) -> None:
         target = request.state.state
         if target not in list(State):
-            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                          f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
-                          'PAUSED (2); SIGTERM ends the simulator')
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                            f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
+                            'PAUSED (2); SIGTERM ends the simulator')
         if target == self._state():
-            raise Refusal(SetStateCode.ALREADY_IN_TARGET_STATE,
-                          'the simulation is in this state already')
+            raise Rejection(SetStateCode.ALREADY_IN_TARGET_STATE,
+                            'the simulation is in this state already')
         if target == State.STATE_PLAYING and self._simulation.diverged is not None:
-            raise Refusal(SetStateCode.STATE_TRANSITION_ERROR,
-                          f'{self._simulation.diverged}; reset it first')
+            raise Rejection(SetStateCode.STATE_TRANSITION_ERROR,
+                            f'{self._simulation.diverged}; reset it first')
         self._thread.pause(target != State.STATE_PLAYING)
         if target == State.STATE_STOPPED:
             self._thread.reset(restart_time=True)
@@ -146,17 +146,17 @@ class SimulationInterfaces:
 
     async def _step(self, request: Any, response: Any) -> None:
         if request.steps == 0:
-            raise Refusal(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
         if self._state() == State.STATE_STOPPED:
-            raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
-                          'the simulation is stopped: pause it first')
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
+                            'the simulation is stopped: pause it first')
         for done in range(request.steps):
             try:
                 self._thread.step()
             except CommandError as error:
                 after = f' (after {done} of {request.steps} steps)' if done else ''
                 raise CommandError(f'{error}{after}') from error
-            await _Others(self._node)
+            await _YieldToExecutor(self._node)
 
     async def _reset(self, request: Any, response: Any) -> None:
         scope = request.scope
@@ -164,9 +164,9 @@ class SimulationInterfaces:
                                Scope.SCOPE_ALL)
         known = Scope.SCOPE_TIME | Scope.SCOPE_STATE
         if not everything and (scope & ~known or not scope & Scope.SCOPE_STATE):
-            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                          f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
-                          'STATE with TIME (3)')
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                            f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
+                            'STATE with TIME (3)')
         self._thread.reset(
             restart_time=everything or bool(scope & Scope.SCOPE_TIME))
 
@@ -175,9 +175,9 @@ class SimulationInterfaces:
     async def _get_entities(self, request: Any, response: Any) -> None:
         filters = request.filters
         if filters.tags.tags:
-            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
         if filters.bounds.type != BoundsType.TYPE_EMPTY:
-            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
         wanted = {category.category for category in filters.categories}
         response.entities = _matching(filters.filter, [
             name for name in self._simulation.entities.names
@@ -203,18 +203,18 @@ class SimulationInterfaces:
     async def _set_entity_state(self, request: Any, response: Any) -> None:
         name = request.entity
         if not self._simulation.entities.is_free(name):
-            raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
-                          f"'{request.entity}' cannot be moved, only free bodies can")
+            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
+                            f"'{request.entity}' cannot be moved, only free bodies can")
         if request.state.header.frame_id not in ('', WORLD):
-            raise Refusal(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                          f"frame_id '{request.state.header.frame_id}' is not supported: leave "
-                          f"it empty or write '{WORLD}'")
+            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
+                            f"frame_id '{request.state.header.frame_id}' is not supported: leave "
+                            f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
         def place() -> None:
             if self._simulation.diverged is not None:
-                raise Refusal(ResultCode.RESULT_INCORRECT_STATE,
-                              f'{self._simulation.diverged}; reset it first')
+                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
+                                f'{self._simulation.diverged}; reset it first')
             self._simulation.entities.place(self._simulation.data, name, pose, twist)
         self._thread.call(place)
 
@@ -235,13 +235,13 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
     set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
     pose = twist = None
     if not (set_pose or set_twist):
-        raise Refusal(ResultCode.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and set_twist '
-                      'are false, and an acceleration cannot be set')
+        raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and '
+                        'set_twist are false, and an acceleration cannot be set')
     if set_pose:
         try:
             pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
         except CommandError as error:
-            raise Refusal(SetEntityCode.INVALID_POSE, str(error)) from error
+            raise Rejection(SetEntityCode.INVALID_POSE, str(error)) from error
     if set_twist:
         twist = Twist.checked(_numbers(state.twist.linear), _numbers(state.twist.angular))
     return pose, twist
@@ -254,6 +254,6 @@ def _matching(pattern: str, names: list[str]) -> list[str]:
     try:
         expression = PosixExpression(pattern)
     except ValueError as error:
-        raise Refusal(ResultCode.RESULT_OPERATION_FAILED,
-                      f'filter {quoted(pattern)}: {error}') from error
+        raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
+                        f'filter {quoted(pattern)}: {error}') from error
     return [name for name in names if expression.found_in(name)]

@@ -24,7 +24,7 @@ from manip_sim.simulation.numbers import (
     action_example, clamp, clamped_example, finite_numbers)
 from manip_sim.simulation.trajectory import check_times, Trajectory
 
-#: A trajectory with more points is refused: it could not be checked in a moment.
+#: A trajectory with more points is rejected: it could not be checked in a moment.
 MAX_POINTS = 10_000
 #: A start that is farther ahead is taken for a stamp of another clock [s].
 _MAX_AHEAD_S = 3600.0

@@ -18,7 +18,7 @@ from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.state import ControllerState, JointReference
 from manip_sim.simulation.trajectory import Trajectory
 
-#: A trajectory that would have to be slowed down more than this is refused.
+#: A trajectory that would have to be slowed down more than this is rejected.
 _MAX_SLOWDOWN = 1000.0
 #: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
 _TWIST_JOINTS = ('forward', 'side', 'yaw')

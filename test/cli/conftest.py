@@ -65,7 +65,7 @@ def described(here):
 
 
 @pytest.fixture
-def refused(here):
+def rejected(here):
     """Return a function that runs the command and returns its one line of error."""
     def run(*arguments, code=1):
         found, output, errors = here(*arguments)

@@ -101,8 +101,8 @@ def test_what_cannot_be_controlled_is_a_defect_beside_the_others(
     ('<mujoco><worldbody><geom size="-1"/></worldbody></mujoco>', 'does not compile'),
     ('<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
      'has no body with joints, so no robot to check')])
-def test_a_file_that_cannot_be_checked_is_one_line(content, what, refused, tmp_path):
+def test_a_file_that_cannot_be_checked_is_one_line(content, what, rejected, tmp_path):
     file = tmp_path / 'broken.xml'
     if content is not None:
         file.write_text(content)
-    assert what in refused('check', file)
+    assert what in rejected('check', file)

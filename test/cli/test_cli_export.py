@@ -24,12 +24,12 @@ def loaded(file):
         return mujoco.MjSpec.from_zip(archive).compile()
 
 
-def test_of_several_robots_one_is_named(here, refused, tmp_path):
+def test_of_several_robots_one_is_named(here, rejected, tmp_path):
     world = SOURCE / 'config' / 'hand_over.yaml'
-    assert refused('export', tmp_path / 'out.urdf', '--params-file', world) == (
+    assert rejected('export', tmp_path / 'out.urdf', '--params-file', world) == (
         'a URDF is of one robot: name one of left, middle, right')
-    assert refused('export', tmp_path / 'out.urdf', '--params-file', world, '--name', 'lift'
-                   ).startswith("unknown robot 'lift': did you mean 'left'")
+    assert rejected('export', tmp_path / 'out.urdf', '--params-file', world, '--name', 'lift'
+                    ).startswith("unknown robot 'lift': did you mean 'left'")
     code, _, errors = here('export', tmp_path / 'out.urdf', '--params-file', world, '--name',
                            'left', '--ros2-control')
     assert (code, errors) == (0, '')
@@ -87,8 +87,8 @@ def test_a_urdf_for_ros2_control_has_the_default_control_modes(here, tmp_path):
     (['out.mjz', '--name', 'left'], '--name is for a .urdf'),
     (['out.xml', '--moveit', 'config'], 'give either a FILE or --moveit DIR'),
     ([], 'give either a FILE or --moveit DIR')])
-def test_options_that_do_not_go_together_are_told(arguments, what, refused):
-    assert what in refused('export', *arguments, code=2)
+def test_options_that_do_not_go_together_are_told(arguments, what, rejected):
+    assert what in rejected('export', *arguments, code=2)
 
 
 def test_a_package_for_moveit_is_that_of_the_composition(here, tmp_path):
@@ -99,9 +99,9 @@ def test_a_package_for_moveit_is_that_of_the_composition(here, tmp_path):
     assert srdf.find('group/chain').get('tip_link') == 'left_right_hand'
 
 
-def test_a_package_with_a_wrong_name_is_told(refused, tmp_path):
-    assert 'cannot be the name of a ROS package' in refused('export', '--moveit',
-                                                            tmp_path / 'My-Robot')
+def test_a_package_with_a_wrong_name_is_told(rejected, tmp_path):
+    assert 'cannot be the name of a ROS package' in rejected('export', '--moveit',
+                                                             tmp_path / 'My-Robot')
 
 
 def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
@@ -117,21 +117,21 @@ def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
     ('out.sdf', 'out.sdf: the name must end with .xml, .mjz, .zip or .urdf'),
     ('out', 'the name must end with'), ('lost/out.xml', 'no such folder: '),
     ('folder.xml', 'is a folder, give the name of a file')])
-def test_what_cannot_be_written_is_told_and_leaves_nothing(name, what, refused, tmp_path):
+def test_what_cannot_be_written_is_told_and_leaves_nothing(name, what, rejected, tmp_path):
     (tmp_path / 'folder.xml').mkdir()
-    assert what in refused('export', tmp_path / name)
+    assert what in rejected('export', tmp_path / name)
     assert [file.name for file in tmp_path.iterdir()] == ['folder.xml']
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason='the superuser may write everywhere')
-def test_a_folder_that_cannot_be_written_to_is_told(refused, tmp_path):
+def test_a_folder_that_cannot_be_written_to_is_told(rejected, tmp_path):
     tmp_path.chmod(0o500)
-    assert 'Permission denied' in refused('export', tmp_path / 'out.xml')
+    assert 'Permission denied' in rejected('export', tmp_path / 'out.xml')
 
 
-def test_a_wrong_name_leaves_an_older_file_as_it_is(refused, tmp_path):
+def test_a_wrong_name_leaves_an_older_file_as_it_is(rejected, tmp_path):
     (tmp_path / 'out.xml').write_text('old')
-    assert "unknown value 'Pnda'" in refused('export', tmp_path / 'out.xml', '--robot', 'Pnda')
+    assert "unknown value 'Pnda'" in rejected('export', tmp_path / 'out.xml', '--robot', 'Pnda')
     assert (tmp_path / 'out.xml').read_text() == 'old'
 
 

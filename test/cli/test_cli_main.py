@@ -58,8 +58,8 @@ def test_help_of_each_command_tells_all_options_and_exit_codes(name, here):
     (('render', 'a.png', '--robot', 'none'), 'give one of --gripper, --base and', ' render'),
     (('render', 'a.png', '--robot', 'none', '--base', 'B', '--arena', 'a'), 'one of', ' render'),
     (('check', 'a.xml', '--robot', 'Panda'), 'either a FILE or a composition', ' check')])
-def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, refused):
-    line = refused(*arguments, code=2)
+def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, rejected):
+    line = rejected(*arguments, code=2)
     assert what in line
     assert line.endswith(f'; see manip_sim{of} --help')
 
@@ -80,8 +80,8 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, r
     (('check', '--arena', 'table', '--arena-param', 'table_height=-1'), 'must be from 0.1 to 2 m'),
     (('check', '--prefix', 'left/'), "prefix 'left/'"),
     (('check', '--timestep', '0'), "'timestep' must be from 0.0001 to 0.01 s, got 0")])
-def test_what_cannot_be_composed_is_one_line_and_exit_code_1(arguments, what, refused):
-    assert what in refused(*arguments)
+def test_what_cannot_be_composed_is_one_line_and_exit_code_1(arguments, what, rejected):
+    assert what in rejected(*arguments)
 
 
 def test_a_process_ends_with_the_exit_code_and_one_line(command):

@@ -124,14 +124,14 @@ def test_objects_and_grippers_by_arm_are_given_by_options(described, mjcf):
     ("gripper: '{left: PandaGripper}'", "unknown arm of Panda0 'left'"),
     ("gripper: '{right: 1}'", "parameter 'gripper': the gripper of arm 'right' must be a name"),
     ('objects: ["{name: x}"]', "'x'")])
-def test_a_file_that_no_node_starts_with_is_one_line(text, what, refused, parameters_file):
-    assert what in refused('check', '--params-file', parameters_file(text))
+def test_a_file_that_no_node_starts_with_is_one_line(text, what, rejected, parameters_file):
+    assert what in rejected('check', '--params-file', parameters_file(text))
 
 
-def test_a_file_and_options_do_not_mix(refused):
-    line = refused('describe', '--params-file', HAND_OVER, '--arena-param', 'cube=true', code=2)
+def test_a_file_and_options_do_not_mix(rejected):
+    line = rejected('describe', '--params-file', HAND_OVER, '--arena-param', 'cube=true', code=2)
     assert '--params-file tells all, do not give --arena-param too' in line
 
 
-def test_a_number_in_names_is_whole(refused):
-    assert "must be a whole number, got 'left'" in refused('check', '--idn', 'left', code=2)
+def test_a_number_in_names_is_whole(rejected):
+    assert "must be a whole number, got 'left'" in rejected('check', '--idn', 'left', code=2)

@@ -92,8 +92,8 @@ def test_a_camera_of_the_robot_sees_the_table_below_the_hand(rendered):
      'NullMount0 has no visible shapes (group 0 to 2), so no picture'),
     (('picture.png', '--camera', 'eye'),
      "unknown camera 'eye': available: frontview, birdview, agentview, sideview, robot0_")])
-def test_what_cannot_be_rendered_is_one_line(arguments, what, refused):
-    assert what in refused('render', *arguments)
+def test_what_cannot_be_rendered_is_one_line(arguments, what, rejected):
+    assert what in rejected('render', *arguments)
     assert not Path('picture.png').exists()
 
 
@@ -104,9 +104,9 @@ def test_an_unknown_way_to_render_is_one_line(command, tmp_path):
                            'environment variable MUJOCO_GL: nonsense\n')
 
 
-def test_without_pillow_the_extra_is_named(refused, monkeypatch):
+def test_without_pillow_the_extra_is_named(rejected, monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'PIL', None)
-    assert refused('render', 'a.png') == 'needs pillow: pip install "manip_sim[gallery]"'
+    assert rejected('render', 'a.png') == 'needs pillow: pip install "manip_sim[gallery]"'
 
 
 def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):

@@ -40,7 +40,7 @@ def test_every_parameter_changes_the_arena(name, parameter):
 
 
 @pytest.mark.parametrize(('name', 'parameter'), ALL)
-def test_a_value_outside_the_limits_is_refused(name, parameter):
+def test_a_value_outside_the_limits_is_rejected(name, parameter):
     wrong = (['yes', 1, None] if isinstance(parameter.default, bool) else
              [parameter.low - 0.01, parameter.high + 0.01, float('nan'), float('inf'), True, '1'])
     for value in wrong:
@@ -105,7 +105,7 @@ def test_an_unknown_parameter_tells_the_nearest():
         create_arena('empty', table_height=1.0)
 
 
-def test_a_parameter_by_name_and_by_keyword_is_refused():
+def test_a_parameter_by_name_and_by_keyword_is_rejected():
     with pytest.raises(ModelError, match="'table_height_m' of the arena table is given twice"):
         create_arena('table', table_height=1.0, table_height_m=1.0)
 

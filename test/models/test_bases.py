@@ -241,7 +241,7 @@ def test_two_mobile_robots_move_one_by_one_in_one_world():
     assert rest.data.body('robot0_right_hand').xpos[1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_two_mobile_robots_of_one_number_are_refused():
+def test_two_mobile_robots_of_one_number_are_rejected():
     spec = mujoco.MjSpec()
     equipped().attach_to(spec, spec.worldbody.add_frame())
     with pytest.raises(ModelError, match="^body 'robot0_base' is there already, PandaOmron0 "):
@@ -318,7 +318,7 @@ def test_actuator_sensors_survive_the_order_of_actuators(tmp_path):
     assert rest.data.joint('robot0_waist').qfrc_actuator[0] == pytest.approx(6.0)
 
 
-def test_base_without_its_support_is_refused_with_the_bodies_it_has(tmp_path):
+def test_base_without_its_support_is_rejected_with_the_bodies_it_has(tmp_path):
     robot = footed_robot(tmp_path)
     with pytest.raises(UnknownNameError, match=r"unknown body of Lift0 to mount a robot on "
                        r"'support': .*available: column, plate"):

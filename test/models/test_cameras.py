@@ -118,7 +118,7 @@ def test_a_camera_on_an_unknown_body_is_told_the_nearest(panda):
 
 @pytest.mark.parametrize('name, kind', [
     ('robot0_eye_in_hand', 'camera'), ('robot0_right_hand', 'body'), ('front', 'camera')])
-def test_a_camera_with_a_name_that_is_taken_is_refused(panda, name, kind):
+def test_a_camera_with_a_name_that_is_taken_is_rejected(panda, name, kind):
     world = World([panda], cameras=[{'name': 'front'}, {'name': name}])
     with pytest.raises(ModelError, match=f"camera '{name}': there is a {kind} of this name"):
         world.compile()

@@ -151,7 +151,7 @@ def test_the_state_of_the_action_has_the_shape_and_value_of_the_reference(name):
 
 
 @pytest.mark.parametrize('name', GRIPPERS)
-def test_an_action_of_the_wrong_length_or_not_finite_is_refused_and_changes_nothing(name):
+def test_an_action_of_the_wrong_length_or_not_finite_is_rejected_and_changes_nothing(name):
     gripper, twin = create_gripper(name), create_gripper(name)
     with pytest.raises(CommandError, match=f'{name} must have {gripper.dof} numbers?, got'):
         gripper.format_action(np.zeros(gripper.dof + 1))

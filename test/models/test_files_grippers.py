@@ -68,7 +68,7 @@ def test_a_palm_far_behind_its_frame_is_put_in_front_of_the_mount(tmp_path):
 
 
 @pytest.mark.parametrize('wrong', [[1.0, 0.0], [np.nan]])
-def test_an_action_that_does_not_fit_is_refused(tmp_path, wrong):
+def test_an_action_that_does_not_fit_is_rejected(tmp_path, wrong):
     hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
     with pytest.raises(CommandError, match='an action of FileGripper must'):
         hand.format_action(wrong)

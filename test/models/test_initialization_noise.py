@@ -93,13 +93,13 @@ def test_a_robot_starts_within_its_ranges(panda):
     ({'magnitude': -0.1}, 'magnitude of initialization_noise must be .* 0 to 3.142, got -0.1'),
     ({'magnitude': float('nan')}, 'must be .*, got nan'), ({'magnitude': 4}, 'must be .*, got 4'),
     ({'magnitude': True}, 'must be .*, got True'), ({'magnitude': '1'}, "must be .*, got '1'")])
-def test_bad_settings_are_refused(settings, message):
+def test_bad_settings_are_rejected(settings, message):
     with pytest.raises(ModelError, match=message):
         InitializationNoise(settings, 1)
     assert issubclass(UnknownNameError, ModelError)
 
 
 @pytest.mark.parametrize('seed', [-1, 1.5, True, 'one'])
-def test_a_seed_that_is_no_whole_number_is_refused(seed):
+def test_a_seed_that_is_no_whole_number_is_rejected(seed):
     with pytest.raises(ModelError, match='^seed must be a whole number from 0, got '):
         InitializationNoise({}, seed)

@@ -59,7 +59,7 @@ def test_hand_rotation_is_that_of_the_model_with_unit_norm(hand_with, attribute,
     assert angle_between(offset, quat_xyzw) < 1e-6
 
 
-def test_unknown_arm_type_is_refused(arm_class, mjcf):
+def test_unknown_arm_type_is_rejected(arm_class, mjcf):
     arm_class.arm_type = 'bimanal'
     with pytest.raises(UnknownNameError, match=r"^unknown arm type 'bimanal': did you mean "
                                                r"'bimanual'\? available: single, bimanual$"):
@@ -115,7 +115,7 @@ def test_without_a_name_every_arm_gets_an_own_copy(two_arms, gripper_class, grip
     np.testing.assert_array_equal(left.current_action, [0.0])
 
 
-def test_second_gripper_on_an_arm_is_refused(one_joint_arm, gripper_class, gripper_file):
+def test_second_gripper_on_an_arm_is_rejected(one_joint_arm, gripper_class, gripper_file):
     robot = one_joint_arm()
     robot.add_gripper(gripper_class(gripper_file))
     with pytest.raises(ModelError, match=r"^Arm0's right arm holds MyGripper0 already, cannot add "
@@ -132,8 +132,8 @@ def test_mounting_on_all_arms_changes_nothing_if_one_is_taken(two_arms, gripper_
 
 
 @pytest.mark.parametrize('same_object', [True, False])
-def test_two_grippers_of_one_prefix_are_refused(two_arms, gripper_class, gripper_file,
-                                                same_object):
+def test_two_grippers_of_one_prefix_are_rejected(two_arms, gripper_class, gripper_file,
+                                                 same_object):
     gripper = gripper_class(gripper_file)
     two_arms.add_gripper(gripper, 'right')
     with pytest.raises(ModelError, match=r"^a gripper with the prefix 'gripper0_' is mounted on "
@@ -141,7 +141,7 @@ def test_two_grippers_of_one_prefix_are_refused(two_arms, gripper_class, gripper
         two_arms.add_gripper(gripper if same_object else gripper_class(gripper_file), 'left')
 
 
-def test_gripper_of_another_type_is_refused(one_joint_arm):
+def test_gripper_of_another_type_is_rejected(one_joint_arm):
     with pytest.raises(TypeError, match=r'^a gripper must be a GripperModel, not RethinkMount$'):
         one_joint_arm().add_gripper(RethinkMount())
 

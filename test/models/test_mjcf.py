@@ -181,7 +181,7 @@ def test_options_of_the_file_are_kept_where_it_stands_alone(mjcf):
     assert MujocoXMLModel(path).compile().opt.timestep == 0.004
 
 
-def test_part_of_the_same_prefix_is_refused_before_anything_is_added(mjcf):
+def test_part_of_the_same_prefix_is_rejected_before_anything_is_added(mjcf):
     first, second = MujocoXMLModel(mjcf(PENDULUM)), MujocoXMLModel(mjcf(PENDULUM))
     spec = first.compose()
     with pytest.raises(ModelError, match=r"^body '0_base' is there already, MujocoXMLModel0 "
@@ -202,7 +202,7 @@ def test_correct_naming_copies_strings_sequences_and_mappings(mjcf):
     assert names == ['a', 'b']
 
 
-def test_correct_naming_refuses_other_types(mjcf):
+def test_correct_naming_rejects_other_types(mjcf):
     model = MujocoXMLModel(mjcf(PENDULUM))
     with pytest.raises(TypeError, match=r'^names must be a str, a list, a tuple or a dict of '
                                         r'them, not int$'):

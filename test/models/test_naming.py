@@ -118,7 +118,7 @@ def test_two_robots_of_different_prefix_share_a_world():
 
 @pytest.mark.parametrize('prefix', [
     'left/', '/left_', ' ', 'left arm_', 'left\n', '1_', '_left', 'links-', 'ł_', 'a' * 65, "'"])
-def test_a_prefix_that_names_cannot_begin_with_is_refused(prefix):
+def test_a_prefix_that_names_cannot_begin_with_is_rejected(prefix):
     with pytest.raises(ModelError, match=r'^prefix .* cannot begin the names of joints and '
                                          r'frames: it needs a letter, then at most 63 ') as error:
         create_robot('Panda', prefix=prefix)
@@ -143,7 +143,7 @@ def test_a_class_with_a_prefix_of_its_own_cannot_bear_another(mjcf):
     ('site', '<site name="base_mark"/>', '', '<site name="mark"/>'),
     ('default class', '<geom class="base_steel" size="0.1"/>',
      '<default><default class="base_steel"/></default>', 'steel')])
-def test_a_name_of_the_robot_that_a_part_would_bring_again_is_refused(
+def test_a_name_of_the_robot_that_a_part_would_bring_again_is_rejected(
         robot_class, mjcf, mount, kind, link, sections, of_mount):
     robot = robot_class(mjcf(f'<body name="base"><geom size="0.1"/>{link}</body>', sections))
     steel = of_mount == 'steel'
@@ -173,7 +173,7 @@ def test_a_name_of_the_arena_or_the_world_cannot_be_taken(robot_class, mjcf):
 
 
 @pytest.mark.parametrize('root', ['base', 'manipulator_mount'])
-def test_a_robot_with_the_name_that_a_mobile_base_needs_is_refused(
+def test_a_robot_with_the_name_that_a_mobile_base_needs_is_rejected(
         robot_class, mjcf, mobile_base, root):
     inner = '<body name="manipulator_mount"/>' if root == 'base' else ''
     robot = robot_class(mjcf(f'<body name="{root}"><geom size="0.1"/>{inner}</body>'))

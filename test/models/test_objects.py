@@ -169,7 +169,7 @@ def test_a_free_joint_that_a_file_has_is_kept(mug_file, joint):
      'an object cannot have actuators, which nothing would command'),
     ({'sections': '<asset><hfield name="hill" nrow="2" ncol="2" size="1 1 1 1"/></asset>'},
      'an object cannot have height fields')])
-def test_a_file_that_is_no_object_is_refused(mug_file, parts, message):
+def test_a_file_that_is_no_object_is_rejected(mug_file, parts, message):
     path = mug_file(**parts)
     with pytest.raises(ModelError, match=f'^{re.escape(str(path))}.*{message}') as error:
         create_object(path)
@@ -188,7 +188,7 @@ def test_a_missing_file_is_told(tmp_path):
         create_object(tmp_path / 'nothing.xml')
 
 
-def test_a_file_that_is_too_heavy_is_refused(mjcf):
+def test_a_file_that_is_too_heavy_is_rejected(mjcf):
     path = mjcf('<body name="moon"><geom size="10" mass="1e6"/></body>')
     with pytest.raises(ModelError, match=r'weighs 1e\+06 kg, it must be 1e-05 to 100000 kg$'):
         create_object(path)
@@ -312,7 +312,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('objects: ' + 3000 * '[' + 3000 * ']', 'it is nested too deeply'),
     ('1: 2', 'a key must be a text, got 1 in line 1'),
     ('objects: []' + 1_000_000 * ' ', r'parameters\.yaml is larger than 1000000 bytes')])
-def test_a_bad_list_is_refused_in_one_line_with_file_object_and_key(written, text, message):
+def test_a_bad_list_is_rejected_in_one_line_with_file_object_and_key(written, text, message):
     path = written(text)
     with pytest.raises(ModelError, match=message) as error:
         load_objects(path)
@@ -368,12 +368,12 @@ def test_an_object_falls_by_its_own_weight(panda):
 @pytest.mark.parametrize(('name', 'taken'), [
     ('cube', "two objects have the name 'cube'"), ('table', "body 'table' is there already"),
     ('floor', "geom 'floor' is there already")])
-def test_a_name_that_the_world_has_already_is_refused(panda, name, taken):
+def test_a_name_that_the_world_has_already_is_rejected(panda, name, taken):
     with pytest.raises(ModelError, match=taken):
         World([panda], TableArena(cube=True), objects=[{**BOX, 'name': name}]).compile()
 
 
-def test_elements_whose_names_meet_are_refused(mug_file):
+def test_elements_whose_names_meet_are_rejected(mug_file):
     lid = {**BOX, 'name': 'mug_lid'}
     for objects in ([mug_file(), lid], [lid, mug_file()]):
         with pytest.raises(ModelError, match="^body 'mug_lid' is there already, .* (needs another "

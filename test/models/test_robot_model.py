@@ -103,7 +103,7 @@ def test_robot_on_a_mobile_base_hangs_on_its_support(robot_with, mobile_base):
     assert model.body(model.jnt_bodyid[model.joint('robot0_joint1').id]).parentid[0] == mount.id
 
 
-def test_mobile_base_without_support_is_refused(robot_with, mobile_base):
+def test_mobile_base_without_support_is_rejected(robot_with, mobile_base):
     robot = robot_with('joint1')
     mobile_base.support_body = 'deck'
     with pytest.raises(UnknownNameError, match=r"^unknown body of Cart0 to mount a robot on 'deck'"
@@ -112,7 +112,7 @@ def test_mobile_base_without_support_is_refused(robot_with, mobile_base):
     assert robot.base is None
 
 
-def test_second_base_is_refused(robot_with):
+def test_second_base_is_rejected(robot_with):
     robot = robot_with('joint1')
     robot.add_base(RethinkMount())
     with pytest.raises(ModelError, match=r'^Robot0 stands on RethinkMount0 already, cannot add '
@@ -120,7 +120,7 @@ def test_second_base_is_refused(robot_with):
         robot.add_base(RethinkMount(1))
 
 
-def test_base_of_another_type_is_refused(robot_with):
+def test_base_of_another_type_is_rejected(robot_with):
     with pytest.raises(TypeError, match='^a base must be a Mount.* or a Mobile.*, not str$'):
         robot_with('joint1').add_base('RethinkMount')
 
@@ -189,12 +189,12 @@ def test_joint_attribute_without_force_only_fills_in(robot_with):
 @pytest.mark.parametrize(('values', 'message'), [
     ([1.0], 'have 2 numbers, got 1'), ([1.0, 2.0, 3.0], 'have 2 numbers, got 3'),
     ([1.0, np.nan], 'be finite, got nan at index 1')])
-def test_joint_attribute_refuses_wrong_values(robot_with, values, message):
+def test_joint_attribute_rejects_wrong_values(robot_with, values, message):
     with pytest.raises(CommandError, match=f'^damping of Robot0 must {message}$'):
         robot_with('joint1', 'joint2').set_joint_attribute('damping', values)
 
 
-def test_joint_attribute_refuses_unknown_attributes(robot_with):
+def test_joint_attribute_rejects_unknown_attributes(robot_with):
     with pytest.raises(UnknownNameError, match=r"^unknown joint attribute 'dampning': "
                                                r"did you mean 'damping'\?"):
         robot_with('joint1').set_joint_attribute('dampning', [1.0])
@@ -211,7 +211,7 @@ def test_action_is_mapped_onto_the_control_ranges_and_clamped(robot_with):
     ([0.0], r'have 2 numbers, got 1$'), (0.0, r'have 2 numbers, got the shape \(\)$'),
     ([0.0, np.nan], 'be finite, got nan at index 1$'),
     ([np.inf, 0.0], 'be finite, got inf at index 0$')])
-def test_action_that_does_not_fit_is_refused(robot_with, action, message):
+def test_action_that_does_not_fit_is_rejected(robot_with, action, message):
     with pytest.raises(CommandError, match=f'^an action of the arm of Robot0 must {message}'):
         robot_with('joint1', 'joint2').format_action('arm', action)
 

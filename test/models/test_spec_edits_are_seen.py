@@ -171,7 +171,7 @@ def test_a_placed_robot_stands_there_alone_and_in_a_world(one_joint_arm):
     ('set_base_xpos', [0.0, 1.0], 'position of Panda0 must have 3 numbers, got 2'),
     ('set_base_ori', [0.0, 0.0, np.inf], 'orientation of Panda0 must be finite, got inf at '),
     ('set_base_ori', 'upright', "orientation of Panda0 must be numbers, got 'upright'")])
-def test_a_place_that_is_none_is_refused_at_once(method, values, message):
+def test_a_place_that_is_none_is_rejected_at_once(method, values, message):
     robot = Panda()
     with pytest.raises(ModelError, match=f'^{message}'):
         getattr(robot, method)(values)
@@ -184,7 +184,7 @@ def test_a_place_that_is_none_is_refused_at_once(method, values, message):
     ({'quat_wxyz': [1.7e308] * 4}, 'quaternion of PandaGripper0 must have a finite norm'),
     ({'pos': [0.0, 0.0, 10**400]}, 'position of PandaGripper0 must be numbers, got '),
     ({'quat_wxyz': [1.0, np.nan, 0.0, 0.0]}, 'quaternion of PandaGripper0 must be finite')])
-def test_a_mount_pose_that_is_none_is_refused(pose, message):
+def test_a_mount_pose_that_is_none_is_rejected(pose, message):
     with pytest.raises(ModelError, match=f'^{message}'):
         PandaGripper().set_mount_pose(**pose)
 

@@ -57,7 +57,7 @@ def test_table_has_the_size_asked_for(length, height):
     (0.0, 0.8, 'table_length.* must be 0.3 to 5 m, got 0.0$'),
     (0.8, 0.05, 'table_height.* must be 0.1 to 2 m, got 0.05$'),
     (-1.0, 0.8, 'table_length.* got -1.0$'), (float('nan'), 0.8, 'table_length.* got nan$')])
-def test_table_without_a_size_is_refused(length, height, message):
+def test_table_without_a_size_is_rejected(length, height, message):
     with pytest.raises(ModelError, match=f"^parameter '{message}"):
         TableArena(table_length_m=length, table_height_m=height)
 
@@ -91,13 +91,13 @@ def test_a_robot_that_was_placed_stays_there_and_another_goes_with_the_arena(pan
         np.testing.assert_allclose(model.body('robot1_base').pos, [-0.6, 1.0, 0.912])
 
 
-def test_two_robots_of_one_idn_are_refused(panda):
+def test_two_robots_of_one_idn_are_rejected(panda):
     with pytest.raises(ModelError, match=r'^robots in one world need different idn or prefix, got '
                                          r'robot0_, robot0_$'):
         World([panda, Panda()])
 
 
-def test_two_grippers_of_one_idn_in_a_world_are_refused(panda):
+def test_two_grippers_of_one_idn_in_a_world_are_rejected(panda):
     other = Panda(idn=1)
     other.add_gripper(PandaGripper(idn='0_right'))
     with pytest.raises(ModelError, match=r"^body 'gripper0_right_right_gripper' is there "
@@ -225,7 +225,7 @@ def test_world_in_xml_is_the_same_model(panda):
                                    atol=1e-9)
 
 
-def test_start_that_does_not_fit_the_joints_is_refused(one_joint_arm, arm_class):
+def test_start_that_does_not_fit_the_joints_is_rejected(one_joint_arm, arm_class):
     arm_class.init_qpos = np.zeros(3)
     with pytest.raises(ModelError, match=r'^init_qpos of Arm0 must have 1 number, got 3$'):
         World([one_joint_arm()]).init_qpos()
@@ -261,14 +261,14 @@ def test_shapes_that_cannot_collide_change_no_state(panda):
 
 @pytest.mark.parametrize('timestep_s, nearest', [
     (1 / 600, '0.001666667'), (0.0012345678912, '0.001234568')])
-def test_a_timestep_that_stamps_cannot_count_is_refused(timestep_s, nearest):
+def test_a_timestep_that_stamps_cannot_count_is_rejected(timestep_s, nearest):
     with pytest.raises(ModelError, match=f'whole number of nanoseconds.* nearest is {nearest}'):
         World([Panda()], timestep_s=timestep_s)
     assert World([Panda()], timestep_s=float(nearest)).timestep_s == float(nearest)
 
 
 @pytest.mark.parametrize('timestep_s', [0.0, -0.002, math.nan, math.inf])
-def test_a_timestep_that_is_no_time_is_refused(timestep_s):
+def test_a_timestep_that_is_no_time_is_rejected(timestep_s):
     with pytest.raises(ModelError, match='positive and finite'):
         World([Panda()], timestep_s=timestep_s)
 

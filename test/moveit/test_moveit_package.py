@@ -101,7 +101,7 @@ def test_every_name_of_the_srdf_is_in_the_urdf(package):
     groups |= {e.get('name') for e in srdf.findall('group/group')}
     assert links <= package.links and joints <= package.joints.keys()
     assert groups <= package.groups.keys() and package.groups
-    # MoveIt refuses an end effector that has the link that it is on.
+    # MoveIt rejects an end effector that has the link that it is on.
     for effector in srdf.findall('end_effector'):
         own = {e.get('name') for e in package.groups[effector.get('group')].findall('link')}
         chain = package.groups[effector.get('parent_group')].find('chain')

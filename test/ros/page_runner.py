@@ -184,11 +184,11 @@ class PageRunner:
             self._client.spin_until(lambda: bool(messages))
 
     def taken(self) -> int:
-        """Return how many commands the node has taken; AssertionError if one was refused."""
+        """Return how many commands the node has taken; AssertionError if one was rejected."""
         assert self.served is not None
         statistics = [entry for commands in self.served.node.commands
                       for entry in commands.statistics.values()]
-        assert not sum(entry.refused for entry in statistics), self._client.log()
+        assert not sum(entry.rejected for entry in statistics), self._client.log()
         return sum(entry.accepted for entry in statistics)
 
     def _publish(self, name: str, kind: str, values: str) -> None:

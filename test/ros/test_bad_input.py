@@ -35,7 +35,7 @@ def point(positions, sec=1, **fields):
     return JointTrajectoryPoint(positions=positions, time_from_start=Duration(sec=sec), **fields)
 
 
-REFUSED = {
+REJECTED = {
     'arm/command': [
         (action(), 'must have 7 numbers, got'),
         (action(0.0), 'must have 7 numbers, got'),
@@ -82,19 +82,19 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize('topic', REFUSED)
+@pytest.mark.parametrize('topic', REJECTED)
 def test_bad_messages_change_nothing_and_are_explained(topic, serve, client):
     log = client.log()
     node = serve()
     start = client.state()
     part = topic.rsplit('/', 1)[0] if '/' in topic else topic
     statistics = node.commands[0].statistics[part]
-    for message, reason in REFUSED[topic]:
+    for message, reason in REJECTED[topic]:
         # What is like the one before is told a second later.
         while not any(reason in line for line in log):
-            count = statistics.refused
+            count = statistics.rejected
             client.publish(topic, message)
-            client.spin_until(lambda n=count: statistics.refused == n + 1)
+            client.spin_until(lambda n=count: statistics.rejected == n + 1)
             client.executor.spin_once(timeout_sec=0.2)
     end = client.state()
     np.testing.assert_allclose(end.position, start.position, atol=1e-3)
@@ -128,7 +128,7 @@ def test_ten_thousand_messages_in_a_second_are_survived(serve, client):
         publisher.publish(bad if n % 2 else good)
     statistics = node.commands[0].statistics['arm']
     # The last one is kept, whatever came before it.
-    client.spin_until(lambda: statistics.refused > 0)
+    client.spin_until(lambda: statistics.rejected > 0)
     publisher.publish(good)
     client.spin_until(lambda: statistics.accepted > 0)
     state = client.state()

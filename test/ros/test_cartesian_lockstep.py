@@ -57,7 +57,7 @@ def test_in_lockstep_a_cartesian_command_is_the_command_of_its_arm(serve, client
     stale = twist(0.1)
     stale.header.stamp.nanosec = 10_000_000
     client.publish('right/target_twist', stale)
-    client.spin_until(lambda: statistics.refused == 1)
+    client.spin_until(lambda: statistics.rejected == 1)
     client.spin_until(lambda: any('the command answers the state of 0.010' in line
                                   for line in log))
     assert node.simulation.step_count == 105

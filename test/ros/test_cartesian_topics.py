@@ -116,7 +116,7 @@ def test_a_pose_action_moves_the_hand_by_five_centimetres(hand):
     ('right/target_pose', PoseStamped(), None),
     ('right/target_pose', 'zero', 'of length 0'),
     ('right/target_pose', 'nan', 'position must be finite')])
-def test_what_is_refused_changes_nothing_and_is_told(topic, message, what, hand, served):
+def test_what_is_rejected_changes_nothing_and_is_told(topic, message, what, hand, served):
     if isinstance(message, str):
         kind, message = message, hand.pose()
         if kind == 'zero':
@@ -125,14 +125,14 @@ def test_what_is_refused_changes_nothing_and_is_told(topic, message, what, hand,
         else:
             message.pose.position.y = math.nan
     statistics = served.commands[0].statistics['arm']
-    refused, accepted = statistics.refused, statistics.accepted
+    rejected, accepted = statistics.rejected, statistics.accepted
     hand.client.publish(topic, message)
     if what is None:
         # A message of zeros has the unit quaternion and is the origin of the world.
         hand.client.spin_until(lambda: statistics.accepted == accepted + 1)
         hand.client.call(Trigger, 'manip_sim/reset')
         return
-    hand.client.spin_until(lambda: statistics.refused == refused + 1)
+    hand.client.spin_until(lambda: statistics.rejected == rejected + 1)
     assert statistics.accepted == accepted
     hand.client.spin_until(lambda: any(what in line and topic in line for line in hand.log))
 

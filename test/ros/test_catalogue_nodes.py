@@ -73,7 +73,7 @@ def test_the_base_stops_without_fresh_commands(serve, client):
     client.spin_until(lambda: abs(client.state('base/joint_states').velocity[0]) < 1e-3)
 
 
-def test_a_twist_that_a_base_cannot_follow_is_refused(serve, client):
+def test_a_twist_that_a_base_cannot_follow_is_rejected(serve, client):
     log = client.log()
     serve(robot='PandaOmron')
     for field, value, reason in (('z', 0.1, 'leave linear.z'), ('x', np.nan, 'must be finite')):

@@ -90,7 +90,7 @@ def test_a_trajectory_is_followed_and_replaced_by_a_newer_one(serve, client):
     np.testing.assert_allclose(arm_position(client)[1:], start[1:], atol=2e-3)
 
 
-def test_a_trajectory_with_times_out_of_order_is_refused_as_a_whole(serve, client):
+def test_a_trajectory_with_times_out_of_order_is_rejected_as_a_whole(serve, client):
     log = client.log()
     serve()
     start = arm_position(client)
@@ -100,7 +100,7 @@ def test_a_trajectory_with_times_out_of_order_is_refused_as_a_whole(serve, clien
     np.testing.assert_allclose(arm_position(client), start, atol=1e-3)
 
 
-def test_a_trajectory_in_the_past_is_refused(serve, client):
+def test_a_trajectory_in_the_past_is_rejected(serve, client):
     log = client.log()
     serve()
     states = client.listen(JointState, 'joint_states')
@@ -191,7 +191,7 @@ def test_an_arm_does_not_take_the_joints_of_the_other(serve, client):
     node = serve(robot='Baxter')
     client.publish('right/joint_command', JointState(name=['robot0_left_s0'], position=[0.1]))
     client.spin_until(lambda: any("right has no joint 'robot0_left_s0'" in line for line in log))
-    assert node.commands[0].statistics['right'].refused == 1
+    assert node.commands[0].statistics['right'].rejected == 1
 
 
 def test_a_best_effort_publisher_is_heard_and_a_reliable_one_beside_it_once(serve, client):

@@ -25,7 +25,7 @@ def test_commands_are_counted_by_part(serve, client):
     # One at a time, because the node keeps the last one only.
     for message, arrived in (([0.0] * 7, lambda: statistics.accepted == 1),
                              ([2.0] * 7, lambda: statistics.accepted == 2),
-                             ([0.0], lambda: statistics.refused == 1)):
+                             ([0.0], lambda: statistics.rejected == 1)):
         client.publish('arm/command', Float64MultiArray(data=message))
         client.spin_until(arrived)
 

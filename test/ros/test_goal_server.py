@@ -28,7 +28,7 @@ NAME = 'arm/swing'
 
 
 class Swing(ActionMessages):
-    """An order is a way of the first joint in tenths of a second; negative ones are refused."""
+    """An order is a way of the first joint in tenths of a second; negative ones are rejected."""
 
     name = 'swing'
 
@@ -119,11 +119,11 @@ def test_goal_that_is_rejected_changes_nothing_and_is_counted_and_told(served, s
     swinger.client.spin_until(lambda: any(
         text == f'rejected a goal of {NAME}: INVALID_GOAL (-1): the order is -3' for text in log))
 
-    def refused():
+    def rejected():
         values = {v.key: v.value for status in counts[-1].status for v in status.values
                   if status.name.endswith('arm')} if counts else {}
         return int(values.get('dropped', 0))
-    swinger.client.spin_until(lambda: refused() >= 1)
+    swinger.client.spin_until(lambda: rejected() >= 1)
 
 
 def test_cancelled_goal_is_told_at_once_and_an_ended_one_cannot_be_cancelled(swinger):

@@ -74,5 +74,5 @@ def test_messages_that_cannot_be_read_are_counted_and_do_not_stop_their_topic(si
                  'arm has no joint'):
         told = [line for line in log if text in line]
         assert 1 <= len(told) <= time.monotonic() - begin + 1
-        assert told[0].startswith('refused a message on arm/joint_command: ')
+        assert told[0].startswith('rejected a message on arm/joint_command: ')
     assert client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=True)).success

@@ -97,7 +97,7 @@ def test_a_command_for_another_instant_does_not_count(serve, client):
     client.publish('arm/joint_command', stale)
     client.spin_until(lambda: any('the present state is that of' in line for line in log))
     assert node.simulation.step_count == 5
-    assert node.commands[0].statistics['arm'].refused == 1
+    assert node.commands[0].statistics['arm'].rejected == 1
 
 
 def test_every_lockstep_part_needs_a_command(serve, client):
@@ -173,7 +173,7 @@ def test_an_answer_that_comes_while_its_period_runs_is_stale(serve, client):
         client.publish('arm/joint_command', answer)
     finally:
         released.set()
-    client.spin_until(lambda: node.commands[0].statistics['arm'].refused == 1)
+    client.spin_until(lambda: node.commands[0].statistics['arm'].rejected == 1)
     client.state()
     assert node.simulation.step_count == 10
     # Late answers are told from early ones.
@@ -192,7 +192,7 @@ def test_a_reset_has_a_stamp_of_its_own_and_makes_answers_to_older_ones_stale(se
     answer = JointState(name=['robot0_joint1'], position=[0.1])
     answer.header.stamp.nanosec = 10_000_000
     client.publish('arm/joint_command', answer)
-    client.spin_until(lambda: statistics.refused == 1)
+    client.spin_until(lambda: statistics.rejected == 1)
     answer.header.stamp.nanosec = 20_000_000
     client.publish('arm/joint_command', answer)
     client.spin_until(lambda: nanoseconds(states[-1]) == 30_000_000)

@@ -92,8 +92,8 @@ def test_names_with_apostrophes_do_not_flood_the_log(sim_process, client):
         client.executor.spin_once(timeout_sec=0.001)
     client.state()
     elapsed_s = (client.node.get_clock().now() - begin).nanoseconds * 1e-9
-    refusals = [text for text in log if 'arm/joint_command: ' in text]
-    assert 1 <= len(refusals) <= elapsed_s + 2
+    rejections = [text for text in log if 'arm/joint_command: ' in text]
+    assert 1 <= len(rejections) <= elapsed_s + 2
 
 
 def test_a_joint_name_cannot_forge_a_line_of_the_log(sim_process, client):

@@ -79,9 +79,9 @@ def test_in_lockstep_a_twist_counts_only_if_it_answers_the_present_state(serve, 
     client.spin_until(lambda: states[-1].header.stamp != second)
 
 
-def test_a_twist_that_a_base_cannot_follow_is_refused_with_a_stamp_too(serve, client):
+def test_a_twist_that_a_base_cannot_follow_is_rejected_with_a_stamp_too(serve, client):
     log = client.log()
     node = serve(robot='PandaOmron')
     client.publish('base/cmd_vel_stamped', stamped(z=0.1))
     client.spin_until(lambda: any('base/cmd_vel_stamped: base: moves along' in t for t in log))
-    assert node.commands[0].statistics['base'].refused == 1
+    assert node.commands[0].statistics['base'].rejected == 1

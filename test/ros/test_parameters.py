@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parameters at the start: what is taken, what is refused and how."""
+"""Parameters at the start: what is taken, what is rejected and how."""
 
 from pathlib import Path
 import re
@@ -15,7 +15,7 @@ from starts import starts
 import yaml
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
-REFUSED = [
+REJECTED = [
     ('robott:=Panda', "unknown parameter 'robott'", "did you mean 'robot'"),
     ('arm.control_mod:=effort', "unknown parameter 'arm.control_mod'", "'control_mode.arm'"),
     ('arm.control_mode:=effort', "unknown parameter 'arm.control_mode'",
@@ -44,15 +44,15 @@ REFUSED = [
 
 
 @pytest.fixture(scope='module')
-def refused():
+def rejected():
     """Return how the starts with wrong parameters end, by parameter."""
-    parameters = [parameter for parameter, *_ in REFUSED]
+    parameters = [parameter for parameter, *_ in REJECTED]
     return dict(zip(parameters, starts([['--ros-args', '-p', p] for p in parameters])))
 
 
-@pytest.mark.parametrize('parameter, what, hint', REFUSED)
-def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, refused):
-    code, output, errors = refused[parameter]
+@pytest.mark.parametrize('parameter, what, hint', REJECTED)
+def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, rejected):
+    code, output, errors = rejected[parameter]
     assert (code, output) == (1, '')
     lines = errors.strip().splitlines()
     assert len(lines) == 1, errors
@@ -60,11 +60,11 @@ def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, r
     assert hint in lines[0]
 
 
-def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_process, refused):
-    parameter = REFUSED[0][0]
+def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_process, rejected):
+    parameter = REJECTED[0][0]
     node = sim_process(parameter)
     output, errors = node.communicate(timeout=20.0)
-    assert (node.returncode, output, errors) == refused[parameter]
+    assert (node.returncode, output, errors) == rejected[parameter]
 
 
 def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
@@ -75,7 +75,7 @@ def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
     assert 'Traceback' not in errors
 
 
-def test_other_arguments_are_refused_and_help_is_given(process):
+def test_other_arguments_are_rejected_and_help_is_given(process):
     node = process('Panda')
     assert "unknown argument 'Panda'" in node.communicate(timeout=20.0)[1]
     assert node.returncode == 2
@@ -168,7 +168,7 @@ def test_parameters_may_be_set_before_the_simulation_runs_and_after_it_has_ended
     ('timestep', 0.001, "parameter 'timestep' is read-only: set it at the start"),
     ('control_mode.arms', 'effort', "unknown parameter 'control_mode.arms': did you mean "
      "'control_mode.arm'")])
-def test_a_change_that_is_refused_says_what_to_do(name, value, reason, serve, client):
+def test_a_change_that_is_rejected_says_what_to_do(name, value, reason, serve, client):
     serve(start_paused=True)
     request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     (result,) = client.call(SetParameters, '/manip_sim/set_parameters', request).results

@@ -47,9 +47,9 @@ def test_pause_is_idempotent_and_step_advances_by_one_period(stepping, serve, cl
     serve(stepping=stepping)
     states = client.listen(JointState, 'joint_states', 1)
     client.spin_until(lambda: len(states) > 0)
-    refused = trigger(client, 'step')
-    assert not refused.success
-    assert 'pause it first' in refused.message
+    rejected = trigger(client, 'step')
+    assert not rejected.success
+    assert 'pause it first' in rejected.message
     assert pause(client, True).success
     again = pause(client, True)
     assert again.success and again.message == 'already paused'
@@ -188,7 +188,7 @@ def test_parameters_change_while_the_node_runs(serve, client):
     assert not fixed.successful
 
 
-def test_a_call_to_a_simulation_that_has_ended_is_refused(serve, client):
+def test_a_call_to_a_simulation_that_has_ended_is_rejected(serve, client):
     node = serve()
     client.state()
     node.stop()

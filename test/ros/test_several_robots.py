@@ -50,12 +50,12 @@ def test_a_command_moves_its_robot_and_no_other(serve, client):
     np.testing.assert_allclose(left[-1].position, start, atol=1e-3)
 
 
-def test_a_joint_of_another_robot_is_refused(serve, client):
+def test_a_joint_of_another_robot_is_rejected(serve, client):
     node = serve(**TWO)
     states = states_of(client, 'left')
     client.spin_until(lambda: states)
     client.publish('right/joint_command', JointState(name=['left_joint1'], position=[0.1]))
-    client.spin_until(lambda: node.commands[1].statistics['joint_command'].refused == 1)
+    client.spin_until(lambda: node.commands[1].statistics['joint_command'].rejected == 1)
 
 
 def test_a_parameter_changes_its_robot_and_no_other(serve, client):
@@ -107,7 +107,7 @@ def test_lockstep_waits_for_every_robot(serve, client):
     (['objects'], "'objects' cannot be the name of a robot"),
     (['a b'], "'a b' cannot be the name of a robot"),
     (['_a'], "'_a' cannot be the name of a robot")])
-def test_names_that_cannot_be_are_refused(serve, robots, what):
+def test_names_that_cannot_be_are_rejected(serve, robots, what):
     with pytest.raises(ManipSimError, match=what):
         serve(robots=robots)
 
@@ -121,7 +121,7 @@ def test_names_that_cannot_be_are_refused(serve, robots, what):
     ({'left__position': [0.0, 1.0]}, r"'left\.position' must be 3 finite numbers"),
     ({'left__position': [0.0, 1.0, float('nan')]}, r"'left\.position' must be 3 finite numbers"),
     ({'left__lockstep_parts': ['leg']}, r"'left\.lockstep_parts': this robot has no part 'leg'")])
-def test_parameters_that_cannot_be_are_refused(serve, parameters, what):
+def test_parameters_that_cannot_be_are_rejected(serve, parameters, what):
     with pytest.raises(ManipSimError, match=what):
         serve(robots=['left', 'right'], **parameters)
 

@@ -159,10 +159,10 @@ def test_pause_and_the_states_of_the_standard_are_one(serve, client):
 
 @pytest.mark.parametrize('state', [SimulationState.STATE_QUITTING, SimulationState.STATE_NO_WORLD,
                                    SimulationState.STATE_LOADING_WORLD, 77])
-def test_a_state_that_cannot_be_set_is_refused(state, serve, client):
+def test_a_state_that_cannot_be_set_is_rejected(state, serve, client):
     serve()
-    refused = set_state(client, state)
-    assert refused.result == UNSUPPORTED and str(state) in refused.error_message
+    rejected = set_state(client, state)
+    assert rejected.result == UNSUPPORTED and str(state) in rejected.error_message
     assert get_state(client) == PLAYING
 
 
@@ -175,8 +175,8 @@ def test_stopped_is_at_the_start_of_time(serve, client):
     client.spin_until(lambda: bool(states) and nanoseconds(states[-1].header.stamp) == FIRST_NS)
     client.spin_until(lambda: bool(clocks) and nanoseconds(clocks[-1].clock) == FIRST_NS)
     assert abs(states[-1].position[0]) < 1e-6
-    refused = step(client, 1)
-    assert refused.result == FAILED and 'pause it first' in refused.error_message
+    rejected = step(client, 1)
+    assert rejected.result == FAILED and 'pause it first' in rejected.error_message
     assert set_state(client, PAUSED).result == OK
     assert step(client, 1).result == OK
     client.spin_until(lambda: nanoseconds(states[-1].header.stamp) == FIRST_NS + 10_000_000)
@@ -193,13 +193,13 @@ def test_steps_are_control_periods_and_are_done_when_the_answer_comes(stepping, 
     assert get_state(client) == PAUSED
 
 
-def test_steps_are_refused_while_the_simulation_plays(serve, client):
+def test_steps_are_rejected_while_the_simulation_plays(serve, client):
     serve()
-    refused = step(client, 1)
-    assert refused.result == FAILED and 'pause it first' in refused.error_message
+    rejected = step(client, 1)
+    assert rejected.result == FAILED and 'pause it first' in rejected.error_message
     set_state(client, PAUSED)
-    refused = step(client, 0)
-    assert refused.result == FAILED and 'got 0' in refused.error_message
+    rejected = step(client, 0)
+    assert rejected.result == FAILED and 'got 0' in rejected.error_message
 
 
 def test_the_node_stays_responsive_while_it_makes_many_steps(serve, client):
@@ -247,11 +247,11 @@ def test_a_reset_puts_all_back_and_keeps_or_restarts_time(scope, restarts, serve
 
 @pytest.mark.parametrize('scope', [ResetSimulation.Request.SCOPE_TIME,
                                    ResetSimulation.Request.SCOPE_SPAWNED, 6, 64])
-def test_a_scope_that_does_not_work_is_refused(scope, serve, client):
+def test_a_scope_that_does_not_work_is_rejected(scope, serve, client):
     node = serve(start_paused=True)
     step(client, 1)
-    refused = reset(client, scope)
-    assert refused.result == UNSUPPORTED and f'scope {scope}' in refused.error_message
+    rejected = reset(client, scope)
+    assert rejected.result == UNSUPPORTED and f'scope {scope}' in rejected.error_message
     assert node.simulation.time_ns == FIRST_NS + 10_000_000
 
 
@@ -267,10 +267,10 @@ def test_a_simulation_that_diverged_can_be_reset_only(serve, client):
     playing = set_state(client, PLAYING)
     assert playing.result == SetSimulationState.Response.STATE_TRANSITION_ERROR
     assert 'reset it first' in playing.error_message
-    refused = step(client, 1)
-    assert refused.result == FAILED and 'reset it first' in refused.error_message
-    refused = place(client)
-    assert refused.result == INCORRECT_STATE and 'reset it first' in refused.error_message
+    rejected = step(client, 1)
+    assert rejected.result == FAILED and 'reset it first' in rejected.error_message
+    rejected = place(client)
+    assert rejected.result == INCORRECT_STATE and 'reset it first' in rejected.error_message
     assert reset(client, ResetSimulation.Request.SCOPE_ALL).result == OK
     assert set_state(client, PLAYING).result == OK
 
@@ -305,7 +305,7 @@ def test_entities_are_filtered_by_category(serve, client):
     ({'filter': '('}, FAILED, '('), ({'filter': 'x' * 200_000}, FAILED, 'filter'),
     ({'tags': TagsFilter(tags=['red'])}, UNSUPPORTED, 'tags'),
     ({'bounds': Bounds(type=Bounds.TYPE_SPHERE)}, UNSUPPORTED, 'bounds')])
-def test_a_filter_that_does_not_work_is_refused(filters, code, text, serve, client):
+def test_a_filter_that_does_not_work_is_rejected(filters, code, text, serve, client):
     serve(arena='table')
     result = entities(client, **filters).result
     assert result.result == code and text in result.error_message
@@ -384,11 +384,11 @@ def test_an_unknown_entity_is_not_found(serve, client):
     ({'angular': (0.0, 0.0, 1e30)}, FAILED, 'angular velocity must be within 1000'),
     ({'frame': 'robot0_link1'}, UNSUPPORTED, "frame_id 'robot0_link1'"),
     ({'name': 'robot0_base'}, FAILED, 'cannot be moved')])
-def test_a_request_that_is_refused_changes_nothing(request_, code, text, serve, client):
+def test_a_request_that_is_rejected_changes_nothing(request_, code, text, serve, client):
     node = serve(arena='table', start_paused=True)
     before = node.simulation.data.qpos.copy(), node.simulation.data.qvel.copy()
-    refused = place(client, **request_)
-    assert refused.result == code and text in refused.error_message
+    rejected = place(client, **request_)
+    assert rejected.result == code and text in rejected.error_message
     np.testing.assert_array_equal(node.simulation.data.qpos, before[0])
     np.testing.assert_array_equal(node.simulation.data.qvel, before[1])
 
@@ -406,8 +406,8 @@ def test_only_what_is_flagged_is_set(serve, client):
     state = entity_state(client, 'cube').state
     assert numbers(state.pose.position) == [0.0, 0.0, 1.5]
     assert numbers(state.twist.linear) == [0.0, 0.5, 0.0]
-    refused = place(client, set_pose=False, set_twist=False, set_acceleration=True)
-    assert refused.result == FAILED and 'nothing to set' in refused.error_message
+    rejected = place(client, set_pose=False, set_twist=False, set_acceleration=True)
+    assert rejected.result == FAILED and 'nothing to set' in rejected.error_message
 
 
 # ---------------------------------------------------------------------- objects that come and go

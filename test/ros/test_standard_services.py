@@ -192,7 +192,7 @@ def test_reset_puts_all_back_and_keeps_or_restarts_time(standard, scope, restart
 
 
 @pytest.mark.parametrize('scope', [Scope.SCOPE_TIME, 4, 6, 64])
-def test_scope_that_does_not_work_is_refused(standard, scope):
+def test_scope_that_does_not_work_is_rejected(standard, scope):
     code, text = standard.code('reset_simulation', scope=int(scope))
     assert code == UNSUPPORTED and f'scope {int(scope)} is not supported' in text
 
@@ -220,7 +220,7 @@ def test_entities_are_found_by_name_and_category(standard):
 @pytest.mark.parametrize(('filters', 'code', 'text'), [
     ({'filter_': '('}, FAILED, "filter '('"), ({'tags': ['red']}, UNSUPPORTED, 'no tags'),
     ({'bounds': 3}, UNSUPPORTED, 'no bounds')])
-def test_filter_that_does_not_work_is_refused(standard, filters, code, text):
+def test_filter_that_does_not_work_is_rejected(standard, filters, code, text):
     result = standard.entities(**filters).result
     assert result.result == code and text in result.error_message
 
@@ -259,7 +259,7 @@ def test_version_two_of_the_standard_says_what_to_set(standard):
     ({'w': 0.0}, SetEntityCode.INVALID_POSE, ''),
     ({'position': (math.nan, 0.0, 0.0)}, SetEntityCode.INVALID_POSE, 'nan'),
     ({'linear': (0.0, math.inf, 0.0)}, FAILED, 'inf')])
-def test_state_that_cannot_be_set_is_refused(standard, request_, code, text):
+def test_state_that_cannot_be_set_is_rejected(standard, request_, code, text):
     before = standard.entity().state
     found, told = standard.place(**request_)
     assert found == code and text in told and told
@@ -294,7 +294,7 @@ def test_name_that_is_taken_gets_a_number_if_it_may_be_changed(standard):
 
 
 @pytest.mark.parametrize(('request_', 'code', 'text'), [
-    ({'text': BALL, 'namespace': 'left'}, 'NAMESPACE_INVALID', 'no namespace of its own'),
+    ({'text': BALL, 'namespace': 'left'}, 'NAMESPACE_INVALID', 'has no namespace'),
     ({'text': BALL, 'name': 'red ball'}, 'NAME_INVALID', "'red ball'"),
     ({'text': ' '}, 'NO_RESOURCE', 'give a file (uri) or a text'),
     ({'text': '<mujoco>'}, 'RESOURCE_PARSE_ERROR', ''),
@@ -303,13 +303,13 @@ def test_name_that_is_taken_gets_a_number_if_it_may_be_changed(standard):
     ({'uri': 'https://example.com/can.xml'}, 'UNSUPPORTED_FORMAT', 'only paths and file://'),
     ({'uri': '/tmp/can.sdf'}, 'UNSUPPORTED_FORMAT', 'only MJCF (.xml, .mjcf) and YAML'),
     ({'uri': '/nowhere/can.xml'}, 'RESOURCE_PARSE_ERROR', '/nowhere/can.xml')])
-def test_object_that_cannot_come_is_refused(standard, request_, code, text):
+def test_object_that_cannot_come_is_rejected(standard, request_, code, text):
     result = standard.spawn(**request_).result
     assert result.result == SpawnCode[code] and text in result.error_message
     assert result.error_message and standard.entities().entities == ['robot0_base', 'cube']
 
 
-def test_object_in_another_frame_is_refused(standard):
+def test_object_in_another_frame_is_rejected(standard):
     result = standard.spawn(BALL, frame='table').result
     assert result.result == UNSUPPORTED and "write 'world'" in result.error_message
 

@@ -9,7 +9,7 @@ import pytest
 from starts import starts
 
 QOS = 'qos_overrides./joint_states.publisher'
-REFUSED = {
+REJECTED = {
     f'-p {QOS}.reliability:=bogus': (
         f"parameter '{QOS}.reliability': unknown value 'bogus'", 'best_effort'),
     f'-p {QOS}.reliability:=1': (f"parameter '{QOS}.reliability': unknown value '1'",),
@@ -33,18 +33,18 @@ REFUSED = {
 
 
 @pytest.fixture(scope='module')
-def refused():
+def rejected():
     """Return how the starts that cannot succeed end, by their arguments."""
-    return dict(zip(REFUSED, starts([['--ros-args', *words.split()] for words in REFUSED])))
+    return dict(zip(REJECTED, starts([['--ros-args', *words.split()] for words in REJECTED])))
 
 
-@pytest.mark.parametrize('arguments', REFUSED)
-def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, refused):
-    code, output, errors = refused[arguments]
+@pytest.mark.parametrize('arguments', REJECTED)
+def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, rejected):
+    code, output, errors = rejected[arguments]
     assert (code, output) == (1, '')
     assert len(errors.splitlines()) == 1, errors
     assert '/src/' not in errors
-    for words in REFUSED[arguments]:
+    for words in REJECTED[arguments]:
         assert words in errors
 
 

@@ -55,7 +55,7 @@ def reaches(hardware, goal, tolerance=ARM_TOLERANCE):
 
 
 def rejected(node):
-    return sum(statistics.refused for statistics in node.commands[0].statistics.values())
+    return sum(statistics.rejected for statistics in node.commands[0].statistics.values())
 
 
 # What the hardware sends.
@@ -102,7 +102,7 @@ def test_the_hardware_computes_the_state_of_a_mimic_joint(client):
     assert hardware.states['joint2', 'velocity'] == pytest.approx(-0.44)
 
 
-def test_the_hardware_refuses_what_ros2_control_refuses(client):
+def test_the_hardware_rejects_what_ros2_control_rejects(client):
     with pytest.raises(ValueError, match="mimic joint 'a' cannot have command interfaces"):
         TopicHardware(client.node, [TagJoint('a', mimic=Mimic('b'))])
     hardware = TopicHardware(client.node, [TagJoint('a', ('effort',), ('position',))])
@@ -144,7 +144,7 @@ def test_before_any_controller_is_active_nothing_moves(serve, client, connect, u
     node = serve(prefix='panda_')
     hardware = connect(tag(ARM + FINGERS, 'position'))
     start = positions(hardware, ARM + FINGERS)
-    until(hardware, lambda: node.commands[0].statistics['joint_command'].refused > 20)
+    until(hardware, lambda: node.commands[0].statistics['joint_command'].rejected > 20)
     assert all(np.isnan(message.position).all() for message in hardware.sent)
     assert reaches(hardware, start, FINGER_TOLERANCE)()
     client.spin_until(lambda: any('joint_command' in line and 'NaN' in line for line in log))
@@ -252,27 +252,27 @@ def test_a_velocity_interface_that_nobody_claims_does_not_matter(serve, connect,
     assert rejected(node) == 0
 
 
-def test_a_velocity_in_position_mode_is_refused_with_the_reason(serve, client, connect, until):
+def test_a_velocity_in_position_mode_is_rejected_with_the_reason(serve, client, connect, until):
     log = client.log()
     node = serve(prefix='panda_')
     hardware = connect(tag(ARM, 'position', 'velocity'))
     start = positions(hardware, ARM)
     hardware.claim('position', shifted(hardware, ARM, 0.05))
     hardware.claim('velocity', dict.fromkeys(ARM, 0.0))
-    until(hardware, lambda: node.commands[0].statistics['joint_command'].refused > 5)
+    until(hardware, lambda: node.commands[0].statistics['joint_command'].rejected > 5)
     client.spin_until(lambda: any('joint_command' in line and 'velocity' in line for line in log))
     hardware.read()
     assert reaches(hardware, start, FINGER_TOLERANCE)()
 
 
 @pytest.mark.parametrize('infinity', [INF, -INF])
-def test_an_infinite_command_is_refused_as_a_whole(infinity, serve, client, connect, until):
+def test_an_infinite_command_is_rejected_as_a_whole(infinity, serve, client, connect, until):
     log = client.log()
     node = serve(prefix='panda_')
     hardware = connect(tag(ARM, 'position'))
     start = positions(hardware, ARM)
     hardware.claim('position', shifted(hardware, ARM, 0.05) | {ARM[3]: infinity})
-    until(hardware, lambda: node.commands[0].statistics['joint_command'].refused > 5)
+    until(hardware, lambda: node.commands[0].statistics['joint_command'].rejected > 5)
     client.spin_until(lambda: any('must be finite' in line for line in log))
     hardware.read()
     assert reaches(hardware, start, FINGER_TOLERANCE)()
@@ -280,10 +280,10 @@ def test_an_infinite_command_is_refused_as_a_whole(infinity, serve, client, conn
 
 @pytest.mark.parametrize('names, position', [
     (ARM[:3], [0.0] * 4), ([], [0.0]), (ARM[:1], [])])
-def test_a_message_that_cannot_be_matched_is_refused(names, position, serve, client):
+def test_a_message_that_cannot_be_matched_is_rejected(names, position, serve, client):
     node = serve(prefix='panda_')
     client.publish('joint_command', JointState(name=names, position=position))
-    client.spin_until(lambda: node.commands[0].statistics['joint_command'].refused == 1)
+    client.spin_until(lambda: node.commands[0].statistics['joint_command'].rejected == 1)
 
 
 def test_a_moving_command_is_followed_at_the_rate_of_the_hardware(serve, client, connect, until):
@@ -300,7 +300,7 @@ def test_a_moving_command_is_followed_at_the_rate_of_the_hardware(serve, client,
             goal = min(0.4 * (stamp(states[-1]) - begin), 0.4)
             hardware.claim('position', {ARM[0]: start + goal})
             return hardware.states[ARM[0], 'position'] > start + 0.398
-        follow()  # Without a goal the first message would be refused.
+        follow()  # Without a goal the first message would be rejected.
         until(hardware, follow)
         moved = np.array([(stamp(m), m.velocity[list(m.name).index(ARM[0])]) for m in states])
         return moved[(moved[:, 0] > begin + 0.3) & (moved[:, 0] < begin + 0.8), 1].mean()

@@ -107,7 +107,7 @@ def test_all_goals_can_be_aborted_with_a_reason(runner):
     assert running.tracker.goals == ()
 
 
-def test_cancel_after_the_end_of_the_simulation_is_refused(runner):
+def test_cancel_after_the_end_of_the_simulation_is_rejected(runner):
     running = runner(paused=True)
     goal = running.start()
     running.thread.stop()

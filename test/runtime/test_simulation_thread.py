@@ -24,7 +24,7 @@ def thread():
     return SimulationThread(Simulation(World([Panda()])), steps=5)
 
 
-def test_a_call_after_the_end_is_refused(thread):
+def test_a_call_after_the_end_is_rejected(thread):
     thread.stop()
     with pytest.raises(SimulationEnded, match='the simulation has ended'):
         thread.call(lambda: None)
@@ -36,7 +36,7 @@ def test_a_call_before_the_start_is_answered_at_once(thread):
     assert thread.real_time_factor == 2.0
 
 
-def test_a_call_that_waits_is_refused_at_the_end():
+def test_a_call_that_waits_is_rejected_at_the_end():
     published, released = Event(), Event()
 
     def publish(_):
@@ -126,7 +126,7 @@ def test_observers_see_a_reset_whatever_their_divider(free):
     assert before + 10_000_000 in seen
 
 
-def test_a_divider_below_one_is_refused(free):
+def test_a_divider_below_one_is_rejected(free):
     with pytest.raises(ValueError, match='divider of an observer must be 1 or more, got 0'):
         free().observe(lambda simulation: None, every=0)
 

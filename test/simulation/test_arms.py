@@ -105,7 +105,7 @@ def test_action_of_one_arm_spans_its_ranges_alone(op):
                                                  for j in joints[7:]])
 
 
-def test_joint_of_the_other_arm_is_refused(op):
+def test_joint_of_the_other_arm_is_rejected(op):
     joint = op.joints_of('left')[0]
     with pytest.raises(CommandError, match=f"^right has no joint '{joint}' that can be commanded"):
         op.simulation.robot.parse.joint_command([joint], [0.0], part='right')

@@ -338,7 +338,7 @@ POSE = ([0.5, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0])
     (lambda p: p.twist('right', [0.0] * 3, [2e3, 0.0, 0.0]), 'angular velocity must be within'),
     (lambda p: p.action('right', [0.0] * 5), '^right: a pose action must have 6 numbers, got 5'),
     (lambda p: p.action('right', [0.0] * 5 + [np.nan]), 'must be finite')])
-def test_what_cannot_be_meant_is_refused(make, what, panda_sim):
+def test_what_cannot_be_meant_is_rejected(make, what, panda_sim):
     with pytest.raises(CommandError, match=what):
         make(panda_sim.robot.parse_cartesian)
 

@@ -27,7 +27,7 @@ def parse(panda_sim):
     ([], r'^arm: an action must have 7 numbers, got 0$'),
     ([0.0] * 6 + [NAN], r'^arm: an action must be finite, got nan at index 6$'),
     ([-np.inf] + [0.0] * 6, r'^arm: an action must be finite, got -inf at index 0$')])
-def test_action_that_does_not_fit_is_refused(parse, action, message):
+def test_action_that_does_not_fit_is_rejected(parse, action, message):
     with pytest.raises(CommandError, match=message):
         parse.action('arm', action)
 
@@ -66,7 +66,7 @@ def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mo
      r"^arm: joint 'robot0_joint1' is in position mode, which does not use the field effort"),
     ([J1, J2], {'position': [0, np.inf]}, r'^arm: position must be finite, got inf at index 1$'),
     ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf')])
-def test_joint_command_that_does_not_fit_is_refused(parse, names, fields, message):
+def test_joint_command_that_does_not_fit_is_rejected(parse, names, fields, message):
     with pytest.raises(CommandError, match=message):
         parse.joint_command(names, **fields, part='arm')
 
@@ -143,13 +143,13 @@ def test_field_may_have_numbers_of_the_joints_that_use_it_alone(panda_sim, parse
     np.testing.assert_allclose(finger.values, [0.01])
 
 
-def test_field_with_too_few_numbers_is_refused(panda_sim, parse):
+def test_field_with_too_few_numbers_is_rejected(panda_sim, parse):
     with pytest.raises(CommandError, match=r'^joint_command: position must have 3 numbers, got '
                                            r'2: one for each joint$'):
         parse.joint_command([J1, J2, 'robot0_joint3'], [0.1, 0.2])
 
 
-def test_refused_command_changes_nothing(panda_sim, parse, run):
+def test_rejected_command_changes_nothing(panda_sim, parse, run):
     start = panda_sim.robot.state().position
     with pytest.raises(CommandError):
         parse.joint_command([J1, J2], [0.5, np.inf])
@@ -217,7 +217,7 @@ def test_of_a_command_only_the_joints_whose_mode_changed_are_lost(panda_sim, par
     ((['elbow'], [], []), r"^arm has no joint 'elbow'"),
     (([J1], np.arange(1.0, 10_002.0), np.zeros((10_001, 1))),
      r'^arm: a trajectory may have 10000 points, got 10001$')])
-def test_trajectory_that_does_not_fit_is_refused(parse, arguments, message):
+def test_trajectory_that_does_not_fit_is_rejected(parse, arguments, message):
     with pytest.raises(CommandError, match=message):
         parse.trajectory('arm', *arguments)
 

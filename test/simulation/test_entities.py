@@ -120,7 +120,7 @@ def test_a_quaternion_that_is_nearly_of_unit_length_is_normalised():
     ([0.0, 0.0, -2e4], [0.0, 0.0, 0.0, 1.0], 'position must be within 10000 m'),
     ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], 'of length 0'),
     ([0.0, 0.0, 0.0], [0.0, np.inf, 0.0, 0.0], 'orientation must be finite')])
-def test_a_pose_that_is_none_is_refused(position, quat_xyzw, text):
+def test_a_pose_that_is_none_is_rejected(position, quat_xyzw, text):
     with pytest.raises(CommandError, match=text):
         Pose.checked(position, quat_xyzw)
 
@@ -128,6 +128,6 @@ def test_a_pose_that_is_none_is_refused(position, quat_xyzw, text):
 @pytest.mark.parametrize('linear, angular, text', [
     ([0.0, -2e3, 0.0], [0.0, 0.0, 0.0], 'linear velocity must be within 1000'),
     ([0.0, 0.0, 0.0], [np.nan, 0.0, 0.0], 'angular velocity must be finite')])
-def test_a_twist_that_is_too_great_or_not_finite_is_refused(linear, angular, text):
+def test_a_twist_that_is_too_great_or_not_finite_is_rejected(linear, angular, text):
     with pytest.raises(CommandError, match=text):
         Twist.checked(linear, angular)

@@ -88,14 +88,14 @@ def test_trajectory_that_is_slowed_down_as_its_points_are_past_begins_now(op):
     assert op.where(J1)[0] == pytest.approx(1.6, abs=1e-3)
 
 
-def test_trajectory_that_has_ended_is_refused(op):
+def test_trajectory_that_has_ended_is_rejected(op):
     with pytest.raises(CommandError, match=r'^arm: the trajectory ended 0\.100 s ago, by its '
                                            r'stamp$'):
         op.follow('arm', [J1], [0.1, 0.3], [[0.1], [0.2]],
                   start_ns=op.simulation.time_ns - 400_000_000)
 
 
-def test_stamp_of_another_clock_is_refused_with_a_hint(op):
+def test_stamp_of_another_clock_is_rejected_with_a_hint(op):
     with pytest.raises(CommandError, match=r'^arm: the trajectory would start in \d+ s of '
                                            r'simulation time, by its stamp: set use_sim_time in '
                                            r'the node that sends it, or leave the stamp zero$'):
@@ -238,7 +238,7 @@ def test_trajectory_within_the_limits_is_not_slowed_down(op):
     assert op.follow('arm', [J1], [1.0], [[0.5]]).slowed == 1.0
 
 
-def test_trajectory_that_is_absurdly_fast_is_refused(op):
+def test_trajectory_that_is_absurdly_fast_is_rejected(op):
     with pytest.raises(CommandError, match=r"^joint 'robot0_joint1' would have to move at .* per "
                                            r'second, its limit is 2\.175$'):
         op.follow('arm', [J1], [1e-5], [[2.0]])
@@ -252,8 +252,8 @@ def test_joint_that_is_named_is_the_one_that_exceeds_its_limit_most(op):
 
 @pytest.mark.parametrize(('times', 'positions', 'velocities'), [
     ([1.0, 100.0], [[0.0], [0.1]], [[1e308], [1e308]]), ([1.0], [[0.1]], [[1e200]])])
-def test_numbers_that_are_finite_and_huge_are_refused_and_change_nothing(op, times, positions,
-                                                                         velocities):
+def test_numbers_that_are_finite_and_huge_are_rejected_and_change_nothing(op, times, positions,
+                                                                          velocities):
     with pytest.raises(CommandError, match='is not finite|would have to move at'):
         op.follow('arm', [J1], times, positions, velocities)
     op.run(0.3)
@@ -265,7 +265,7 @@ def test_numbers_that_are_finite_and_huge_are_refused_and_change_nothing(op, tim
     assert op.where(J1)[0] == pytest.approx(0.2, abs=1e-3)
 
 
-def test_huge_positions_of_a_joint_without_limits_are_refused(operator_of):
+def test_huge_positions_of_a_joint_without_limits_are_rejected(operator_of):
     op = operator_of('Kinova3')
     endless = next(j for j in op.joints_of('arm') if not op.simulation.model.joint(j).limited[0])
     with pytest.raises(CommandError, match='is not finite|would have to move at'):

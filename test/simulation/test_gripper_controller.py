@@ -154,7 +154,7 @@ def test_fingers_cannot_be_pushed_past_their_force_limit(panda_sim, run):
     ([], r'^right/gripper: an action must have 1 number, got 0$'),
     ([1.0, 1.0], r'^right/gripper: an action must have 1 number, got 2$'),
     ([np.nan], r'^right/gripper: an action must be finite, got nan at index 0$')])
-def test_action_that_does_not_fit_is_refused(panda_sim, action, message):
+def test_action_that_does_not_fit_is_rejected(panda_sim, action, message):
     with pytest.raises(CommandError, match=message):
         panda_sim.robot.parse.action(GRIPPER, action)
 
@@ -166,7 +166,7 @@ def test_action_that_does_not_fit_is_refused(panda_sim, action, message):
     ([LEFT], ([0, 0], [], []), r'^right/gripper: position must have 1 number, got 2: one for '),
     ([LEFT], ([], [0], []), r"^right/gripper: joint 'gripper0_right_finger_joint1' is in position "
      r'mode, which does not use the field velocity')])
-def test_joint_command_that_does_not_fit_is_refused(panda_sim, names, fields, message):
+def test_joint_command_that_does_not_fit_is_rejected(panda_sim, names, fields, message):
     with pytest.raises(CommandError, match=message):
         panda_sim.robot.parse.joint_command(names, *fields, part=GRIPPER)
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Hands with coupled fingers, tendons, motors and other actuators are driven right or refused."""
+"""Hands with coupled fingers, tendons, motors and other actuators are driven right or rejected."""
 
 import mujoco
 import numpy as np
@@ -226,7 +226,7 @@ def test_motors_take_actions_as_forces(hand_sim, run):
     (MOTORS, "actuator 'gripper0_left_motor' is no position servo, its control is a force"),
     ('<velocity name="wheel" joint="left" kv="5" ctrlrange="-1 1"/>',
      "actuator 'gripper0_wheel' is no position servo, its control is a velocity")])
-def test_joint_command_to_what_is_no_position_servo_is_refused(hand_sim, actuators, reason):
+def test_joint_command_to_what_is_no_position_servo_is_rejected(hand_sim, actuators, reason):
     simulation = hand_sim(actuators)
     with pytest.raises(CommandError, match=f"^right/gripper: joint '{LEFT}' takes no position, "
                                            f'{reason}: use actions$'):

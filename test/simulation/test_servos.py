@@ -212,7 +212,7 @@ def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
 
 @pytest.mark.parametrize('actuator', [
     '<motor name="pull" tendon="rope"/>', '<motor name="pull" site="hook" gear="0 0 1 0 0 0"/>'])
-def test_actuator_that_drives_no_joint_is_refused(one_joint_arm, actuator):
+def test_actuator_that_drives_no_joint_is_rejected(one_joint_arm, actuator):
     robot = one_joint_arm(actuator, LINK, sections='<tendon>'
                           '<fixed name="rope"><joint joint="joint1" coef="1"/></fixed></tendon>')
     with pytest.raises(ModelError, match=r"^actuator 'robot0_pull' of arm must drive a joint, not "
@@ -220,14 +220,14 @@ def test_actuator_that_drives_no_joint_is_refused(one_joint_arm, actuator):
         Simulation(World([robot]))
 
 
-def test_two_actuators_of_one_joint_are_refused_by_name(one_joint_arm):
+def test_two_actuators_of_one_joint_are_rejected_by_name(one_joint_arm):
     robot = one_joint_arm('<motor name="a" joint="joint1"/><velocity name="b" joint="joint1"/>')
     with pytest.raises(ModelError, match=r"^joint 'robot0_joint1' is driven by two actuators, "
                                          r"'robot0_a' and 'robot0_b': give it one$"):
         Simulation(World([robot]))
 
 
-def test_muscle_is_refused_by_name(one_joint_arm):
+def test_muscle_is_rejected_by_name(one_joint_arm):
     robot = one_joint_arm('<muscle name="biceps" joint="joint1"/>')
     with pytest.raises(ModelError, match=r"^actuator 'robot0_biceps' must be a motor, or a "
                                          r'position or velocity servo: '):

@@ -254,7 +254,7 @@ def test_a_plan_may_be_older_than_the_state_that_is_carried_over(live):
 
 
 @pytest.mark.parametrize('name', ['first', 'arm'])
-def test_a_name_that_is_taken_is_refused_and_nothing_changes(live, name):
+def test_a_name_that_is_taken_is_rejected_and_nothing_changes(live, name):
     before, xml = state_of(live, 'first', 'second'), live.plan.spec.to_xml()
     with pytest.raises(ModelError, match=f"'{name}'"):
         spawn(live, box(name))
@@ -263,7 +263,7 @@ def test_a_name_that_is_taken_is_refused_and_nothing_changes(live, name):
     np.testing.assert_array_equal(state_of(live, 'first', 'second'), before)
 
 
-def test_an_object_that_does_not_compile_is_refused_and_nothing_changes(live):
+def test_an_object_that_does_not_compile_is_rejected_and_nothing_changes(live):
     item = box('third')
     item.spec.geoms[0].size[:] = 0.0
     with pytest.raises(ModelError, match="^the world with 'third' does not compile: .*size"):

@@ -185,7 +185,7 @@ def test_trajectory_needs_a_point():
     ([1.0, 2.0], [1e308, -1e308], ([0.0, 0.0],)),
     ([1.0, 2.0], [0.0, 0.0], ([0.0, 0.0], [1e308, -1e308])),
     ([1e-300, 1.0], [1.0, 1.0], ([0.0, 0.0],))])
-def test_spline_that_is_not_finite_is_refused(times, positions, derivatives):
+def test_spline_that_is_not_finite_is_rejected(times, positions, derivatives):
     with pytest.raises(CommandError, match=r'^the spline through the points is not finite: '
                                            r'positions, velocities or accelerations are too '):
         spline(times, positions, *derivatives)

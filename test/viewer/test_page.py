@@ -153,7 +153,7 @@ def test_events_run_in_their_order_and_those_that_they_add_later():
     assert done == [1, 2, 3]
 
 
-def test_a_server_listens_where_it_is_told_and_refuses_a_port_that_is_taken():
+def test_a_server_listens_where_it_is_told_and_rejects_a_port_that_is_taken():
     server = open_server('127.0.0.1', 0)
     try:
         with pytest.raises(ManipSimError, match=r'cannot listen on 127\.0\.0\.1:\d+: Address'):

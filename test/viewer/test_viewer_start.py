@@ -42,7 +42,7 @@ def test_without_ros_it_says_where_it_comes_from():
     assert done.stderr.count('\n') == 1
 
 
-def test_without_a_screen_the_window_is_refused(monkeypatch):
+def test_without_a_screen_the_window_is_rejected(monkeypatch):
     if sys.platform != 'linux':
         pytest.skip('other systems have a screen')
     for name in ('DISPLAY', 'WAYLAND_DISPLAY'):

@@ -121,7 +121,7 @@ class OwnHand(HandFromFile, registered=False):
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:
         """
-        Refuse: the robot's file says where its hand is.
+        Reject: the robot's file says where its hand is.
 
         :raises ModelError: always
         """
@@ -129,7 +129,7 @@ class OwnHand(HandFromFile, registered=False):
 
     def clone(self, idn: int | str) -> OwnHand:
         """
-        Refuse: there is one such hand.
+        Reject: there is one such hand.
 
         :raises ModelError: always
         """

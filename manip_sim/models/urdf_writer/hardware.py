@@ -33,7 +33,7 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
     """
     Add the tag to a URDF: driven joints first, as the hardware wants it, then observed ones.
 
-    A joint that follows another one has no command interface: ros2_control refuses that.
+    A joint that follows another one has no command interface: ros2_control rejects that.
 
     :param joints: all scalar joints
     :param mimics: those that follow another one

@@ -11,7 +11,7 @@ from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.ros.standard_codes import ResultCode
 
 
-class Refusal(ManipSimError):
+class Rejection(ManipSimError):
     """A request cannot be met, with the result code that says why."""
 
     def __init__(self, code: int, message: str) -> None:
@@ -26,7 +26,7 @@ def tell(error: ManipSimError, result: Any) -> None:
     :param result: message ``Result``
     """
     code: int = ResultCode.RESULT_OPERATION_FAILED
-    if isinstance(error, Refusal):
+    if isinstance(error, Rejection):
         code = error.code
     elif isinstance(error, UnknownNameError):
         code = ResultCode.RESULT_NOT_FOUND
