@@ -20,6 +20,7 @@ from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import actions_of, SERVICES, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
+from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -163,8 +164,8 @@ def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
 
 
 def _declared_velocity(model: mujoco.MjModel, joint: int) -> float | None:
-    declared = float(model.jnt_user[joint, 0]) if model.nuser_jnt else 0.0
-    return declared if declared > 0.0 else None
+    declared = float(declared_velocity(model, joint))
+    return declared if np.isfinite(declared) else None
 
 
 def _effort(model: mujoco.MjModel, joint: int, actuators: list[int]) -> list[float] | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
+from manip_sim.models.declared_limits import declared_velocity
 
 #: Lag of a position servo whose gains are derived [s]: damping over stiffness.
 _LAG_S = 0.013
@@ -109,15 +110,11 @@ class DryFriction:
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
     """Return how fast joints may move: as declared, by a velocity servo, or a default, (n,)."""
-    limit = np.full(len(joint_ids), np.inf)
-    if model.nuser_jnt:
-        declared = model.jnt_user[joint_ids, 0]
-        limit = np.where(declared > 0.0, declared, limit)
     velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
     of_servo = np.where(velocity_servo & (model.actuator_ctrllimited[ids] != 0),
                         np.abs(model.actuator_ctrlrange[ids]).min(axis=1)
                         / np.abs(model.actuator_gear[ids, 0]), np.inf)
-    limit = np.minimum(limit, of_servo)
+    limit = np.minimum(declared_velocity(model, joint_ids), of_servo)
     return np.where(np.isfinite(limit), limit, _DEFAULT_VELOCITY)
 
 

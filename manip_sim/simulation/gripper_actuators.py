@@ -16,6 +16,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
+from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.simulation.couplings import JointCouplings
 from manip_sim.simulation.parts import Part
 
@@ -206,15 +207,11 @@ class GripperActuators:
             for ratios in self.couplings.ratios(joint):
                 length_rate = abs(sum(coefficient_of.get(other, 0.0) * ratio
                                       for other, ratio in ratios.items()))
-                limits = [self._velocity_limit(other) / abs(ratio)
+                limits = [float(declared_velocity(self._model, other)) / abs(ratio)
                           for other, ratio in ratios.items() if ratio]
                 fastest = min([fastest, *(limit * length_rate for limit in limits)])
         per_length = -self._bias[index, 1] / self._gain[index]
         return float(fastest * abs(model.actuator_gear[actuator, 0]) * per_length)
-
-    def _velocity_limit(self, joint: int) -> float:
-        declared = float(self._model.jnt_user[joint, 0]) if self._model.nuser_jnt else 0.0
-        return declared if declared > 0.0 else np.inf
 
     def _overtravel(self, index: int) -> tuple[float, float]:
         model, actuator = self._model, int(self.ids[index])

@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.grippers.gripper_model import GripperModel
-from manip_sim.resources import asset_path
+from manip_sim.models.grippers.catalogue_gripper import CatalogueGripper
 
 #: The motor behind each actuator: little, ring, middle and index finger, bend of the thumb, swing
 #: of the thumb.
@@ -26,7 +24,7 @@ def _geoms_by_role(side: str) -> dict[str, list[str]]:
             'left_fingerpad': thumb, 'right_fingerpad': fingers}
 
 
-class FourierHand(GripperModel, registered=False):
+class FourierHand(CatalogueGripper, registered=False):
     """
     Hand with eleven joints and six motors; the action says where each motor shall be.
 
@@ -34,6 +32,8 @@ class FourierHand(GripperModel, registered=False):
     """
 
     speed = 0.15
+    #: All fingers stretched, the thumb aside [rad].
+    _start = (0.0,) * 11
 
     def format_action(self, action: ArrayLike) -> FloatArray:
         """
@@ -58,25 +58,16 @@ class FourierHand(GripperModel, registered=False):
         """One number for each motor."""
         return 6
 
-    @property
-    def init_qpos(self) -> FloatArray:
-        """All fingers stretched, the thumb aside [rad], shape (11,)."""
-        return np.zeros(11)
-
 
 class FourierLeftHand(FourierHand):
     """Left hand of the GR-1."""
 
+    _folder = 'fourier_left_hand'
     _important_geoms = _geoms_by_role('L')
-
-    def __init__(self, idn: int | str = 0) -> None:
-        super().__init__(asset_path('grippers', 'fourier_left_hand'), idn=idn)
 
 
 class FourierRightHand(FourierHand):
     """Right hand of the GR-1, the mirror image of the left one."""
 
+    _folder = 'fourier_right_hand'
     _important_geoms = _geoms_by_role('R')
-
-    def __init__(self, idn: int | str = 0) -> None:
-        super().__init__(asset_path('grippers', 'fourier_right_hand'), idn=idn)

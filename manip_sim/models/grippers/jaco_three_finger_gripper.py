@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.grippers.gripper_model import GripperModel
-from manip_sim.resources import asset_path
+from manip_sim.models.grippers.catalogue_gripper import CatalogueGripper
 
 
-class JacoThreeFingerGripperBase(GripperModel, registered=False):
+class JacoThreeFingerGripperBase(CatalogueGripper, registered=False):
     """
-    Kinova hand whose fingers are commanded one by one: thumb, index, pinky.
+    Kinova hand whose fingers are commanded one by one: thumb, index, pinky; +1 is open.
 
     Each fingertip follows the joint at the root of its finger.
     """
 
+    _folder = 'jaco_three_finger_gripper'
+    #: Upright: a finger and then its tip, for the thumb, the index and the pinky [rad].
+    _start = 0.5, 0.0, 0.5, 0.0, 0.5, 0.0
     _important_geoms = {
         'left_finger': ['index_proximal_collision', 'index_distal_collision',
                         'index_tip_collision', 'pinky_proximal_collision',
@@ -29,22 +31,6 @@ class JacoThreeFingerGripperBase(GripperModel, registered=False):
                          'thumb_tip_collision', 'thumb_pad_collision'],
         'left_fingerpad': ['index_pad_collision', 'pinky_pad_collision'],
         'right_fingerpad': ['thumb_pad_collision']}
-
-    def __init__(self, idn: int | str = 0) -> None:
-        super().__init__(asset_path('grippers', 'jaco_three_finger_gripper'), idn=idn)
-
-    def format_action(self, action: ArrayLike) -> FloatArray:
-        """Return the action itself: a finger command each, +1 open, shape (3,)."""
-        return self._checked(action).copy()
-
-    @property
-    def init_qpos(self) -> FloatArray:
-        """
-        Fingers upright [rad], shape (6,).
-
-        A finger and then its tip, for the thumb, the index and the pinky.
-        """
-        return np.array([0.5, 0.0, 0.5, 0.0, 0.5, 0.0])
 
 
 class JacoThreeFingerGripper(JacoThreeFingerGripperBase):

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.grippers.gripper_model import GripperModel
-from manip_sim.resources import asset_path
+from manip_sim.models.grippers.catalogue_gripper import CatalogueGripper
 
 
-class RobotiqThreeFingerGripperBase(GripperModel, registered=False):
+class RobotiqThreeFingerGripperBase(CatalogueGripper, registered=False):
     """
     Robotiq gripper whose three fingers and scissor are commanded one by one.
 
@@ -21,6 +20,9 @@ class RobotiqThreeFingerGripperBase(GripperModel, registered=False):
     and 2 together, +1 spreads them).
     """
 
+    _folder = 'robotiq_three_finger_gripper'
+    #: Open, fingers 1 and 2 parallel [rad].
+    _start = (0.0,) * 11
     _important_geoms = {
         'left_finger': [
             'f1_l0', 'f1_l1', 'f1_l2', 'f1_l3', 'f2_l0', 'f2_l1', 'f2_l2', 'f2_l3',
@@ -30,18 +32,6 @@ class RobotiqThreeFingerGripperBase(GripperModel, registered=False):
             'finger_middle_tip_collision', 'finger_middle_pad_collision'],
         'left_fingerpad': ['f1_pad_collision', 'f2_pad_collision'],
         'right_fingerpad': ['finger_middle_pad_collision']}
-
-    def __init__(self, idn: int | str = 0) -> None:
-        super().__init__(asset_path('grippers', 'robotiq_three_finger_gripper'), idn=idn)
-
-    def format_action(self, action: ArrayLike) -> FloatArray:
-        """Return the action itself, shape (4,)."""
-        return self._checked(action).copy()
-
-    @property
-    def init_qpos(self) -> FloatArray:
-        """Open, fingers 1 and 2 parallel [rad], shape (11,)."""
-        return np.zeros(11)
 
 
 class RobotiqThreeFingerGripper(RobotiqThreeFingerGripperBase):

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.urdf_writer.mimics import Mimic
 
 #: Where the model tells no limit, as the servos of the simulation have it [rad/s or m/s].
@@ -65,8 +66,8 @@ def _force_limit(model: mujoco.MjModel, actuator: int) -> float:
 
 def velocity_limit(model: mujoco.MjModel, joint: int, mimics: Mapping[int, Mimic]) -> float:
     """Return how fast a joint may move [rad/s or m/s]: as declared, or as what it follows."""
-    declared = float(model.jnt_user[joint, 0]) if model.nuser_jnt else 0.0
-    if declared > 0.0:
+    declared = float(declared_velocity(model, joint))
+    if np.isfinite(declared):
         return declared
     if joint in mimics:
         mimic = mimics[joint]

@@ -1,0 +1,26 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Limits that MJCF has no attribute for and that a model keeps in ``user`` of its joints."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import FloatArray
+
+
+def declared_velocity(model: mujoco.MjModel, joints: ArrayLike) -> FloatArray:
+    """
+    Return how fast joints may move by ``user[0]``, infinite where a model does not say.
+
+    :param joints: numbers of joints, of any shape
+    :returns: [rad/s or m/s], in that shape
+    """
+    joints = np.asarray(joints, dtype=int)
+    if not model.nuser_jnt:
+        return np.full(joints.shape, np.inf)
+    declared = model.jnt_user[joints, 0]
+    return np.where(declared > 0.0, declared, np.inf)
