@@ -18,7 +18,7 @@ from manip_sim.quoting import quoted
 
 #: Least likeness of a name that is suggested, from 0 to 1.
 _ALIKE = 0.5
-#: Of a name that was asked for; a longer one is like none of ours.
+#: Of a name that was requested; a longer one is like none of ours.
 _COMPARED_CHARACTERS = 100
 #: Room for suggestions, and for suggestions and the list of names together [characters].
 _MAX_HINT, _MAX_CHOICES = 120, 240
@@ -49,7 +49,7 @@ class UnknownNameError(ModelError, KeyError):
     A name is not among those available.
 
     :ivar kind: what was looked up, such as ``robot``
-    :ivar name: the name that was asked for
+    :ivar name: the name that was requested
     :ivar available: the names that exist
     """
 
@@ -69,7 +69,7 @@ def describe_choices(name: object, available: Iterable[str]) -> str:
     """
     Say which of the available names is nearest, and which there are, in at most 240 characters.
 
-    :param name: what was asked for
+    :param name: what was requested
     :param available: the names that exist
     :returns: a sentence part such as ``did you mean 'Panda'? available: Panda, UR5e``, with
         ``... and 3 more`` in place of the names for which there is no room

@@ -134,7 +134,7 @@ def _add_export(commands: Any) -> None:
 def _add_render(commands: Any) -> None:
     parser = _command(
         commands, 'render', 'render', 'render a picture, without a screen',
-        'A composition is\nshown at its start from two sides, or from one that is asked for. With '
+        'A composition is\nshown at its start from two sides, or from one that is requested. With '
         "'--robot none' a\ngripper, a base or an arena is shown alone. Needs pillow: pip install "
         '"manip_sim[gallery]".',
         'examples: manip_sim render panda.png --arena table\n'

@@ -132,7 +132,7 @@ def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjM
 
 def compose_arena(parameters: ParameterSource) -> Arena:
     """
-    Declare the parameters of the arena that is asked for, and return it.
+    Declare the parameters of the arena that is requested, and return it.
 
     :param parameters: with those of :func:`declare_node`
     :raises ManipSimError: if a value cannot be used

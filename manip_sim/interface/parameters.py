@@ -174,7 +174,7 @@ def periods_per_image(publish_rate: float, rate: float, name: str) -> int:
     Return after how many control periods an image comes, for the nearest rate there is.
 
     :param publish_rate: control periods per second [Hz]
-    :param rate: images per second that are asked for [Hz]
+    :param rate: images per second that are requested [Hz]
     :param name: of the parameter that asks for it
     :raises ParameterError: if there are more images than control periods
     """
@@ -234,7 +234,7 @@ def periods_per_message(publish_rate: float, rate: float) -> int:
     Return after how many control periods a message comes, for the nearest rate there is.
 
     :param publish_rate: control periods per second [Hz]
-    :param rate: messages per second that are asked for [Hz]
+    :param rate: messages per second that are requested [Hz]
     """
     fewer = max(1, int(publish_rate / rate))
     return min((fewer, fewer + 1), key=lambda n: abs(publish_rate / n - rate))

@@ -30,7 +30,7 @@ class Registry(Generic[T]):
     Classes of one kind by name; a class that is defined is known.
 
     Other packages offer theirs as entry points of the group ``manip_sim.{kind}s``. They are
-    imported when they are asked for by name, or all names are; one that cannot be used hides none
+    imported when they are requested by name, or all names are; one that cannot be used hides none
     of the others, and replaces no class that is there already.
 
     :param kind: what the classes are, for messages: ``robot``, ``gripper``, ``base``, ``arena``

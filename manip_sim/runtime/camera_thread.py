@@ -43,7 +43,7 @@ class Shot:
 
     :ivar view: the camera
     :ivar snapshot: of the instant
-    :ivar picture: what was asked for, at least
+    :ivar picture: what was requested, at least
     :ivar took_s: wall time of the rendering, 0 if it was rendered before [s]
     """
 

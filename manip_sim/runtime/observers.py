@@ -14,7 +14,7 @@ from manip_sim.simulation import Simulation
 Observer = Callable[[Simulation], None]
 #: Tells whether an observer has to be called.
 Look = Callable[[], bool]
-#: How often it is asked for while periods follow each other, wall time [s].
+#: How often observers are looked at while periods follow each other, wall time [s].
 _LOOK_S = 0.02
 
 

@@ -42,7 +42,7 @@ class Pacer:
 
     @property
     def real_time_factor(self) -> float:
-        """Simulation time per wall time that is asked for."""
+        """Simulation time per wall time that is requested."""
         return self._factor
 
     @property

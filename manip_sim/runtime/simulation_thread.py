@@ -149,7 +149,7 @@ class SimulationThread:
 
     @property
     def real_time_factor(self) -> float:
-        """Simulation time per wall time that is asked for in ``realtime``."""
+        """Simulation time per wall time that is requested in ``realtime``."""
         return self._pacer.real_time_factor
 
     @property

@@ -28,7 +28,7 @@ class DivergenceWatch:
         self._model = model
         self._data = data
         self._good = np.empty(mujoco.mj_stateSize(model, _STATE))
-        # Views, which need not be asked for in each period.
+        # Views, which need not be fetched in each period.
         self._numbers = data.qpos, data.qvel, data.qacc
         #: How often MuJoCo has warned of bad numbers, by kind.
         self._warnings = data.warning.number[_KINDS]

@@ -73,7 +73,7 @@ class GripperController:
         # Whether the state of ``format_action`` belongs to the goal.
         self._in_step = False
         self._goal = np.zeros(count)
-        # Which servos are asked for an end of their range, and were stopped before it.
+        # Which servos were sent to an end of their range, and stopped before it.
         self._to_end = np.zeros((count, 2), dtype=bool)
         self._pressing = np.zeros(count, dtype=bool)
         self._pace = np.full(count, np.inf)
@@ -274,7 +274,7 @@ class GripperController:
             self._end(Status.DONE, error=self._goal - place)
 
     def _target(self, data: mujoco.MjData, place: FloatArray, setpoints: FloatArray) -> FloatArray:
-        """Return the goals, beyond the end of the range where the full force is asked for."""
+        """Return the goals, beyond the end of the range where the full force is requested."""
         span = np.ptp(self._actuators.ranges, axis=1)
         self._to_end[np.abs(place - self._goal) < _AT_END * span] = False
         arrived = np.abs(setpoints - self._goal) <= self._tolerance

@@ -27,7 +27,7 @@ T = TypeVar('T')
 
 class ArmDict(OrderedDict[str, T]):
     """
-    An ordered dictionary by arm that is also asked by end effector body.
+    An ordered dictionary by arm whose keys may also be end effector bodies.
 
     :param arm_of_body: tells the arm of a prefixed end effector body, or None
     """
@@ -87,7 +87,7 @@ class ManipulatorModel(RobotModel):
     @property
     @abstractmethod
     def default_gripper(self) -> dict[str, str]:
-        """Name of the gripper by arm that is mounted unless another is asked for."""
+        """Name of the gripper by arm that is mounted unless another is requested."""
 
     @property
     def _eef_name(self) -> dict[str, str]:

@@ -95,7 +95,7 @@ class RobotModel(Subsystems, ABC):
     @property
     @abstractmethod
     def default_base(self) -> str | None:
-        """Name of the base that the robot stands on unless another is asked for."""
+        """Name of the base that the robot stands on unless another is requested."""
 
     @property
     @abstractmethod
@@ -169,12 +169,12 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def top_offset(self) -> FloatArray:
-        """From the root body to the highest point [m], shape (3,), a copy."""
+        """Nominal place of the top above the root, of the reference [m], shape (3,), a copy."""
         return np.array(self._top_offset)
 
     @property
     def horizontal_radius(self) -> float:
-        """Radius of the upright cylinder about the root that holds robot and base [m]."""
+        """Nominal radius about the root, of the reference [m]; arms reach farther."""
         return max(self._horizontal_radius, self._base.horizontal_radius if self._base else 0.0)
 
     def set_base_xpos(self, pos: ArrayLike) -> None:

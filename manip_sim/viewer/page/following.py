@@ -1,11 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An input that shows what is measured, but for a while what a person has just asked for."""
+"""An input that shows what is measured, but for a while what a person has just requested."""
 
 from __future__ import annotations
 
-#: What a person has asked for stays so long at least [s], and until nothing moves any more.
+#: What a person has requested stays so long at least [s], and until nothing moves any more.
 _HOLD_S = 1.0
 
 

@@ -98,7 +98,7 @@ class JointPanel:
             self._asked[name] = 0.0
 
     def send(self, now_s: float) -> None:
-        """Send what people have asked for since the last time; wall time [s]."""
+        """Send what people have requested since the last time; wall time [s]."""
         asked, self._asked = self._asked, {}
         if self.mode == 'velocity' and now_s > self._repeat_s + _REPEAT_S:
             asked = {**{name: float(slider.value) for name, slider in self._sliders.items()

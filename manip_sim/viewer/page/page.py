@@ -170,7 +170,7 @@ class Page:
 
     def update(self, now_s: float, latest: Latest, paused: bool) -> None:
         """
-        Send what people have asked for, and show the newest states.
+        Send what people have requested, and show the newest states.
 
         :param now_s: wall time [s]
         :param latest: the newest states
