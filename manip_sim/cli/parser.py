@@ -33,8 +33,9 @@ class _Parser(argparse.ArgumentParser):
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """
-    Read a command line; ends the process with exit code 2 if it is wrong, 0 after ``--help``
-    and ``--version``.
+    Read a command line.
+
+    Ends the process with exit code 2 if it is wrong, and 0 after ``--help`` and ``--version``.
 
     :param arguments: the words, by default those of the process
     """

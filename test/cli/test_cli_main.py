@@ -12,6 +12,7 @@ import sys
 
 import pytest
 
+import manip_sim
 from manip_sim.cli.parser import COMPOSITION
 
 COMMANDS = ('list', 'describe', 'export', 'render', 'check')
@@ -200,3 +201,8 @@ def test_no_command_needs_ros_or_a_renderer_but_render(environment):
     done = subprocess.run([sys.executable, '-c', script], text=True, capture_output=True,
                           env={**environment, 'MUJOCO_GL': 'nonsense'}, timeout=60)
     assert done.stdout.splitlines()[-1] == 'set()', done.stderr
+
+
+def test_the_version_is_that_of_the_package(command):
+    done = command('--version')
+    assert (done.returncode, done.stdout) == (0, f'manip_sim {manip_sim.__version__}\n')
