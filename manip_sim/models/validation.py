@@ -26,7 +26,10 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     :raises ManipSimError: the error, if they are no numbers, not as many, or one is not finite
     """
     try:
-        numbers: FloatArray = np.array(values, dtype=float)
+        given = np.asarray(values)
+        if given.dtype.kind in 'SU':
+            raise TypeError('text')
+        numbers: FloatArray = np.array(given, dtype=float)
     except (OverflowError, TypeError, ValueError) as cause:
         raise error(f'{what} must be numbers, got {values!r:.60}') from cause
     if numbers.shape != (length,):

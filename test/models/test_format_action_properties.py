@@ -122,3 +122,17 @@ def test_an_action_of_a_robot_maps_one_to_one_onto_the_control_ranges(name, data
 @cache
 def robot_of(name):
     return create_robot(name)
+
+
+def test_the_ends_of_actions_are_the_ends_of_ranges_to_the_last_bit():
+    panda = create_robot('Panda')
+    ranges = np.array([[-3.0718, -0.0698]] * 7)
+    assert panda.format_action('arm', np.ones(7), ranges).tolist() == [-0.0698] * 7
+    assert panda.format_action('arm', -np.ones(7), ranges).tolist() == [-3.0718] * 7
+
+
+@pytest.mark.parametrize('action', [['0', 0.0, 0.0], ['0', '0', '0'], [b'0', b'0', b'0']])
+def test_text_is_no_number_of_an_action(action):
+    gripper = create_gripper('JacoThreeFingerDexterousGripper')
+    with pytest.raises(CommandError, match='must be numbers'):
+        gripper.format_action(action)

@@ -159,8 +159,9 @@ class Subsystems(MujocoXMLModel):
                                  f'{self.name}', CommandError)
         low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
                                dtype=float).reshape(-1, 2).T
-        commands: FloatArray = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
-        return commands
+        commands = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
+        # Rounding may lead past an end.
+        return np.asarray(np.clip(commands, low, high))
 
     def _ctrlrange(self, names: list[str]) -> FloatArray:
         ranges = {part.correct_naming(raw): part._own_model.actuator(raw).ctrlrange
