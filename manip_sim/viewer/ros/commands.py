@@ -38,6 +38,7 @@ class CommandSender:
         self._node, self._name, self._frames, self._tell = node, simulation, frames, tell
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
+        self._waiting: dict[str, Any] = {}
         self._action_sizes: dict[str, int] = {}
         self.cameras: set[str] = set()
         self.paused: Callable[[bool], None] = lambda paused: None
@@ -63,10 +64,22 @@ class CommandSender:
                 self._clients[name] = self._node.create_client(kind, f'/{self._name}/{name}')
 
     def _publish(self, topic: str, message: Any) -> None:
-        if topic in self._publishers:
+        if topic not in self._publishers:
+            self._tell(f'{topic}: the node does not take this any more')
+        elif self._publishers[topic].get_subscription_count():
+            self._waiting.pop(topic, None)
             self._publishers[topic].publish(message)
         else:
-            self._tell(f'{topic}: the node does not take this any more')
+            self._waiting[topic] = message
+
+    def send_waiting(self) -> None:
+        """Publish what was sent before the node had been discovered: the last of each topic."""
+        for topic in list(self._waiting):
+            self._publish(topic, self._waiting.pop(topic))
+
+    def forget_waiting(self) -> None:
+        """Drop what was sent to a node that is gone."""
+        self._waiting.clear()
 
     def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
         """Publish goals of joints; see :class:`Commands`, as for all that follows."""

@@ -90,6 +90,7 @@ class Session:
         if not discovery.is_there:
             if self._was_there:
                 self._states.forget()
+                self._sender.forget_waiting()
                 self._layout, self._was_there, self._pace = None, False, Pace()
             return
         layout = discovery.layout
@@ -108,6 +109,7 @@ class Session:
         if discovery.models != self._models:
             self._models = discovery.models
             self._page.show_model(discovery.model, self._states.latest)
+        self._sender.send_waiting()
         watched = self._page.is_watched
         self._states.want_markers(watched and self._page.wants_markers)
         self._states.want_images(self._sender.cameras if watched else ())
