@@ -162,6 +162,9 @@ def main() -> int:
     if arguments.draw is not None:
         save(json.loads(arguments.draw.read_text())['series'], folder)
         return 0
+    # Processes that were started are ended with this one, also where it runs in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     settle_down()
     from targets.processes import busy_s, own_s
     begin, about, of_all_s = time.time(), machine(), busy_s()

@@ -11,6 +11,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from domains import reserve_domain
 import numpy as np
 import pytest
 
@@ -248,6 +249,26 @@ def gl(renderer):
         context = create_context(choose_gl(), 640, 480)
         yield
         context.free()
+
+
+@pytest.fixture
+def domain():
+    """Return a ROS domain that nobody else uses."""
+    domain, lock = reserve_domain()
+    yield domain
+    os.close(lock)
+
+
+@pytest.fixture
+def node(domain):
+    """Return a bare node of rclpy in the domain."""
+    rclpy = pytest.importorskip('rclpy')
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node('node', context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
 
 
 @pytest.fixture(scope='session')

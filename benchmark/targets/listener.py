@@ -66,7 +66,8 @@ class Listener:
         while True:
             found = []
             for name, kinds in self.node.get_topic_names_and_types():
-                if name not in _ALWAYS_THERE and any(
+                # The topics of actions are hidden, by a leading underscore.
+                if name not in _ALWAYS_THERE and '/_' not in name and any(
                         info.node_name == 'manip_sim'
                         for info in self.node.get_publishers_info_by_topic(name)):
                     found.append((name, _message_type(kinds[0])))

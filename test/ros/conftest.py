@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 if importlib.util.find_spec('rclpy'):
-    from harness import Client, Served
+    from harness import Client, DOMAIN, Served
 
 
 class WithoutRos(pytest.File):
@@ -29,6 +29,12 @@ def pytest_pycollect_makemodule(module_path: Any, parent: Any) -> Any:
     if importlib.util.find_spec('rclpy') is None:
         return WithoutRos.from_parent(parent, path=module_path)
     return None
+
+
+@pytest.fixture
+def domain() -> int:
+    """Return the domain in which all nodes and clients of these tests live."""
+    return DOMAIN
 
 
 @pytest.fixture

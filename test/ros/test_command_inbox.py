@@ -6,7 +6,6 @@
 import threading
 import time
 
-from harness import DOMAIN
 import pytest
 import rclpy
 from sensor_msgs.msg import JointState
@@ -18,16 +17,6 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.subscription import CommandSubscription
 
 COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
-
-
-@pytest.fixture
-def node():
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
-    node = rclpy.create_node('inbox', context=context)
-    yield node
-    node.destroy_node()
-    rclpy.try_shutdown(context=context)
 
 
 @pytest.fixture

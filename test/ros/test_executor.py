@@ -8,9 +8,7 @@ import threading
 import time
 from types import SimpleNamespace
 
-from harness import DOMAIN
 import pytest
-import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
@@ -20,16 +18,6 @@ from test_log import Lines
 
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.log import RejectionLog
-
-
-@pytest.fixture
-def node():
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
-    node = rclpy.create_node('node', context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
 
 
 @pytest.fixture

@@ -65,7 +65,13 @@ def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mo
     ([J1], {'effort': [1]}, r'^arm: effort must have 1 number, got 1: one for each joint$|'
      r"^arm: joint 'robot0_joint1' is in position mode, which does not use the field effort"),
     ([J1, J2], {'position': [0, np.inf]}, r'^arm: position must be finite, got inf at index 1$'),
-    ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf')])
+    ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf'),
+    ([J1], {'position': ['0']}, r"^arm: position must be numbers, got \['0'\]$"),
+    ([J1, J2], {'position': [0, 'one']}, r'^arm: position must be numbers, got '),
+    ([J1], {'position': [1j]}, r'^arm: position must be numbers, got '),
+    ([J1, J2], {'position': [[0], [1, 2]]}, r'^arm: position must be numbers, got '),
+    ([J1, J2], {'position': [[0, 1]]}, r'^arm: position must have 2 numbers, got '),
+    ([J1], {'position': 0.5}, r'^arm: position must have 1 number, got ')])
 def test_joint_command_that_does_not_fit_is_rejected(parse, names, fields, message):
     with pytest.raises(CommandError, match=message):
         parse.joint_command(names, **fields, part='arm')
@@ -174,6 +180,17 @@ def test_command_for_joints_of_several_parts_moves_them_all(panda_sim, parse, ru
     run(panda_sim, 1.0)
     assert panda_sim.data.joint(J1).qpos[0] == pytest.approx(0.2, abs=1e-3)
     assert panda_sim.data.joint(FINGER).qpos[0] == pytest.approx(0.01, abs=1e-3)
+
+
+def test_the_same_names_mean_something_else_in_another_mode(panda_sim, parse):
+    (goal,) = parse.joint_command([J1, J2], position=[9.0, 9.0])
+    panda_sim.robot.set_control_mode('arm', 'velocity')
+    with pytest.raises(CommandError, match='is in velocity mode, which does not use'):
+        parse.joint_command([J1, J2], position=[9.0, 9.0])
+    (speed,) = parse.joint_command([J1, J2], velocity=[9.0, 9.0])
+    assert (goal.modes, speed.modes) == (('position',) * 2, ('velocity',) * 2)
+    np.testing.assert_array_equal(speed.values, panda_sim.robot.limits('arm')[:2, 1])
+    assert (goal.values != speed.values).all()
 
 
 @pytest.mark.parametrize('mode', ['velocity', 'effort'])

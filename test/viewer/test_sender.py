@@ -3,7 +3,6 @@
 
 """What the viewer sends before the node has been discovered."""
 
-import os
 import time
 
 import pytest
@@ -11,22 +10,9 @@ import pytest
 rclpy = pytest.importorskip('rclpy')
 pytest.importorskip('viser')
 
-from domains import reserve_domain  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from manip_sim.viewer.ros.commands import CommandSender  # noqa: E402
-
-
-@pytest.fixture
-def node():
-    domain, lock = reserve_domain()
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = rclpy.create_node('viewer', context=context)
-    yield node
-    node.destroy_node()
-    rclpy.try_shutdown(context=context)
-    os.close(lock)
 
 
 @pytest.mark.parametrize('forgotten', [False, True])
