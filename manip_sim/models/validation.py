@@ -16,6 +16,24 @@ from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.quoting import counted
 
 
+def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelError
+               ) -> FloatArray:
+    """
+    Return numbers as an array of their own shape, always a copy.
+
+    :param what: what they are, for the message
+    :param error: what to raise
+    :raises ManipSimError: the error, if they are no numbers
+    """
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind in 'SUc':
+            raise TypeError('text, or complex')
+        return np.array(given, dtype=float)
+    except (OverflowError, TypeError, ValueError) as cause:
+        raise error(f'{what} must be numbers, got {values!r:.60}') from cause
+
+
 def finite_numbers(values: ArrayLike, length: int, what: str,
                    error: type[ManipSimError] = ModelError) -> FloatArray:
     """
@@ -25,13 +43,7 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     :param error: what to raise
     :raises ManipSimError: the error, if they are no numbers, not as many, or one is not finite
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind in 'SU':
-            raise TypeError('text')
-        numbers: FloatArray = np.array(given, dtype=float)
-    except (OverflowError, TypeError, ValueError) as cause:
-        raise error(f'{what} must be numbers, got {values!r:.60}') from cause
+    numbers = as_numbers(values, what, error)
     if numbers.shape != (length,):
         found = str(numbers.size) if numbers.ndim == 1 else f'the shape {numbers.shape}'
         raise error(f'{what} must have {counted(length, "number")}, got {found}')

@@ -24,7 +24,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.rclpy_internals import RCLError, WaitSet
+from manip_sim.ros.rclpy_internals import InUse, RCLError, WaitSet
 from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.
@@ -66,12 +66,12 @@ class CommandInbox(Inbox):
         self._log = log
         self.group = _NotByExecutors()
         self._guard = node.create_guard_condition(lambda: None, self.group)
-        self._subscriptions: list[Any] = []
+        self._subscriptions: dict[Any, Any] = {}  # By their handles.
         self._look_at_s = 0.0
 
     def add(self, subscription: Any) -> None:
         """Take the messages of a subscription of the group; any thread may call this."""
-        self._subscriptions = [*self._subscriptions, subscription]
+        self._subscriptions = {**self._subscriptions, subscription.handle: subscription}
         self.wake()
 
     def wake(self) -> None:
@@ -110,30 +110,26 @@ class CommandInbox(Inbox):
         now_s = time.monotonic()
         if now_s >= self._look_at_s:
             self._look_at_s = now_s + _EVENTS_S
-            self._see_events([event for subscription in subscriptions
+            self._see_events([event for subscription in subscriptions.values()
                               for event in subscription.event_handlers])
-        with contextlib.ExitStack() as in_use:
-            for handle in (self._node.context.handle, self._guard.handle,
-                           *(subscription.handle for subscription in subscriptions)):
-                in_use.enter_context(handle)
-            wait_set = WaitSet(
-                len(subscriptions), 1, 0, 0, 0, 0, self._node.context.handle)
+        context, guard = self._node.context.handle, self._guard.handle
+        with InUse((context, guard, *subscriptions)):
+            wait_set = WaitSet(len(subscriptions), 1, 0, 0, 0, 0, context)
             wait_set.clear_entities()
-            wait_set.add_guard_condition(self._guard.handle)
-            for subscription in subscriptions:
-                wait_set.add_subscription(subscription.handle)
+            wait_set.add_guard_condition(guard)
+            for handle in subscriptions:
+                wait_set.add_subscription(handle)
             wait_set.wait(max(0, int(min(timeout_s, _EVENTS_S) * 1e9)))
-            ready = [subscription for index, subscription in enumerate(subscriptions)
-                     if wait_set.is_ready('subscription', index)]
-            for subscription in ready:
-                self._take(subscription)
+            ready = wait_set.get_ready_entities('subscription')
+            if ready:
+                for handle, subscription in subscriptions.items():
+                    if handle.pointer in ready:
+                        self._take(subscription)
         return bool(ready)
 
     def _see_events(self, events: list[Any]) -> None:
         """Let callbacks see the events that have come, such as a publisher that does not match."""
-        with contextlib.ExitStack() as in_use:
-            for entity in (self._node.context.handle, *events):
-                in_use.enter_context(entity)
+        with InUse((self._node.context.handle, *events)):
             wait_set = WaitSet(0, 0, 0, 0, 0, len(events), self._node.context.handle)
             wait_set.clear_entities()
             for event in events:

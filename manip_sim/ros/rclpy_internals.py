@@ -5,11 +5,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError, WaitSet
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-__all__ = ['parameter_overrides', 'RCLError', 'UnknownROSArgsError', 'WaitSet']
+__all__ = ['InUse', 'parameter_overrides', 'RCLError', 'UnknownROSArgsError', 'WaitSet']
+
+
+class InUse:
+    """
+    Keeps handles from being destroyed by other threads; an ``ExitStack`` takes twice as long.
+
+    :param handles: of a context, subscriptions ...; events are handles too
+    """
+
+    def __init__(self, handles: Iterable[Any]) -> None:
+        self._handles = handles
+        self._entered: list[Any] = []
+
+    def __enter__(self) -> None:
+        try:
+            for handle in self._handles:
+                handle.__enter__()
+                self._entered.append(handle)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        for handle in self._entered:
+            handle.__exit__(None, None, None)
 
 
 def parameter_overrides(node: Node) -> dict[str, Parameter]:

@@ -289,9 +289,12 @@ class SimulationThread:
         return False
 
     def _all_commanded(self) -> bool:
-        return all(buffer.ready(self._simulation.robots[name].joints.busy_parts.union(
-                       *(busy_parts(name) for busy_parts in self._busy)))
+        return all(buffer.ready() or buffer.ready(self._busy_parts(name))
                    for name, buffer in self._buffers.items())
+
+    def _busy_parts(self, robot: str) -> frozenset[str]:
+        return self._simulation.robots[robot].joints.busy_parts.union(
+            *(busy_parts(robot) for busy_parts in self._busy))
 
     @property
     def _repeats(self) -> bool:

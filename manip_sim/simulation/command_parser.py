@@ -5,23 +5,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.errors import CommandError, describe_choices
+from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import counted
 from manip_sim.simulation.commands import (
-    BaseTwist, Command, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory,
-    TrajectoryStop)
+    BaseTwist, Command, GripperAction, JointSetpoint, JointTrajectory, TrajectoryStop)
 from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.joint_command_parser import check_names, JointCommandParser
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import (
-    action_example, clamp, clamped_example, finite_numbers)
+    action_example, as_numbers, clamp, clamped_example, finite_numbers)
 from manip_sim.simulation.trajectory import check_times, Trajectory
 
 #: A trajectory with more points is rejected: it could not be checked in a moment.
@@ -44,8 +44,7 @@ class CommandParser:
         self._robot = robot
         self._joints = joints
         self._grippers = grippers
-        self._gripper_of = {joint: gripper for gripper in grippers.values()
-                            for joint in gripper.commanded_joints}
+        self._joint_commands = JointCommandParser(joints, grippers)
 
     def action(self, part: str, action: ArrayLike) -> Command:
         """
@@ -97,93 +96,8 @@ class CommandParser:
         :param part: takes joints of this part only; None takes all
         :raises CommandError: if a joint is not there, or the numbers do not fit
         """
-        what = part or 'joint_command'
-        available = self._commanded_joints(part)
-        for gripper in self._grippers.values():
-            gripper.check_takes_positions(names)
-        check_names(names, available, what)
-        modes = [self._mode(name) for name in names]
-        fields = {'position': position, 'velocity': velocity, 'effort': effort}
-        values = np.full(len(names), np.nan)
-        for field, numbers in fields.items():
-            if not np.size(numbers):
-                continue
-            placed = self._placed(what, field, numbers, names, modes)
-            uses = np.array([mode == field for mode in modes])
-            surplus = np.flatnonzero(~uses & ~np.isnan(placed))
-            if surplus.size:
-                name = names[surplus[0]]
-                raise CommandError(
-                    f"{what}: joint '{name}' is in {self._mode(name)} mode, which does not use "
-                    f'the field {field}: leave it empty, or NaN for this joint')
-            values[uses] = placed[uses]
-        if np.isnan(values).all():
-            raise CommandError(f'{what}: no joint is commanded: each number in the field of the '
-                               f'control mode ({", ".join(sorted(set(modes)))}) is NaN or missing')
-        commanded = ~np.isnan(values)
-        return list(self._setpoints([n for n, c in zip(names, commanded) if c],
-                                    values[commanded]))
-
-    def _placed(self, what: str, field: str, numbers: ArrayLike, names: Sequence[str],
-                modes: Sequence[str]) -> FloatArray:
-        """Return the numbers of a field by joint, NaN where there is none."""
-        given = np.asarray(numbers, dtype=float)
-        placed = np.full(len(names), np.nan)
-        infinite = np.flatnonzero(np.isinf(given))
-        if infinite.size:
-            raise CommandError(f'{what}: {field} must be finite, got {given[infinite[0]]} at '
-                               f'index {infinite[0]}')
-        if given.size == len(names):
-            return given
-        if np.isnan(given).all():
-            return placed
-        takers = self._takers(field, names, modes)
-        observed = [i for i in takers[given.size:] if names[i] not in self._gripper_of]
-        if given.size > len(takers) or observed:
-            raise CommandError(f'{what}: {field} must have {counted(len(names), "number")}, '
-                               f'got {given.size}: one for each joint')
-        placed[takers[:given.size]] = given
-        return placed
-
-    def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:
-        followed: set[str] = set()
-        takers = []
-        for index, (name, mode) in enumerate(zip(names, modes)):
-            if mode != field or name in followed:
-                continue
-            takers.append(index)
-            if name in self._gripper_of:
-                followed.update(self._gripper_of[name].followers(name))
-        return takers
-
-    def _commanded_joints(self, part: str | None) -> list[str]:
-        if part is None:
-            return [*self._joints.names, *self._gripper_of]
-        if part in self._grippers:
-            return list(self._grippers[part].commanded_joints)
-        return [self._joints.names[i] for i in self._joints.indices_of(part)]
-
-    def _mode(self, name: str) -> str:
-        return 'position' if name in self._gripper_of else self._joints.mode_of(name)
-
-    def _setpoints(self, names: Sequence[str], values: FloatArray) -> Iterable[Command]:
-        own = [i for i, name in enumerate(names) if name not in self._gripper_of]
-        if own:
-            indices = self._joints.find([names[i] for i in own])
-            inside, clamped = clamp(values[own], self._joints.clamps(indices))
-            yield JointSetpoint(
-                parts=self._joints.parts_of(indices), indices=indices, values=inside,
-                modes=self._joints.modes_of(indices), clamped=clamped,
-                clamped_example=clamped_example([names[i] for i in own], values[own], inside))
-        for part, gripper in self._grippers.items():
-            fingers = [i for i, name in enumerate(names) if self._gripper_of.get(name) is gripper]
-            if fingers:
-                joints = tuple(names[i] for i in fingers)
-                inside, clamped = clamp(values[fingers], gripper.joint_ranges(joints))
-                yield GripperSetpoint(parts=frozenset([part]), joints=joints, values=inside,
-                                      indices=gripper.actuators_of(joints), clamped=clamped,
-                                      clamped_example=clamped_example(
-                                          joints, values[fingers], inside))
+        return self._joint_commands.parse(
+            names, {'position': position, 'velocity': velocity, 'effort': effort}, part)
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None,
@@ -267,30 +181,10 @@ class CommandParser:
                              ('linear.x', 'linear.y', 'angular.z'), values, inside))
 
 
-def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:
-    """
-    Check the names of joints.
-
-    :param available: the joints that can be commanded
-    :param what: who takes them, for the message
-    :raises CommandError: if there are none, one is unknown, or one comes twice
-    """
-    if not len(names):
-        raise CommandError(f'{what}: no joint is named')
-    known = set(available)
-    for name in names:
-        if name not in known:
-            raise CommandError(f'{what} has no joint {quoted(name)} that can be commanded: '
-                               f'{describe_choices(name, available)}')
-    if len(set(names)) != len(names):
-        twice = next(name for name in names if list(names).count(name) > 1)
-        raise CommandError(f"{what}: joint '{twice}' is named twice")
-
-
 def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     try:
-        numbers = np.asarray(values, dtype=float)
-    except ValueError:
+        numbers = as_numbers(values, f'{part}: {field}')
+    except CommandError:  # Or points of different lengths.
         numbers = np.empty(0)
     if numbers.shape != shape:
         raise CommandError(f'{part}: {field} must have {counted(shape[1], "number")} at each of '

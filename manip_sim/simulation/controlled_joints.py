@@ -33,6 +33,7 @@ class ControlledJoints:
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :ivar names: of the driven joints, in the order of their indices
+    :ivar modes: their control modes
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
     """
 
@@ -50,7 +51,7 @@ class ControlledJoints:
         self._setpoints = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
-        self._mode = ['position'] * len(self.names)
+        self.modes = ('position',) * len(self.names)
         self._effort = np.zeros(len(self.names))
 
     def _find_twist_joints(self, parts: Mapping[str, Part]) -> IntArray | None:
@@ -86,15 +87,15 @@ class ControlledJoints:
 
     def mode_of(self, name: str) -> str:
         """Return the control mode of a driven joint."""
-        return self._mode[self._index_of[name]]
+        return self.modes[self._index_of[name]]
 
     def modes_of(self, indices: IntArray) -> tuple[str, ...]:
         """Return the control modes of driven joints."""
-        return tuple(self._mode[i] for i in indices)
+        return tuple(self.modes[i] for i in indices)
 
     def ranges(self, indices: IntArray) -> FloatArray:
         """Return what an action of -1 to 1 spans in the present modes, shape (n, 2), a copy."""
-        return np.array([self._servos.ranges[self._mode[i]][i] for i in indices]).reshape(-1, 2)
+        return np.array([self._servos.ranges[self.modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
         """Return how fast setpoints change their velocity [rad/s^2 or m/s^2], a copy."""
@@ -104,7 +105,7 @@ class ControlledJoints:
         """Return the ranges of goals in the present modes, shape (n, 2), a copy."""
         clamps = self.ranges(indices)
         endless = ~self._servos.limited[indices] & np.array(
-            [self._mode[i] == 'position' for i in indices], dtype=bool)
+            [self.modes[i] == 'position' for i in indices], dtype=bool)
         clamps[endless] = (-np.inf, np.inf)
         return clamps
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from manip_sim.errors import CommandError
-from manip_sim.simulation.command_parser import check_names
+from manip_sim.simulation.joint_command_parser import check_names
 from manip_sim.simulation.commands import CommandHandle, GripperGrasp, Status
 from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.numbers import clamp

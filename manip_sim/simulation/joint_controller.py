@@ -105,12 +105,11 @@ class JointController(ControlledJoints):
         """
         if mode not in MODES:
             raise UnknownNameError('control mode', mode, MODES)
-        changed = np.array([i for i in self.indices_of(part) if self._mode[i] != mode],
+        changed = np.array([i for i in self.indices_of(part) if self.modes[i] != mode],
                            dtype=np.int64)
         if changed.size:
             self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
-            for index in changed:
-                self._mode[index] = mode
+            self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
             self._hold(changed, data)
 
     def _hold(self, indices: IntArray, data: mujoco.MjData) -> None:
@@ -169,7 +168,7 @@ class JointController(ControlledJoints):
             if isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
             elif isinstance(meant, CartesianCommand):
-                if self._mode[meant.indices[0]] == 'effort':
+                if self.modes[meant.indices[0]] == 'effort':
                     self._servos.give_effort(meant.indices, True)
                 self.cartesian.begin(meant, data, now_s)
 
@@ -178,16 +177,13 @@ class JointController(ControlledJoints):
             return command
         modes = command.modes if isinstance(command, JointSetpoint) else (
             'velocity' if isinstance(command, BaseTwist) else 'position',) * len(command.indices)
-        changed = [i for i, mode in zip(command.indices, modes) if self._mode[i] != mode]
+        changed = [i for i, mode in zip(command.indices, modes) if self.modes[i] != mode]
         return command.without(np.array(changed, dtype=np.int64))
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
-        modes = np.array(command.modes)
-        for mode in MODES:
-            chosen = modes == mode
+        for mode in set(command.modes):
+            chosen = np.array([own == mode for own in command.modes])
             indices, values = command.indices[chosen], command.values[chosen]
-            if not indices.size:
-                continue
             if mode == 'position':
                 self._setpoints.go_to(indices, values, period_s)
             elif mode == 'velocity':

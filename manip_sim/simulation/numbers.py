@@ -15,6 +15,16 @@ from manip_sim.errors import CommandError
 from manip_sim.models import validation
 
 
+def as_numbers(values: ArrayLike, what: str) -> FloatArray:
+    """
+    Return numbers of a command as an array of their own shape, a copy.
+
+    :param what: what they are, for the message
+    :raises CommandError: if they are no numbers
+    """
+    return validation.as_numbers(values, what, CommandError)
+
+
 def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:
     """
     Return numbers of a command as an array of shape (length,), a copy.

@@ -175,8 +175,10 @@ class Servos:
 
     def give_effort(self, indices: IntArray, gives: bool) -> None:
         """Let some actuators be sources of effort, or servos again."""
-        self._gives_effort[indices] = gives
-        self._set_gains(indices)
+        changed = indices[self._gives_effort[indices] != gives]
+        if changed.size:
+            self._gives_effort[changed] = gives
+            self._set_gains(changed)
 
     def gives_effort(self, indices: IntArray) -> BoolArray:
         """Tell which of some actuators are sources of effort, shape of ``indices``."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
-from manip_sim.simulation.command_parser import check_names
+from manip_sim.simulation.joint_command_parser import check_names
 from manip_sim.simulation.commands import CommandHandle, JointTrajectory, Status
 from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.robot import SimulatedRobot

@@ -1,0 +1,225 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Make commands of goals for joints by name, as ``sensor_msgs/JointState`` has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.errors import CommandError, describe_choices
+from manip_sim.quoting import counted, quoted
+from manip_sim.simulation.commands import Command, GripperSetpoint, JointSetpoint, MODES
+from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.numbers import as_numbers, clamp, clamped_example
+
+#: Of how many lists of names it is remembered what they mean; a client has a few.
+_REMEMBERED = 64
+
+
+@dataclass(frozen=True)
+class _Group:
+    """
+    The named joints that one controller moves.
+
+    :ivar places: of the joints among the names, shape (n,)
+    :ivar names: of the joints
+    :ivar clamps: ranges of their goals, shape (n, 2)
+    :ivar indices: for the command
+    """
+
+    parts: frozenset[str]
+    places: IntArray
+    names: tuple[str, ...]
+    clamps: FloatArray
+    indices: IntArray
+
+
+@dataclass(frozen=True)
+class _Addressed:
+    """
+    What commands that name the same joints have in common while the control modes stay.
+
+    :ivar modes: of each joint
+    :ivar uses: by field, whether each joint uses it
+    :ivar takers: by field, the places of the joints that need a number there
+    :ivar own: the joints that servos of the robot drive, or None
+    :ivar grippers: those of each gripper
+    """
+
+    names: tuple[str, ...]
+    modes: tuple[str, ...]
+    uses: dict[str, BoolArray]
+    takers: dict[str, list[int]]
+    own: _Group | None
+    grippers: tuple[_Group, ...]
+
+
+class JointCommandParser:
+    """
+    Makes commands of numbers for named joints.
+
+    :param joints: controls the joints of arms, base, torso, head and legs; only read
+    :param grippers: by part; only read
+    """
+
+    def __init__(self, joints: JointController, grippers: Mapping[str, GripperController]) -> None:
+        self._joints = joints
+        self._grippers = grippers
+        self._gripper_of = {joint: gripper for gripper in grippers.values()
+                            for joint in gripper.commanded_joints}
+        self._addressed = lru_cache(_REMEMBERED)(self._address)
+
+    def parse(self, names: Sequence[str], fields: Mapping[str, ArrayLike], part: str | None
+              ) -> list[Command]:
+        """
+        Return the commands of goals for some joints, all or none.
+
+        :param names: of the joints
+        :param fields: by control mode, goals in SI units; empty where there are none
+        :param part: takes joints of this part only; None takes all
+        :raises CommandError: if a joint is not there, or the numbers do not fit
+        """
+        what = part or 'joint_command'
+        addressed = self._addressed(part, tuple(names), self._joints.modes)
+        values = np.full(len(names), np.nan)
+        for field, given in fields.items():
+            numbers = as_numbers(given, f'{what}: {field}')
+            if not numbers.size:
+                continue
+            placed = self._placed(what, field, numbers, addressed)
+            uses = addressed.uses[field]
+            surplus = np.flatnonzero(~(uses | np.isnan(placed)))
+            if surplus.size:
+                place = surplus[0]
+                raise CommandError(
+                    f"{what}: joint '{names[place]}' is in {addressed.modes[place]} mode, which "
+                    f'does not use the field {field}: leave it empty, or NaN for this joint')
+            values[uses] = placed[uses]
+        missing = np.isnan(values)
+        if missing.all():
+            raise CommandError(f'{what}: no joint is commanded: each number in the field of the '
+                               f'control mode ({", ".join(sorted(set(addressed.modes)))}) is NaN '
+                               'or missing')
+        if missing.any():
+            commanded = tuple(name for name, gone in zip(names, missing) if not gone)
+            addressed = self._addressed(part, commanded, self._joints.modes)
+            values = values[~missing]
+        return list(_commands(addressed, values))
+
+    def _placed(self, what: str, field: str, given: FloatArray, addressed: _Addressed
+                ) -> FloatArray:
+        """Return the numbers of a field by joint, NaN where there is none."""
+        count = len(addressed.names)
+        if np.isinf(given).any():
+            infinite = np.flatnonzero(np.isinf(given))[0]
+            raise CommandError(f'{what}: {field} must be finite, got {given.flat[infinite]} at '
+                               f'index {infinite}')
+        if given.shape == (count,):
+            return given
+        placed = np.full(count, np.nan)
+        if np.isnan(given).all():
+            return placed
+        takers = addressed.takers[field]
+        observed = [i for i in takers[given.size:] if addressed.names[i] not in self._gripper_of]
+        if given.ndim != 1 or given.size > len(takers) or observed:
+            raise CommandError(f'{what}: {field} must have {counted(count, "number")}, '
+                               f'got {given.size}: one for each joint')
+        placed[takers[:given.size]] = given
+        return placed
+
+    def _address(self, part: str | None, names: tuple[str, ...], modes: tuple[str, ...]
+                 ) -> _Addressed:
+        """Return what the names mean in the present modes, which are those of all joints."""
+        for gripper in self._grippers.values():
+            gripper.check_takes_positions(names)
+        check_names(names, self._available(part), part or 'joint_command')
+        meant = tuple('position' if name in self._gripper_of else self._joints.mode_of(name)
+                      for name in names)
+        return _Addressed(
+            names, meant, {field: np.array([mode == field for mode in meant]) for field in MODES},
+            {field: self._takers(field, names, meant) for field in MODES},
+            self._own(names), tuple(self._of_grippers(names)))
+
+    def _available(self, part: str | None) -> list[str]:
+        if part is None:
+            return [*self._joints.names, *self._gripper_of]
+        if part in self._grippers:
+            return list(self._grippers[part].commanded_joints)
+        return [self._joints.names[i] for i in self._joints.indices_of(part)]
+
+    def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:
+        followed: set[str] = set()
+        takers = []
+        for index, (name, mode) in enumerate(zip(names, modes)):
+            if mode != field or name in followed:
+                continue
+            takers.append(index)
+            if name in self._gripper_of:
+                followed.update(self._gripper_of[name].followers(name))
+        return takers
+
+    def _own(self, names: Sequence[str]) -> _Group | None:
+        places = [i for i, name in enumerate(names) if name not in self._gripper_of]
+        if not places:
+            return None
+        own = tuple(names[i] for i in places)
+        indices = self._joints.find(own)
+        return _Group(self._joints.parts_of(indices), np.array(places), own,
+                      self._joints.clamps(indices), indices)
+
+    def _of_grippers(self, names: Sequence[str]) -> Iterable[_Group]:
+        for part, gripper in self._grippers.items():
+            places = [i for i, name in enumerate(names) if self._gripper_of.get(name) is gripper]
+            if places:
+                fingers = tuple(names[i] for i in places)
+                yield _Group(frozenset([part]), np.array(places), fingers,
+                             gripper.joint_ranges(fingers), gripper.actuators_of(fingers))
+
+
+def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:
+    """
+    Check the names of joints.
+
+    :param available: the joints that can be commanded
+    :param what: who takes them, for the message
+    :raises CommandError: if there are none, one is unknown, or one comes twice
+    """
+    if not len(names):
+        raise CommandError(f'{what}: no joint is named')
+    known = set(available)
+    for name in names:
+        if name not in known:
+            raise CommandError(f'{what} has no joint {quoted(name)} that can be commanded: '
+                               f'{describe_choices(name, available)}')
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if list(names).count(name) > 1)
+        raise CommandError(f"{what}: joint '{twice}' is named twice")
+
+
+def _commands(addressed: _Addressed, values: FloatArray) -> Iterable[Command]:
+    """Yield the commands of numbers for all joints that are addressed."""
+    own = addressed.own
+    if own is not None:
+        inside, clamped, example = _clamp(own, values)
+        yield JointSetpoint(
+            parts=own.parts, indices=own.indices, values=inside, clamped=clamped,
+            clamped_example=example,
+            modes=tuple(addressed.modes[i] for i in own.places))
+    for group in addressed.grippers:
+        inside, clamped, example = _clamp(group, values)
+        yield GripperSetpoint(parts=group.parts, joints=group.names, values=inside,
+                              indices=group.indices, clamped=clamped, clamped_example=example)
+
+
+def _clamp(group: _Group, values: FloatArray) -> tuple[FloatArray, int, str]:
+    given = values[group.places]
+    inside, clamped = clamp(given, group.clamps)
+    return inside, clamped, clamped_example(group.names, given, inside) if clamped else ''
