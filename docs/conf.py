@@ -44,12 +44,12 @@ nitpicky = True
 # Types of other packages, and of the standard library, are not linked: builds need no network.
 nitpick_ignore_regex = [
     ('py:.*', r'(mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
-    ('py:.*', r'(Any|ArrayLike|Callable|Iterable|Mapping|Path|PathLike|Sequence|Union)'),
+    ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence|Union)'),
     ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT)'),
     # Fields of instances are part of the text of their class.
     ('py:(attr|data)', '.*'),
     # What is behind the classes that are documented.
-    ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|RobotPlan|Subsystems'
+    ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|ModelFile|RobotPlan|Subsystems'
                         r'|ImageSettings|CameraModel|Camera|InitializationNoise|create_camera)'),
 ]
 

@@ -68,7 +68,11 @@ class Arena(MujocoXMLModel):
         return ''
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
-        """Return where the robot stands in this arena [m], shape (3,)."""
+        """
+        Return where the robot stands in this arena [m], shape (3,).
+
+        :param robot: that stands there
+        """
         placement = robot.base_xpos_offset.get(self.arena_name, (0.0, 0.0, 0.0))
         return finite_numbers(
             placement(self.table_length_m) if callable(placement) else placement, 3,
@@ -243,6 +247,7 @@ def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
     """
     Return the parameters of an arena; one from a file has none.
 
+    :param name: of the catalogue, or a file
     :raises UnknownNameError: if there is no such arena, naming the nearest ones
     """
     if ARENAS.find_file(name) is not None:

@@ -115,16 +115,23 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
             cameras: Iterable[Camera] = (), **arena_parameters: Any) -> World:
     """
-    Return a world with one robot; the other parameters are those of :func:`compose_robot`.
+    Return a world with one robot.
 
+    :param robot: a name of the catalogue, a file, or a robot that has neither base nor gripper yet
+    :param gripper: a name or file, ``default``, ``none``, a gripper, or one of these by arm, as
+        for :func:`compose_robot`
+    :param base: a name or file, ``default``, ``none``, or a base
     :param arena: a name of the catalogue, a file, or an arena
+    :param idn: number or word in names, as in ``robot0_joint1``
+    :param prefix: instead of that, the beginning of all names
     :param position: where the floor below the robot's root shall be [m], shape (3,); None: where
         the arena has its place
     :param orientation: roll, pitch, yaw of the root in the world [rad], shape (3,)
     :param timestep_s: of the physics [s], a whole number of nanoseconds
     :param gravity_compensation: let the joints' actuators carry the weight, see :class:`World`
     :param objects: free bodies: objects, mappings, MJCF files or YAML files, see :class:`World`
-    :param initialization_noise: of the start, with its ``seed``, see :class:`World`
+    :param initialization_noise: of the start, see :class:`World`
+    :param seed: of the noise; None is another one each time
     :param cameras: beside those of robot and arena, see :class:`World`
     :param arena_parameters: of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known

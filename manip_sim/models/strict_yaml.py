@@ -21,6 +21,7 @@ class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
     """PyYAML's safe loader, without what makes a small file large, and without equal keys."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
+        """Reject anchors and aliases."""
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent) or getattr(event, 'anchor', None) is not None:
             raise yaml.YAMLError(f'anchors and aliases are not read, found {event.anchor!r} in '
@@ -28,6 +29,7 @@ class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """Reject keys that are no text, or that are there already."""
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)

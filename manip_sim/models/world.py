@@ -136,7 +136,11 @@ class World:
                     joint.actgravcomp = True
 
     def with_objects(self, objects: Iterable[ObjectModel]) -> World:
-        """Return a world that differs in its objects; robots, arena and cameras are shared."""
+        """
+        Return a world that differs in its objects; robots, arena and cameras are shared.
+
+        :param objects: in place of the present ones
+        """
         other: World = copy.copy(self)
         other.objects = list(objects)
         return other

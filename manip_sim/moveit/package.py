@@ -38,6 +38,7 @@ def write_package(world: World, folder: Path) -> list[str]:
     """
     Write a MoveIt configuration package for the only robot of a world.
 
+    :param world: with one robot
     :param folder: becomes the package and gives it its name; must be new or empty
     :returns: what was left out, in sentences
     :raises ModelError: if the folder cannot be used, or there is nothing to plan for

@@ -162,6 +162,7 @@ class SimulationThread:
         """
         Hand over validated commands; the next control period uses them.
 
+        :param commands: validated, for one robot
         :param stamp_ns: in lockstep, the state that they are the answer to; 0 if they do not say
         :param robot: its name; None is the only one
         :returns: what becomes of each command
@@ -192,6 +193,7 @@ class SimulationThread:
 
         Before the thread has been started the function runs at once.
 
+        :param function: takes nothing; may change the simulation
         :returns: what the function returns
         :raises Exception: what the function raises
         :raises SimulationEnded: if the simulation has ended, or does before it comes to this
@@ -202,7 +204,11 @@ class SimulationThread:
         return self._calls.run(function)
 
     def pause(self, paused: bool) -> None:
-        """Stop or go on; time that passed meanwhile is not made up for."""
+        """
+        Stop or go on; time that passed meanwhile is not made up for.
+
+        :param paused: whether to stop
+        """
         def change() -> None:
             if self._paused and not paused:
                 self._pacer.restart(time.monotonic())
@@ -245,7 +251,11 @@ class SimulationThread:
         self.call(change)
 
     def set_real_time_factor(self, factor: float) -> None:
-        """Go on at another speed, from now."""
+        """
+        Go on at another speed, from now.
+
+        :param factor: simulation time per wall time, above 0
+        """
         self.call(lambda: self._pacer.set_real_time_factor(factor, time.monotonic()))
 
     # ------------------------------------------------------------------ in the thread

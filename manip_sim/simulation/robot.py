@@ -148,6 +148,7 @@ class SimulatedRobot:
         """
         Let validated commands take effect with the next control period.
 
+        :param commands: made by :attr:`parse`
         :param period_s: length of a control period [s]; None is that of the last one
         """
         if period_s is not None:
@@ -164,6 +165,7 @@ class SimulatedRobot:
         """
         Abort a command; what no newer command has taken comes to rest.
 
+        :param command: that has been applied
         :param reason: why, for the command's handle
         """
         if isinstance(command, GripperCommand):
@@ -176,6 +178,7 @@ class SimulatedRobot:
         """
         Return the range of each driven joint's goal in its present mode, shape (n, 2), a copy.
 
+        :param part: such as ``arm``
         :raises UnknownNameError: if there are no such joints
         """
         return self.joints.ranges(self.joints.indices_of(part))
@@ -184,6 +187,7 @@ class SimulatedRobot:
         """
         Change how a part is controlled; it comes to rest.
 
+        :param part: such as ``arm``
         :param mode: ``position``, ``velocity`` or ``effort``
         :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part or mode
@@ -202,6 +206,7 @@ class SimulatedRobot:
         """
         Change after how long without a fresh command a part rests.
 
+        :param part: such as ``arm``
         :param timeout_s: simulation time [s]; 0 is never
         :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part
@@ -243,6 +248,7 @@ class SimulatedRobot:
         """
         Return what the controllers of a part's driven joints want and get, copies.
 
+        :param part: such as ``arm``
         :raises UnknownNameError: if there are no such joints
         """
         return self.joints.controller_state(part, self._data)

@@ -188,6 +188,7 @@ class Simulation:
         The result is that of as many calls of :meth:`advance`, to the last bit.
 
         :param steps: number of physics steps of a period
+        :param periods: how many of them
         """
         begin = self.step_count
         if self._run(steps * periods) is not None:

@@ -10,7 +10,11 @@ from manip_sim.resources import asset_path
 
 
 class NoActuationBase(MobileBaseModel):
-    """A fixed frame without mass or shape."""
+    """
+    A fixed frame without mass or shape.
+
+    :param idn: number or word in names
+    """
 
     def __init__(self, idn: int | str = 0) -> None:
         super().__init__(asset_path('bases', 'no_actuation_base'), idn=idn)

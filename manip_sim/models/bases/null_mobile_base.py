@@ -10,7 +10,11 @@ from manip_sim.resources import asset_path
 
 
 class NullMobileBase(MobileBaseModel):
-    """Forward, side and yaw below the robot; it has no mass, so the robot's root must."""
+    """
+    Forward, side and yaw below the robot; it has no mass, so the robot's root must.
+
+    :param idn: number or word in names
+    """
 
     def __init__(self, idn: int | str = 0) -> None:
         super().__init__(asset_path('bases', 'null_mobile_base'), idn=idn)

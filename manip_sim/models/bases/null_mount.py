@@ -10,7 +10,11 @@ from manip_sim.resources import asset_path
 
 
 class NullMount(MountModel):
-    """A frame without mass or shape at the robot's foot."""
+    """
+    A frame without mass or shape at the robot's foot.
+
+    :param idn: number or word in names
+    """
 
     def __init__(self, idn: int | str = 0) -> None:
         super().__init__(asset_path('bases', 'null_mount'), idn=idn)

@@ -10,7 +10,11 @@ from manip_sim.resources import asset_path
 
 
 class RethinkMinimalMount(MountModel):
-    """Pedestal without controller box, 0.862 m from the floor to the robot's foot."""
+    """
+    Pedestal without controller box, 0.862 m from the floor to the robot's foot.
+
+    :param idn: number or word in names
+    """
 
     _top_offset = (0.0, 0.0, -0.062)
     _horizontal_radius = 0.25

@@ -10,7 +10,11 @@ from manip_sim.resources import asset_path
 
 
 class RethinkMount(MountModel):
-    """Pedestal with controller box, 0.912 m from the floor to the arm's foot."""
+    """
+    Pedestal with controller box, 0.912 m from the floor to the arm's foot.
+
+    :param idn: number or word in names
+    """
 
     _top_offset = (0.0, 0.0, -0.01)
     _horizontal_radius = 0.25

@@ -36,8 +36,10 @@ def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
 
 def load_gripper(path: str | PathLike[str], idn: int | str = 0) -> FileGripper:
     """
-    Load a gripper or hand from a file; the parameters are those of :func:`load_robot`.
+    Load a gripper or hand from a file.
 
+    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
+    :param idn: number or word in names, as in ``gripper0_right_finger``
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
@@ -47,8 +49,10 @@ def load_gripper(path: str | PathLike[str], idn: int | str = 0) -> FileGripper:
 
 def load_base(path: str | PathLike[str], idn: int | str = 0) -> FileBase:
     """
-    Load a base from a file; the parameters are those of :func:`load_robot`.
+    Load a base from a file.
 
+    :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
+    :param idn: number or word in names, as in ``mount0_base``
     :returns: a ``MountModel``, or a ``MobileBaseModel`` if it has joints
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known

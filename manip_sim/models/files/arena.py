@@ -47,7 +47,11 @@ class FileArena(Arena, registered=False):
         return spec
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
-        """Return where the robot stands in this arena [m], shape (3,)."""
+        """
+        Return where the robot stands in this arena [m], shape (3,).
+
+        :param robot: that stands there
+        """
         declared = robot.base_xpos_offset.get(self.arena_name)
         if declared is not None and not callable(declared):
             return np.array(declared)

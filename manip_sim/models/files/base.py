@@ -28,6 +28,9 @@ class FileBase(RobotBaseModel, registered=False):
     """
     What a robot stands on.
 
+    :param model_file: what was read
+    :param top: where the robot stands, seen from the root body [m], shape (3,)
+    :param idn: number or word in names
     :ivar inferred: what was inferred or left out, in sentences
     """
 

@@ -30,6 +30,7 @@ class FileGripper(HandFromFile, registered=False):
     :param file: MJCF or URDF
     :param description: what the file does not say
     :param where: the file that the description was read from, for messages
+    :param idn: number or word in names
     :raises ModelError: if the file or what the description says of it cannot be used
     """
 

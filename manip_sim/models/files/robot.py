@@ -23,6 +23,7 @@ class FileRobot(RobotModel, registered=False):
     A robot from a file.
 
     :param plan: what the file and its description come to
+    :param idn: number or word in names
     :ivar inferred: what was inferred or left out, in sentences
     """
 
@@ -89,6 +90,9 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
 
     A hand that the file includes is there from the start, in :attr:`grippers`; another gripper
     takes its place.
+
+    :param plan: what the file and its description come to
+    :param idn: number or word in names
     """
 
     def __init__(self, plan: RobotPlan, idn: int | str = 0) -> None:
@@ -131,7 +135,11 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         super().add_gripper(gripper, arm_name)
 
     def take_off_hand(self, arm: str) -> None:
-        """Remove the hand of the robot's own file from an arm, if there is one."""
+        """
+        Remove the hand of the robot's own file from an arm, if there is one.
+
+        :param arm: ``right`` or ``left``
+        """
         hand = self._own_hands.pop(arm, None)
         if hand is None:
             return

@@ -38,6 +38,8 @@ class GripperModel(MujocoXMLModel, ABC):
     ``eef``. Names that a subclass declares in ``_important_geoms``, ``_important_sites`` or
     ``_important_sensors`` must exist.
 
+    :param fname: path of an MJCF file with one root body
+    :param idn: number or word in names, as in ``gripper0_right_finger``
     :ivar current_action: what :meth:`format_action` has come to, zeros of shape (dof,) at first
     :raises UnknownNameError: if the file has no body ``eef`` or lacks a declared name
     """
@@ -148,7 +150,11 @@ class GripperModel(MujocoXMLModel, ABC):
         self.refresh()
 
     def clone(self: GripperT, idn: int | str) -> GripperT:
-        """Return an own copy with another idn."""
+        """
+        Return an own copy with another idn.
+
+        :param idn: of the copy
+        """
         twin = copy.copy(self)
         twin.idn = idn
         twin._spec = self._spec.copy()

@@ -14,7 +14,11 @@ from manip_sim.resources import asset_path
 
 
 class Baxter(ManipulatorModel):
-    """Two seven-joint arms and a screen, 2.2 kg payload each, 1.2 m reach."""
+    """
+    Two seven-joint arms and a screen, 2.2 kg payload each, 1.2 m reach.
+
+    :param idn: number or word in names
+    """
 
     _horizontal_radius = 0.5
     _top_offset = (0.0, 0.0, 1.0)

@@ -16,7 +16,11 @@ _PELVIS_HEIGHT_M = 0.95
 
 
 class GR1(ManipulatorModel):
-    """Humanoid of 1.65 m: torso, head, two seven-joint arms and two six-joint legs."""
+    """
+    Humanoid of 1.65 m: torso, head, two seven-joint arms and two six-joint legs.
+
+    :param idn: number or word in names
+    """
 
     _horizontal_radius = 0.5
     _top_offset = (0.0, 0.0, 1.0)

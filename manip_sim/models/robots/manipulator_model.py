@@ -54,6 +54,8 @@ class ManipulatorModel(RobotModel):
     """
     A robot with arms that end in bodies for grippers.
 
+    :param fname: path of an MJCF file with one root body
+    :param idn: number or word in names, as in ``robot0_joint1``
     :raises ModelError: if :attr:`arm_type` is not known, or does not fit the end effector bodies
     :raises UnknownNameError: if the file lacks an end effector body
     """
@@ -155,7 +157,11 @@ class ManipulatorModel(RobotModel):
         return ()
 
     def take_off_hand(self, arm: str) -> None:
-        """Remove the hand of the robot's own file from an arm, if there is one."""
+        """
+        Remove the hand of the robot's own file from an arm, if there is one.
+
+        :param arm: ``right`` or ``left``
+        """
 
     def add_gripper(self, gripper: GripperModel, arm_name: str | None = None) -> None:
         """
@@ -190,6 +196,7 @@ class ManipulatorModel(RobotModel):
         """
         Return an arm by its name or by that of its end effector body.
 
+        :param arm_name: an arm or its end effector body
         :raises UnknownNameError: if there is no such arm
         """
         for arm, body in self.eef_name.items():

@@ -16,7 +16,11 @@ from manip_sim.resources import asset_path
 
 
 class PedestalArm(ManipulatorModel, registered=False):
-    """One arm on the Rethink pedestal; a subclass declares what is its own."""
+    """
+    One arm on the Rethink pedestal; a subclass declares what is its own.
+
+    :param idn: number or word in names
+    """
 
     _asset: ClassVar[str]
     _gripper: ClassVar[str]

@@ -40,6 +40,7 @@ class RobotModel(Subsystems, ABC):
     ``left_gripper_right_`` and ``left_gripper_left_``.
 
     :param fname: path of an MJCF file with one root body
+    :param idn: number or word in names, as in ``robot0_joint1``
     :raises ModelError: if the file has no root body or several
     """
 
@@ -138,6 +139,7 @@ class RobotModel(Subsystems, ABC):
         """
         Put the robot on a base.
 
+        :param base: a mount or a mobile base that nothing else stands on
         :raises TypeError: if it is not a base
         :raises ModelError: if the robot has a base already
         """

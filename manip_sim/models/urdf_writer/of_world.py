@@ -20,6 +20,7 @@ def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> di
     """
     Return the URDF of each robot, by name: what its names begin with, without the underscore.
 
+    :param world: with one robot or more
     :param hardware: by name of the robot, where there shall be a ``<ros2_control>`` tag
     :raises ModelError: if the world does not compile
     """
@@ -34,6 +35,7 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
     """
     Return the URDF of one robot.
 
+    :param world: with the robot
     :param robot: its name, as for :func:`urdfs_of`; None for the only one
     :param hardware: for a ``<ros2_control>`` tag
     :raises ModelError: if there are several robots and none is named, or the world does not
@@ -45,7 +47,12 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
 
 
 def choose_robot(world: World, name: str | None = None) -> RobotModel:
-    """Return the robot of a name, or the only one; raises as :func:`urdf_of`."""
+    """
+    Return the robot of a name, or the only one; raises as :func:`urdf_of`.
+
+    :param world: with one robot or more
+    :param name: of the robot, as for :func:`urdfs_of`; None for the only one
+    """
     robots = {name_of(robot): robot for robot in world.robots}
     if name is None:
         if len(robots) != 1:
@@ -58,5 +65,9 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
 
 
 def name_of(robot: RobotModel) -> str:
-    """Return what the names of a robot begin with, without the underscore that follows."""
+    """
+    Return what the names of a robot begin with, without the underscore that follows.
+
+    :param robot: with its naming prefix
+    """
     return robot.naming_prefix.rstrip('_')

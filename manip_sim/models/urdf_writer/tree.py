@@ -65,6 +65,8 @@ class KinematicTree:
     """
     Links and joints, each after what it hangs on.
 
+    :param model: the compiled ``mujoco.MjModel``
+    :param joint_names: that are taken already
     :ivar links: the first one is the root
     :ivar joints: one for each other link
     :ivar link_of_body: names by id of the body
@@ -83,20 +85,37 @@ class KinematicTree:
         self._joint_names = set(joint_names)
 
     def take_name(self, name: str, otherwise: str) -> str:
-        """Reserve a name for a link; ``otherwise`` goes to its end until it is free."""
+        """
+        Reserve a name for a link; ``otherwise`` goes to its end until it is free.
+
+        :param name: that is wanted
+        :param otherwise: goes to its end until it is free
+        """
         while name in self._link_names:
             name += otherwise
         self._link_names.add(name)
         return name
 
     def add_link(self, link: Link, joint: Joint) -> None:
-        """Add a link and the joint that it hangs on."""
+        """
+        Add a link and the joint that it hangs on.
+
+        :param link: whose name has been taken
+        :param joint: between its parent and it
+        """
         self.links.append(link)
         self.joints.append(joint)
 
     def add_fixed(self, link: Link, parent: str, position: FloatArray, rotation: FloatArray
                   ) -> None:
-        """Add a link that does not move in its parent."""
+        """
+        Add a link that does not move in its parent.
+
+        :param link: whose name has been taken
+        :param parent: name of the link that it hangs on
+        :param position: in the parent [m], shape (3,)
+        :param rotation: in the parent, shape (3, 3)
+        """
         name = f'{link.name}_fixed_joint'
         while name in self._joint_names:
             name += '_'
@@ -104,7 +123,11 @@ class KinematicTree:
         self.add_link(link, Joint(name, 'fixed', parent, link.name, position, rotation))
 
     def parent_of(self, link: str) -> str | None:
-        """Return what a link hangs on; None for the root."""
+        """
+        Return what a link hangs on; None for the root.
+
+        :param link: its name
+        """
         return next((joint.parent for joint in self.joints if joint.child == link), None)
 
 
@@ -113,6 +136,7 @@ def robot_tree(model: mujoco.MjModel, robot: RobotModel) -> KinematicTree:
     Return the tree of a robot with all that is mounted on it, in ``world``.
 
     :param model: the compiled ``mujoco.MjModel`` of a world with the robot
+    :param robot: a robot of that world
     """
     sites = []
     if isinstance(robot, ManipulatorModel):

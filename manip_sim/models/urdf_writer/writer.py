@@ -52,6 +52,7 @@ def write_urdf(model: mujoco.MjModel, robot: RobotModel,
     Return the URDF of a robot with its base and grippers, in ``world``.
 
     :param model: the compiled ``mujoco.MjModel`` of a world with the robot
+    :param robot: a robot of that world
     :param meshes: files of meshes by name; others are left out
     :param hardware: with a ``<ros2_control>`` tag
     """
