@@ -261,17 +261,17 @@ class MujocoXMLModel:
 
     @property
     def bottom_offset(self) -> FloatArray:
-        """From the origin to the lowest point [m], shape (3,), a copy."""
+        """Where what the part stands on is, as its root body is placed [m], shape (3,), a copy."""
         return self.base_offset
 
     @property
     def top_offset(self) -> FloatArray:
-        """From the origin to the highest point [m], shape (3,), a copy."""
+        """Where what stands on the part begins [m], shape (3,), a copy: zeros unless declared."""
         return np.zeros(3)
 
     @property
     def horizontal_radius(self) -> float:
-        """Radius of the upright cylinder about the origin that holds the part [m]."""
+        """Nominal radius about the origin that the class declares, not a measured one [m]."""
         return self._horizontal_radius
 
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:
