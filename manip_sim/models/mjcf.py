@@ -1,30 +1,29 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load one MJCF file, prefix its names and tell what is in it; composing parts is elsewhere."""
+"""One part: load its MJCF file, compile it, attach it; composing parts is elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, overload
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
-from manip_sim.models.naming import check_names_are_free, check_prefix
+from manip_sim.models.named_elements import NamedElements
+from manip_sim.models.naming import check_names_are_free
 from manip_sim.models.spec_edits import attach, name_main_default
 
 _MIN_MASS_KG = 1e-6
 _MIN_INERTIA = 1e-9
 
 
-class MujocoXMLModel:
+class MujocoXMLModel(NamedElements):
     """
     One part: an MJCF file, its prefix and lists of its elements.
 
@@ -38,15 +37,10 @@ class MujocoXMLModel:
     :raises ModelError: if the file is missing or is not MJCF
     """
 
-    _important_sites: Mapping[str, str] = {}
-    _important_geoms: Mapping[str, list[str]] = {}
-    _important_sensors: Mapping[str, str] = {}
     _horizontal_radius: float = 0.0
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
-        self.file = Path(fname)
-        self.idn = idn
-        self._given_prefix = ''
+        super().__init__(Path(fname), idn)
         self._spec = self._read()
         self._prepare_spec(self._spec)
         name_unnamed_elements(self._spec)
@@ -69,34 +63,7 @@ class MujocoXMLModel:
         self._record()
 
     def _record(self) -> None:
-        alone = self._own_model = self._compile_alone()
-
-        def names(count: int, kind: Callable[[int], Any], wanted: Iterable[int] | None = None
-                  ) -> list[str]:
-            ids = range(count) if wanted is None else wanted
-            return [kind(i).name for i in ids]
-
-        collides = (alone.geom_contype != 0) | (alone.geom_conaffinity != 0)
-        free = int(mujoco.mjtJoint.mjJNT_FREE)
-        not_free = np.flatnonzero(alone.jnt_type != free).tolist()
-        self._bodies = names(alone.nbody, alone.body)[1:]
-        self._joints = names(alone.njnt, alone.joint, not_free)
-        self._actuators = names(alone.nu, alone.actuator)
-        self._sites = names(alone.nsite, alone.site)
-        self._sensors = names(alone.nsensor, alone.sensor)
-        self._cameras = names(alone.ncam, alone.camera)
-        self._contact_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(collides).tolist())
-        self._visual_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(~collides).tolist())
-        self._check_important('site', self._important_sites.values(), self._sites)
-        self._check_important('sensor', self._important_sensors.values(), self._sensors)
-        geoms = self._contact_geoms + self._visual_geoms
-        for group in self._important_geoms.values():
-            self._check_important('geom', group, geoms)
-
-    def _check_important(self, kind: str, wanted: Iterable[str], existing: list[str]) -> None:
-        for name in wanted:
-            if name not in existing:
-                raise UnknownNameError(f'{kind} of {self.name} in {self.file}', name, existing)
+        self._record_elements(self._compile_alone())
 
     def _compile_alone(self) -> mujoco.MjModel:
         # Parts without mass, such as a virtual base, are only usable below something that has it.
@@ -123,61 +90,6 @@ class MujocoXMLModel:
         return self._spec
 
     @property
-    def name(self) -> str:
-        """Class name and idn, such as ``Panda0``."""
-        return f'{type(self).__name__}{self.idn}'
-
-    @property
-    def naming_prefix(self) -> str:
-        """What stands before each name of this part in the compiled model."""
-        return self._given_prefix or self._prefix_of_idn
-
-    @property
-    def _prefix_of_idn(self) -> str:
-        """The prefix unless another is given."""
-        return f'{self.idn}_'
-
-    def set_naming_prefix(self, prefix: str) -> None:
-        """
-        Let the names of this part begin with a prefix of one's own, without a number.
-
-        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
-            ``left_``; empty: the prefix that the idn gives
-        :raises ModelError: if it is no such prefix, or the class overrides :attr:`naming_prefix`
-        """
-        if prefix:
-            check_prefix(prefix)
-        self._given_prefix = prefix
-        if prefix and self.naming_prefix != prefix:
-            raise ModelError(f"{self.name} cannot have the prefix '{prefix}': its class says that "
-                             f"it is '{self.naming_prefix}'")
-
-    @overload
-    def correct_naming(self, names: str) -> str: ...
-
-    @overload
-    def correct_naming(self, names: list[str] | tuple[str, ...]) -> list[str]: ...
-
-    @overload
-    def correct_naming(self, names: Mapping[str, Any]) -> dict[str, Any]: ...
-
-    def correct_naming(self, names: Any) -> Any:
-        """
-        Return names with this part's prefix, always a copy.
-
-        :param names: a name, a sequence of names, or a mapping whose values are either
-        :raises TypeError: for anything else
-        """
-        if isinstance(names, str):
-            return self.naming_prefix + names
-        if isinstance(names, (list, tuple)):
-            return [self.correct_naming(name) for name in names]
-        if isinstance(names, Mapping):
-            return {key: self.correct_naming(value) for key, value in names.items()}
-        raise TypeError('names must be a str, a list, a tuple or a dict of them, '
-                        f'not {type(names).__name__}')
-
-    @property
     def root_body(self) -> str:
         """
         The one body that everything else hangs on.
@@ -193,66 +105,6 @@ class MujocoXMLModel:
             raise ModelError(f'{self.file} must have exactly one root body, found {len(roots)}: '
                              f'{found}')
         return roots[0]
-
-    @property
-    def bodies(self) -> list[str]:
-        """All bodies but the world."""
-        return self.correct_naming(self._bodies)
-
-    @property
-    def joints(self) -> list[str]:
-        """All joints but free joints; a ball joint counts once."""
-        return self.correct_naming(self._joints)
-
-    @property
-    def actuators(self) -> list[str]:
-        """All actuators."""
-        return self.correct_naming(self._actuators)
-
-    @property
-    def sites(self) -> list[str]:
-        """All sites."""
-        return self.correct_naming(self._sites)
-
-    @property
-    def sensors(self) -> list[str]:
-        """All sensors."""
-        return self.correct_naming(self._sensors)
-
-    @property
-    def cameras(self) -> list[str]:
-        """All cameras."""
-        return self.correct_naming(self._cameras)
-
-    @property
-    def contact_geoms(self) -> list[str]:
-        """The geoms that can collide, by contype and conaffinity."""
-        return self.correct_naming(self._contact_geoms)
-
-    @property
-    def visual_geoms(self) -> list[str]:
-        """The geoms that cannot collide."""
-        return self.correct_naming(self._visual_geoms)
-
-    @property
-    def important_sites(self) -> dict[str, str]:
-        """Sites by role."""
-        return self.correct_naming(self._important_sites)
-
-    @property
-    def important_geoms(self) -> dict[str, list[str]]:
-        """Lists of geoms by role."""
-        return self.correct_naming(self._important_geoms)
-
-    @property
-    def important_sensors(self) -> dict[str, str]:
-        """Sensors by role."""
-        return self.correct_naming(self._important_sensors)
-
-    @property
-    def dof(self) -> int:
-        """Number of :attr:`joints`."""
-        return len(self._joints)
 
     @property
     def base_offset(self) -> FloatArray:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 import copy
-import math
 from typing import Any
 
 import mujoco
@@ -214,9 +213,6 @@ class World:
 
     def _add_noise(self, start: dict[str, float], noise: InitializationNoise) -> None:
         for number, robot in enumerate(self.robots):
-            own = {name: robot._own_model.joint(raw)
-                   for name, raw in zip(robot.joints, robot._joints) if name in start}
-            ranges = [joint.range if joint.limited[0] else (-math.inf, math.inf)
-                      for joint in own.values()]
-            noisy = noise.added([start[name] for name in own], ranges, number)
-            start.update(zip(own, noisy.tolist()))
+            ranges = {name: range_ for name, range_ in robot.joint_ranges.items() if name in start}
+            noisy = noise.added([start[name] for name in ranges], list(ranges.values()), number)
+            start.update(zip(ranges, noisy.tolist()))

@@ -64,6 +64,24 @@ def test_root_body_must_be_the_only_one(mjcf, worldbody, message):
         MujocoXMLModel(mjcf(worldbody)).root_body  # noqa: B018
 
 
+def test_ranges_are_told_by_name_and_follow_edits(mjcf):
+    path = mjcf('<body name="a"><geom size="1"/><joint name="free_to_turn"/>'
+                '<body><geom size="1"/><joint name="hinge" range="-1 2"/></body></body>',
+                '<actuator><motor name="torque" joint="hinge" ctrlrange="-3 4"/>'
+                '<motor name="endless" joint="free_to_turn"/></actuator>')
+    model = MujocoXMLModel(path, idn='b')
+    joints, controls = model.joint_ranges, model.control_ranges
+    assert list(joints) == model.joints and list(controls) == model.actuators
+    np.testing.assert_array_equal(joints['b_hinge'], [-1.0, 2.0])
+    np.testing.assert_array_equal(joints['b_free_to_turn'], [-np.inf, np.inf])
+    np.testing.assert_array_equal(controls['b_torque'], [-3.0, 4.0])
+    np.testing.assert_array_equal(controls['b_endless'], [0.0, 0.0])
+    joints['b_hinge'][:] = 7.0
+    model.spec.joint('hinge').range = [-0.5, 0.5]
+    model.refresh()
+    np.testing.assert_array_equal(model.joint_ranges['b_hinge'], [-0.5, 0.5])
+
+
 def test_every_element_is_listed_with_the_prefix(mjcf):
     model = MujocoXMLModel(mjcf(PENDULUM, ELEMENTS), idn='a')
     assert model.name == 'MujocoXMLModela'

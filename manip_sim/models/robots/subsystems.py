@@ -164,8 +164,8 @@ class Subsystems(MujocoXMLModel):
         return np.asarray(np.clip(commands, low, high))
 
     def _ctrlrange(self, names: list[str]) -> FloatArray:
-        ranges = {part.correct_naming(raw): part._own_model.actuator(raw).ctrlrange
-                  for part in self._own_parts() for raw in part._actuators}
+        ranges = {name: range_ for part in self._own_parts()
+                  for name, range_ in part.control_ranges.items()}
         return np.array([ranges[name] for name in names])
 
 

@@ -1,0 +1,198 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is in a part, with the names that it has in a compiled model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, overload
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.naming import check_prefix
+
+
+class NamedElements:
+    """
+    The elements of a part by kind, their names with the part's prefix, in the compiled order.
+
+    :param file: where they come from, for messages
+    :param idn: number or word that tells this part from others of its kind; part of the prefix
+    :ivar file: where they come from
+    :ivar idn: number or word
+    """
+
+    _important_sites: Mapping[str, str] = {}
+    _important_geoms: Mapping[str, list[str]] = {}
+    _important_sensors: Mapping[str, str] = {}
+    _own_model: mujoco.MjModel
+
+    def __init__(self, file: Path, idn: int | str) -> None:
+        self.file = file
+        self.idn = idn
+        self._given_prefix = ''
+
+    def _record_elements(self, alone: mujoco.MjModel) -> None:
+        """Record what is in the part, compiled alone."""
+        self._own_model = alone
+
+        def names(count: int, kind: Callable[[int], Any], wanted: Iterable[int] | None = None
+                  ) -> list[str]:
+            ids = range(count) if wanted is None else wanted
+            return [kind(i).name for i in ids]
+
+        collides = (alone.geom_contype != 0) | (alone.geom_conaffinity != 0)
+        free = int(mujoco.mjtJoint.mjJNT_FREE)
+        not_free = np.flatnonzero(alone.jnt_type != free).tolist()
+        self._bodies = names(alone.nbody, alone.body)[1:]
+        self._joints = names(alone.njnt, alone.joint, not_free)
+        self._actuators = names(alone.nu, alone.actuator)
+        self._sites = names(alone.nsite, alone.site)
+        self._sensors = names(alone.nsensor, alone.sensor)
+        self._cameras = names(alone.ncam, alone.camera)
+        self._contact_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(collides).tolist())
+        self._visual_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(~collides).tolist())
+        self._check_important('site', self._important_sites.values(), self._sites)
+        self._check_important('sensor', self._important_sensors.values(), self._sensors)
+        geoms = self._contact_geoms + self._visual_geoms
+        for group in self._important_geoms.values():
+            self._check_important('geom', group, geoms)
+
+    def _check_important(self, kind: str, wanted: Iterable[str], existing: list[str]) -> None:
+        for name in wanted:
+            if name not in existing:
+                raise UnknownNameError(f'{kind} of {self.name} in {self.file}', name, existing)
+
+    @property
+    def name(self) -> str:
+        """Class name and idn, such as ``Panda0``."""
+        return f'{type(self).__name__}{self.idn}'
+
+    @property
+    def naming_prefix(self) -> str:
+        """What stands before each name of this part in the compiled model."""
+        return self._given_prefix or self._prefix_of_idn
+
+    @property
+    def _prefix_of_idn(self) -> str:
+        """The prefix unless another is given."""
+        return f'{self.idn}_'
+
+    def set_naming_prefix(self, prefix: str) -> None:
+        """
+        Let the names of this part begin with a prefix of one's own, without a number.
+
+        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
+            ``left_``; empty: the prefix that the idn gives
+        :raises ModelError: if it is no such prefix, or the class overrides :attr:`naming_prefix`
+        """
+        if prefix:
+            check_prefix(prefix)
+        self._given_prefix = prefix
+        if prefix and self.naming_prefix != prefix:
+            raise ModelError(f"{self.name} cannot have the prefix '{prefix}': its class says that "
+                             f"it is '{self.naming_prefix}'")
+
+    @overload
+    def correct_naming(self, names: str) -> str: ...
+
+    @overload
+    def correct_naming(self, names: list[str] | tuple[str, ...]) -> list[str]: ...
+
+    @overload
+    def correct_naming(self, names: Mapping[str, Any]) -> dict[str, Any]: ...
+
+    def correct_naming(self, names: Any) -> Any:
+        """
+        Return names with this part's prefix, always a copy.
+
+        :param names: a name, a sequence of names, or a mapping whose values are either
+        :raises TypeError: for anything else
+        """
+        if isinstance(names, str):
+            return self.naming_prefix + names
+        if isinstance(names, (list, tuple)):
+            return [self.correct_naming(name) for name in names]
+        if isinstance(names, Mapping):
+            return {key: self.correct_naming(value) for key, value in names.items()}
+        raise TypeError('names must be a str, a list, a tuple or a dict of them, '
+                        f'not {type(names).__name__}')
+
+    @property
+    def bodies(self) -> list[str]:
+        """All bodies but the world."""
+        return self.correct_naming(self._bodies)
+
+    @property
+    def joints(self) -> list[str]:
+        """All joints but free joints; a ball joint counts once."""
+        return self.correct_naming(self._joints)
+
+    @property
+    def actuators(self) -> list[str]:
+        """All actuators."""
+        return self.correct_naming(self._actuators)
+
+    @property
+    def joint_ranges(self) -> dict[str, FloatArray]:
+        """The range of each joint [rad or m], shape (2,), infinite where there is none."""
+        found = {raw: self._own_model.joint(raw) for raw in self._joints}
+        return {self.correct_naming(raw): np.array(
+                    joint.range if joint.limited[0] else (-np.inf, np.inf))
+                for raw, joint in found.items()}
+
+    @property
+    def control_ranges(self) -> dict[str, FloatArray]:
+        """The range of each actuator's control, in its unit, shape (2,), zeros where none is."""
+        return {self.correct_naming(raw): np.array(self._own_model.actuator(raw).ctrlrange)
+                for raw in self._actuators}
+
+    @property
+    def sites(self) -> list[str]:
+        """All sites."""
+        return self.correct_naming(self._sites)
+
+    @property
+    def sensors(self) -> list[str]:
+        """All sensors."""
+        return self.correct_naming(self._sensors)
+
+    @property
+    def cameras(self) -> list[str]:
+        """All cameras."""
+        return self.correct_naming(self._cameras)
+
+    @property
+    def contact_geoms(self) -> list[str]:
+        """The geoms that can collide, by contype and conaffinity."""
+        return self.correct_naming(self._contact_geoms)
+
+    @property
+    def visual_geoms(self) -> list[str]:
+        """The geoms that cannot collide."""
+        return self.correct_naming(self._visual_geoms)
+
+    @property
+    def important_sites(self) -> dict[str, str]:
+        """Sites by role."""
+        return self.correct_naming(self._important_sites)
+
+    @property
+    def important_geoms(self) -> dict[str, list[str]]:
+        """Lists of geoms by role."""
+        return self.correct_naming(self._important_geoms)
+
+    @property
+    def important_sensors(self) -> dict[str, str]:
+        """Sensors by role."""
+        return self.correct_naming(self._important_sensors)
+
+    @property
+    def dof(self) -> int:
+        """Number of :attr:`joints`."""
+        return len(self._joints)
