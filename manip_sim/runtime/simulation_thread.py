@@ -13,10 +13,10 @@ from typing import TypeVar
 
 from manip_sim.errors import CommandError
 from manip_sim.runtime.calls import Calls
-from manip_sim.runtime.command_buffer import CommandBuffer
 from manip_sim.runtime.inbox import Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer
+from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 
@@ -72,14 +72,10 @@ class SimulationThread:
         self._stepping = stepping
         self._tell_failure = tell_failure
         self._observers = Observers()
-        self._busy: list[Callable[[str], frozenset[str]]] = []
-        needed = lockstep_parts or {}
-        self._buffers = {
-            name: CommandBuffer(atomic for part in needed.get(name, ())
-                                for atomic in robot.parts[part].atomic)
-            for name, robot in simulation.robots.items()}
         # A stamp of zero means none, so the first instant is that after one period.
         simulation.step_count = max(simulation.step_count, steps)
+        self._commands = PendingCommands(
+            simulation, (lockstep_parts or {}) if stepping == 'lockstep' else None)
         self._paused = paused
         self._stopping = False
         self._lock = threading.RLock()
@@ -89,8 +85,6 @@ class SimulationThread:
         self._repeat_at = 0.0
         #: How many periods may follow each other in which nothing but physics happens.
         self._at_once = 1
-        #: The state that commands may answer; none while they are being used.
-        self._present_ns: int | None = simulation.time_ns
         self.progress = Progress(time.monotonic(), simulation.time_ns)
         self.at_start = True
         self.error: BaseException | None = None
@@ -116,14 +110,14 @@ class SimulationThread:
         """Ask at the end of the next control period which observers have to be called."""
         self._observers.look_again()
 
-    def keep_busy(self, busy_parts: Callable[[str], frozenset[str]]) -> None:
+    def keep_busy(self, busy_parts: BusyParts) -> None:
         """
         Let lock-step not wait for commands of some parts, beside those that follow trajectories.
 
         :param busy_parts: returns the atomic parts of a robot, by its name; called in the
             simulation's thread, must not call back
         """
-        self._busy = [*self._busy, busy_parts]
+        self._commands.keep_busy(busy_parts)
 
     def start(self) -> None:
         """Show the first state and begin."""
@@ -169,23 +163,10 @@ class SimulationThread:
         :raises CommandError: in lockstep, if that is not the present state, or it has been
             answered already
         """
-        buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
-        with self._lock:
-            if self._stepping == 'lockstep' and stamp_ns and stamp_ns != self._present_ns:
-                raise CommandError(f'lockstep: the command answers the state of '
-                                   f'{stamp_ns / 1e9:.9f} s, {self._present()}')
-            handles = []
-            for command in commands:
-                buffer.add(command)
-                handles.append(command.handle)
+        handles = self._commands.add(commands, stamp_ns, robot)
         if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
             self._inbox.wake()
         return handles
-
-    def _present(self) -> str:
-        if self._present_ns is None:
-            return 'all commands for that state have come already'
-        return f'the present state is that of {self._present_ns / 1e9:.9f} s'
 
     def call(self, function: Callable[[], T]) -> T:
         """
@@ -236,10 +217,7 @@ class SimulationThread:
         :param restart_time: let simulation time begin again, as at the start, and not go on
         """
         def change() -> None:
-            with self._lock:
-                self._present_ns = None
-                for buffer in self._buffers.values():
-                    buffer.clear('the simulation was reset')
+            self._commands.clear('the simulation was reset')
             self._simulation.reset()
             # A state of its own needs a stamp of its own, and zero is none.
             self._simulation.step_count += self._steps
@@ -287,7 +265,7 @@ class SimulationThread:
             now = time.monotonic()
             if self._repeats:
                 held = self._paused or self._simulation.diverged is not None
-                if not held and self._all_commanded():
+                if not held and self._commands.complete:
                     return True
                 if now >= self._repeat_at:
                     return False
@@ -298,14 +276,6 @@ class SimulationThread:
                 self._inbox.wait(self._pacer.deadline_s - now)
         return False
 
-    def _all_commanded(self) -> bool:
-        return all(buffer.ready() or buffer.ready(self._busy_parts(name))
-                   for name, buffer in self._buffers.items())
-
-    def _busy_parts(self, robot: str) -> frozenset[str]:
-        return self._simulation.robots[robot].joints.busy_parts.union(
-            *(busy_parts(robot) for busy_parts in self._busy))
-
     @property
     def _repeats(self) -> bool:
         """Whether the present state is shown again and again: nothing is due by itself."""
@@ -314,15 +284,10 @@ class SimulationThread:
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or several if nobody notices."""
-        with self._lock:
-            self._present_ns = None
-            commands = [(name, buffer.take()) for name, buffer in self._buffers.items()
-                        if buffer.waits]
-        for name, taken in commands:
-            for command in taken:
-                # It may have been withdrawn meanwhile.
-                if command.handle.is_active:
-                    self._apply(name, command)
+        for name, command in self._commands.take():
+            # It may have been withdrawn meanwhile.
+            if command.handle.is_active:
+                self._apply(name, command)
         if most > 1 and self._observers.absent and self._simulation.idle:
             self._simulation.advance_idle(self._steps, most)
         else:
@@ -345,8 +310,7 @@ class SimulationThread:
 
     def _show(self, number: int = 0) -> None:
         time_ns = self._simulation.time_ns
-        with self._lock:
-            self._present_ns = time_ns
+        self._commands.may_answer(time_ns)
         now = time.monotonic()
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
         self._repeat_at = now + _REPEAT_S

@@ -1,0 +1,116 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the robots of a simulation have been told for the next control period."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+import threading
+
+from manip_sim.errors import CommandError
+from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Command, CommandHandle
+
+#: Tells which atomic parts of a robot, by its name, need no command.
+BusyParts = Callable[[str], frozenset[str]]
+
+
+class PendingCommands:
+    """
+    Commands by robot until they are used; in lock-step, also whether all have come.
+
+    Any thread may add some; all else is for the simulation's thread.
+
+    :param simulation: whose robots they are for
+    :param lockstep_parts: by robot, the parts that must have had a command; None: there is no
+        lock-step
+    """
+
+    def __init__(self, simulation: Simulation,
+                 lockstep_parts: Mapping[str, Iterable[str]] | None) -> None:
+        self._simulation = simulation
+        self._lockstep = lockstep_parts is not None
+        needed = lockstep_parts or {}
+        self._buffers = {
+            name: CommandBuffer(atomic for part in needed.get(name, ())
+                                for atomic in robot.parts[part].atomic)
+            for name, robot in simulation.robots.items()}
+        self._busy: list[BusyParts] = []
+        self._lock = threading.Lock()
+        #: The state that commands may answer; none while they are being used.
+        self._present_ns: int | None = simulation.time_ns
+
+    def keep_busy(self, busy_parts: BusyParts) -> None:
+        """
+        Let lock-step not wait for commands of some parts, beside those that follow trajectories.
+
+        :param busy_parts: returns the atomic parts of a robot, by its name
+        """
+        self._busy = [*self._busy, busy_parts]
+
+    def add(self, commands: Iterable[Command], stamp_ns: int, robot: str | None
+            ) -> list[CommandHandle]:
+        """
+        Keep validated commands.
+
+        :param commands: of one robot
+        :param stamp_ns: in lock-step, the state that they are the answer to [ns]; 0: not told
+        :param robot: its name; None is the only one
+        :returns: what becomes of each command
+        :raises CommandError: in lock-step, if that is not the present state, or it has been
+            answered already
+        """
+        buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
+        with self._lock:
+            if self._lockstep and stamp_ns and stamp_ns != self._present_ns:
+                raise CommandError(f'lockstep: the command answers the state of '
+                                   f'{stamp_ns / 1e9:.9f} s, {self._present()}')
+            handles = []
+            for command in commands:
+                buffer.add(command)
+                handles.append(command.handle)
+        return handles
+
+    def _present(self) -> str:
+        if self._present_ns is None:
+            return 'all commands for that state have come already'
+        return f'the present state is that of {self._present_ns / 1e9:.9f} s'
+
+    def may_answer(self, time_ns: int) -> None:
+        """
+        Let commands answer a state from now on.
+
+        :param time_ns: its simulation time [ns]
+        """
+        with self._lock:
+            self._present_ns = time_ns
+
+    @property
+    def complete(self) -> bool:
+        """Whether every part that lock-step waits for has a command, or needs none."""
+        return all(buffer.ready() or buffer.ready(self._busy_parts(name))
+                   for name, buffer in self._buffers.items())
+
+    def _busy_parts(self, robot: str) -> frozenset[str]:
+        return self._simulation.robots[robot].joints.busy_parts.union(
+            *(busy_parts(robot) for busy_parts in self._busy))
+
+    def take(self) -> list[tuple[str, Command]]:
+        """Return the commands with their robots' names; the next state may be answered again."""
+        with self._lock:
+            self._present_ns = None
+            return [(name, command) for name, buffer in self._buffers.items() if buffer.waits
+                    for command in buffer.take()]
+
+    def clear(self, reason: str) -> None:
+        """
+        Abort all commands; the next state may be answered again.
+
+        :param reason: why, for their handles
+        """
+        with self._lock:
+            self._present_ns = None
+            for buffer in self._buffers.values():
+                buffer.clear(reason)
