@@ -76,7 +76,26 @@ def test_a_robot_is_rendered_small_and_in_colour(tmp_path, renderer):
         assert file.stat().st_size < 150_000
     picture = image.open(tmp_path / 'Panda.png').convert('RGB')
     assert picture.size == (800, 540)
-    # The arm is white, the pedestal black; a picture of nothing has neither above the floor.
+    # The arm is white, the pedestal black; a picture of nothing has neither.
     left = picture.crop((0, 0, 400, 540)).getcolors(1 << 20)
-    assert sum(count for count, colour in left if min(colour) > 225) > 2000
-    assert sum(count for count, colour in left if max(colour) < 45) > 2000
+    assert sum(count for count, colour in left if min(colour) > 215) > 2000
+    assert sum(count for count, colour in left if max(colour) < 70) > 2000
+
+
+def test_what_is_shown_fills_the_picture_and_has_one_size_before_one_colour(tmp_path, renderer):
+    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
+    chops = pytest.importorskip('PIL.ImageChops')
+    assert run_gallery('--output', tmp_path, 'Panda').returncode == 0
+    picture = image.open(tmp_path / 'Panda.png').convert('RGB')
+    boxes = []
+    for left in (0, 400):
+        view = picture.crop((left, 0, left + 400, 540))
+        backdrop = view.getpixel((0, 0))
+        # Neither floor nor horizon: all round, and where the two would meet.
+        assert {view.getpixel((x, y)) for x in (0, 399) for y in range(540)} == {backdrop}
+        boxes.append(chops.difference(view, image.new('RGB', view.size, backdrop)).getbbox())
+    heights = [bottom - top for _, top, _, bottom in boxes]
+    assert min(heights) > 0.9 * 540
+    assert max(heights) - min(heights) < 0.03 * 540
+    # Mirror views: an upright thing stands in the middle of both.
+    assert all(abs(left + right - 400) < 40 for left, _, right, _ in boxes)
