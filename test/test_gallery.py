@@ -82,20 +82,22 @@ def test_a_robot_is_rendered_small_and_in_colour(tmp_path, renderer):
     assert sum(count for count, colour in left if max(colour) < 70) > 2000
 
 
-def test_what_is_shown_fills_the_picture_and_has_one_size_before_one_colour(tmp_path, renderer):
+@pytest.mark.parametrize(('name', 'width', 'height'), [
+    ('Panda', 400, 540), ('bases/RethinkMinimalMount', 300, 405)])
+def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, width, height,
+                                                                        tmp_path, renderer):
     image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
     chops = pytest.importorskip('PIL.ImageChops')
-    assert run_gallery('--output', tmp_path, 'Panda').returncode == 0
-    picture = image.open(tmp_path / 'Panda.png').convert('RGB')
-    boxes = []
-    for left in (0, 400):
-        view = picture.crop((left, 0, left + 400, 540))
+    assert run_gallery('--output', tmp_path, Path(name).name).returncode == 0
+    picture = image.open(tmp_path / f'{name}.png').convert('RGB')
+    assert picture.size == (2 * width, height)
+    sizes = []
+    for left in (0, width):
+        view = picture.crop((left, 0, left + width, height))
         backdrop = view.getpixel((0, 0))
-        # Neither floor nor horizon: all round, and where the two would meet.
-        assert {view.getpixel((x, y)) for x in (0, 399) for y in range(540)} == {backdrop}
-        boxes.append(chops.difference(view, image.new('RGB', view.size, backdrop)).getbbox())
-    heights = [bottom - top for _, top, _, bottom in boxes]
-    assert min(heights) > 0.9 * 540
-    assert max(heights) - min(heights) < 0.03 * 540
-    # Mirror views: an upright thing stands in the middle of both.
-    assert all(abs(left + right - 400) < 40 for left, _, right, _ in boxes)
+        # No tiles, no horizon, no haze.
+        assert {view.getpixel((x, y)) for x in (0, width - 1) for y in range(height)} == {backdrop}
+        shown = chops.difference(view, image.new('RGB', view.size, backdrop)).getbbox()
+        sizes.append((shown[2] - shown[0], shown[3] - shown[1]))
+        assert max(sizes[-1][0] / width, sizes[-1][1] / height) > 0.9
+    assert all(abs(one - other) < 0.03 * height for one, other in zip(*sizes))

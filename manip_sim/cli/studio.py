@@ -40,8 +40,7 @@ def prepare(model: mujoco.MjModel) -> None:
 
 def light(scene: mujoco.MjvScene, azimuth: float) -> None:
     """
-    Replace the lights of a scene that is seen from a side, and let its ground have the backdrop's
-    colour where no shadow falls.
+    Replace the lights of a scene, and let its ground be like the backdrop where no shadow falls.
 
     :param azimuth: of the view [degrees]
     """
