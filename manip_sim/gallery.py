@@ -12,6 +12,7 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
+from manip_sim.cli.framing import View
 from manip_sim.cli.output import write_whole
 from manip_sim.cli.rendering import check_pillow, picture_of_part, picture_of_world
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
@@ -29,6 +30,8 @@ _SIZE, _SMALL_SIZE = (800, 540), (600, 405)
 _THUMBNAIL_SIZE = (360, 243)
 _CAPTION_HEIGHT = 26
 _COLUMNS = 3
+#: Of grippers, which are the same from the left and from the right, and of bases.
+_FRONT_AND_SIDE, _FRONT_AND_BACK = (View(200.0), View(110.0)), (View(140.0), View(40.0))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -115,9 +118,11 @@ def _pictures(kind: str, names: Sequence[str], optional: bool) -> Iterator[tuple
     from manip_sim.models.bases import create_base
     from manip_sim.models.grippers import create_gripper
     render: dict[str, Callable[[str], Image]] = {
-        'robots': lambda name: picture_of_world(compose(name), _SIZE),
-        'grippers': lambda name: picture_of_part(create_gripper(name), _SMALL_SIZE),
-        'bases': lambda name: picture_of_part(create_base(name), _SMALL_SIZE)}
+        'robots': lambda name: picture_of_world(compose(name), _SIZE, in_studio=True),
+        'grippers': lambda name: picture_of_part(
+            create_gripper(name), _SMALL_SIZE, _FRONT_AND_SIDE, in_studio=True),
+        'bases': lambda name: picture_of_part(
+            create_base(name), _SMALL_SIZE, _FRONT_AND_BACK, in_studio=True)}
     for name in names:
         try:
             picture = render[kind](name)
@@ -149,9 +154,8 @@ def _save_small(picture: Image, file: Path) -> Path:
     from PIL.Image import Quantize
 
     def save(path: Path) -> None:
-        for colours, method in ((256, Quantize.MEDIANCUT), (256, Quantize.MAXCOVERAGE),
-                                (128, Quantize.MAXCOVERAGE), (64, Quantize.MAXCOVERAGE)):
-            picture.quantize(colours, method).save(path, optimize=True)
+        for colours in (256, 128, 64):
+            picture.quantize(colours, Quantize.MAXCOVERAGE, kmeans=4).save(path, optimize=True)
             if path.stat().st_size < MAX_BYTES:
                 break
 

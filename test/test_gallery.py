@@ -76,7 +76,28 @@ def test_a_robot_is_rendered_small_and_in_colour(tmp_path, renderer):
         assert file.stat().st_size < 150_000
     picture = image.open(tmp_path / 'Panda.png').convert('RGB')
     assert picture.size == (800, 540)
-    # The arm is white, the pedestal black; a picture of nothing has neither above the floor.
+    # The arm is white, the pedestal black; a picture of nothing has neither.
     left = picture.crop((0, 0, 400, 540)).getcolors(1 << 20)
-    assert sum(count for count, colour in left if min(colour) > 225) > 2000
-    assert sum(count for count, colour in left if max(colour) < 45) > 2000
+    assert sum(count for count, colour in left if min(colour) > 215) > 2000
+    assert sum(count for count, colour in left if max(colour) < 70) > 2000
+
+
+@pytest.mark.parametrize(('name', 'width', 'height'), [
+    ('Panda', 400, 540), ('bases/RethinkMinimalMount', 300, 405)])
+def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, width, height,
+                                                                        tmp_path, renderer):
+    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
+    chops = pytest.importorskip('PIL.ImageChops')
+    assert run_gallery('--output', tmp_path, Path(name).name).returncode == 0
+    picture = image.open(tmp_path / f'{name}.png').convert('RGB')
+    assert picture.size == (2 * width, height)
+    sizes = []
+    for left in (0, width):
+        view = picture.crop((left, 0, left + width, height))
+        backdrop = view.getpixel((0, 0))
+        # No tiles, no horizon, no haze.
+        assert {view.getpixel((x, y)) for x in (0, width - 1) for y in range(height)} == {backdrop}
+        shown = chops.difference(view, image.new('RGB', view.size, backdrop)).getbbox()
+        sizes.append((shown[2] - shown[0], shown[3] - shown[1]))
+        assert max(sizes[-1][0] / width, sizes[-1][1] / height) > 0.9
+    assert all(abs(one - other) < 0.03 * height for one, other in zip(*sizes))

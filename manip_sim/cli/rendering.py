@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
-from dataclasses import dataclass
 from typing import Any, TYPE_CHECKING
 
-from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
+from manip_sim.cli import studio
+from manip_sim.cli.framing import cameras, TWO_SIDES, View
+from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
@@ -20,36 +21,12 @@ if TYPE_CHECKING:
     from manip_sim.models import World
     from manip_sim.models.mjcf import MujocoXMLModel
 
-AZIMUTHS = (140.0, 40.0)
-ELEVATION = -12.0
-#: To see into bins and onto tables.
-ELEVATION_OF_ARENAS = -35.0
-_MARGIN = 1.05
 #: Where the lowest shape of a part that is shown alone is above the floor [m].
 _ABOVE_FLOOR = 0.01
 #: How long coupled joints may take to find their start [s].
 _SETTLE_S = 0.5
 #: What of an arena without furniture is shown: the corners of a part of its floor [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
-
-
-@dataclass(frozen=True)
-class View:
-    """
-    From where a picture is taken; it shows all there is, as large as it can be.
-
-    :ivar azimuth: looking along x is 0, along y is 90 [degrees]
-    :ivar elevation: looking down is negative [degrees]
-    :ivar camera: of the model, instead of these
-    """
-
-    azimuth: float = AZIMUTHS[0]
-    elevation: float = ELEVATION
-    camera: str | None = None
-
-
-TWO_SIDES = tuple(View(azimuth) for azimuth in AZIMUTHS)
-TWO_SIDES_OF_ARENAS = tuple(View(azimuth, ELEVATION_OF_ARENAS) for azimuth in AZIMUTHS)
 
 
 def check_pillow() -> None:
@@ -64,22 +41,23 @@ def check_pillow() -> None:
         raise ManipSimError('needs pillow: pip install "manip_sim[gallery]"') from None
 
 
-def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] = TWO_SIDES
-                     ) -> Image:
+def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] = TWO_SIDES,
+                     in_studio: bool = False) -> Image:
     """
     Render a world at its start.
 
     :param size: width and height of the picture; views stand side by side in it [pixels]
     :param views: from where
+    :param in_studio: before a backdrop of one colour instead of the arena's floor and sky
     :raises UnknownNameError: if there is no such camera
     :raises ManipSimError: if nothing can be rendered
     """
     model, data = _start_of(world)
-    return _picture(model, data, size, views, _FLOOR if not world.robots else ())
+    return _picture(model, data, size, views, in_studio, _FLOOR if not world.robots else ())
 
 
 def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
-                    views: Sequence[View] = TWO_SIDES) -> Image:
+                    views: Sequence[View] = TWO_SIDES, in_studio: bool = False) -> Image:
     """
     Render a gripper or a base alone over a floor, a gripper as on a flange that faces down.
 
@@ -108,11 +86,12 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
         if not len(corners):
             raise ModelError(f'{part.name} has no visible shapes (group 0 to 2), so no picture')
         height += _ABOVE_FLOOR - float(corners[:, 2].min())
-    return _picture(model, data, size, views)
+    return _picture(model, data, size, views, in_studio)
 
 
 def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
-             views: Sequence[View], else_shown: Sequence[Sequence[float]] = ()) -> Image:
+             views: Sequence[View], in_studio: bool,
+             else_shown: Sequence[Sequence[float]] = ()) -> Image:
     import mujoco
     import numpy as np
     from PIL import Image
@@ -123,7 +102,9 @@ def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
             raise ModelError('without visible shapes (group 0 to 2) there is no picture')
         corners = np.array(else_shown)
     width, height = -(-size[0] // len(views)), size[1]
-    cameras = [_camera(view, model, corners, width / height) for view in views]
+    if in_studio:
+        studio.prepare(model)
+    seen_by = cameras(views, model, corners, width / height)
     model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
     model.vis.global_.offheight = max(height, model.vis.global_.offheight)
     shown = mujoco.MjvOption()
@@ -132,8 +113,10 @@ def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
     picture = Image.new('RGB', size)
     try:
         with mujoco.Renderer(model, height, width) as renderer:
-            for index, camera in enumerate(cameras):
+            for index, camera in enumerate(seen_by):
                 renderer.update_scene(data, camera, shown)
+                if in_studio:
+                    studio.light(renderer.scene, views[index].azimuth)
                 view = Image.fromarray(renderer.render())
                 picture.paste(view, (index * size[0] // len(views), 0))
     except Exception as error:  # Each way to render has exceptions of its own.
@@ -179,25 +162,3 @@ def _visible_corners(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
         corners.append(data.geom_xpos[geom]
                        + (middle + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T)
     return np.concatenate(corners)
-
-
-def _camera(view: View, model: mujoco.MjModel, points: Any, aspect: float) -> Any:
-    """Return a camera of the model, or one that sees all points and is as near as that allows."""
-    import mujoco
-    import numpy as np
-    if view.camera is not None:
-        names = [model.camera(index).name for index in range(model.ncam)]
-        if view.camera not in names:
-            raise UnknownNameError('camera', view.camera, names)
-        return view.camera
-    turn, tilt = np.radians(view.azimuth), np.radians(view.elevation)
-    forward = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
-    right = np.array([np.sin(turn), -np.cos(turn), 0.0])
-    camera = mujoco.MjvCamera()
-    camera.azimuth, camera.elevation = view.azimuth, view.elevation
-    camera.lookat[:] = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    tangent = np.tan(np.radians(model.vis.global_.fovy / 2.0)) / _MARGIN
-    seen = points - camera.lookat
-    aside, above = np.abs(seen @ right), np.abs(seen @ np.cross(right, forward))
-    camera.distance = np.max(np.maximum(aside / aspect, above) / tangent - seen @ forward)
-    return camera

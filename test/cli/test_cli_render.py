@@ -24,9 +24,9 @@ def rendered(command, tmp_path, renderer):
 
 
 def dark(picture):
-    """Return the share of pixels that are nearly black."""
+    """Return the share of pixels that are dark."""
     counts = picture.convert('L').histogram()
-    return sum(counts[:45]) / sum(counts)
+    return sum(counts[:60]) / sum(counts)
 
 
 def difference(one, other):
