@@ -300,7 +300,10 @@ def _recorded(laboratory: Laboratory, again: bool) -> Record:
     digest_file = RECORD_FILE.with_suffix('.sha256')
     if again or not RECORD_FILE.exists() or digest_file.read_text() != _sources_digest():
         print('recording which lines each test runs (some minutes)', flush=True)
+        RECORD_FILE.unlink(missing_ok=True)
         laboratory.record()
+        if not RECORD_FILE.exists():
+            sys.exit('the tests could not be recorded: try them with -p mutation.recorder')
         digest_file.write_text(_sources_digest())
     return Record(RECORD_FILE.read_text())
 

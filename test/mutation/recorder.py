@@ -19,7 +19,9 @@ RECORD, SOURCES = 'MUTATION_RECORD', 'MUTATION_SOURCES'
 
 _durations: dict[str, float] = {}
 _failed: set[str] = set()
-_tracer = coverage.Coverage(data_file=None, include=os.environ[SOURCES].split(','))
+#: Without the settings of ``make coverage``.
+_tracer = coverage.Coverage(data_file=None, config_file=False,
+                            include=os.environ[SOURCES].split(','))
 
 
 def pytest_configure() -> None:
