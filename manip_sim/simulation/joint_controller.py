@@ -56,12 +56,14 @@ class JointController(ControlledJoints):
         self._timeout_s = dict.fromkeys(atomic, 0.0)
         self._last_command_s: dict[str, float] = {}
         self.timeouts = dict.fromkeys(atomic, 0)
+        #: Whether servos have yet to be told new efforts.
+        self._efforts_due = False
         self._written = False
 
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may, in the next interval."""
-        return bool(self._setpoints.moving or self.commands.waiting or any(
+        return bool(self._setpoints.moving or self._efforts_due or self.commands.waiting or any(
             isinstance(c, (JointTrajectory, BaseTwist))
             or isinstance(c, CartesianCommand) and self.cartesian.moves(c)
             for c in self.commands.running))
@@ -137,7 +139,7 @@ class JointController(ControlledJoints):
         self._setpoints.place(everything, position, np.zeros(len(position)))
         self._setpoints.moving = False
         self._servos.start(data, everything, position, np.zeros(len(position)))
-        self._written = False
+        self._efforts_due = self._written = False
 
     def apply(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
@@ -191,7 +193,8 @@ class JointController(ControlledJoints):
             else:
                 self._effort[indices] = values
                 self._servos.give_effort(indices, True)
-                self._setpoints.moving = True
+                self._setpoints.wake()
+                self._efforts_due = True
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
@@ -266,12 +269,13 @@ class JointController(ControlledJoints):
         for command in self.commands.running:
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
-        setpoints.advance(duration_s)
+        if not setpoints.settled:
+            setpoints.advance(duration_s)
         self._follow_trajectories(data, now_s + duration_s)
         setpoints.hold_back(data.qpos[servos.qpos], servos.lead)
         servos.write(data, duration_s, setpoints.position, setpoints.velocity,
                      setpoints.acceleration, self._effort)
-        self._written = True
+        self._written, self._efforts_due = True, False
 
     def _start_trajectories(self, now_s: float, duration_s: float) -> None:
         for command in list(self.commands.waiting):

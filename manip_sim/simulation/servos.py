@@ -228,6 +228,10 @@ class Servos:
         :param acceleration: at its end [rad/s^2 or m/s^2], shape (n,)
         :param effort: of the sources of effort, at once [N m or N], shape (n,)
         """
+        if self._gives_effort.all():
+            data.ctrl[self._ids] = 0.0
+            data.act[self._activation] = effort / self._gear
+            return
         self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]

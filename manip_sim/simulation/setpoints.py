@@ -78,6 +78,15 @@ class SetpointGenerator:
             return False
         return bool(self._resting()[indices].all())
 
+    @property
+    def settled(self) -> bool:
+        """Whether :meth:`advance` has nothing to do."""
+        return not (self.moving or self._catches)
+
+    def wake(self) -> None:
+        """Let setpoints that were held back after they had come to rest go on."""
+        self.moving = self.moving or self._catches
+
     def place(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
         Put setpoints somewhere with a velocity, from which they come to rest.
