@@ -372,3 +372,21 @@ def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, 
     assert velocity * distance > 0.0
     assert velocity**2 / (2.0 * A) == pytest.approx(left, rel=1e-6, abs=1e-16)
     assert braking_velocity(np.zeros(1), np.ones(1), interval_s)[0] == 0.0
+
+
+def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():
+    setpoints = generator()
+    setpoints.go_to(ONE, np.array([0.5]), PERIOD_S)
+    while setpoints.moving:
+        setpoints.advance(0.002)
+    assert setpoints.settled and setpoints.position[0] == pytest.approx(0.5)
+    setpoints.wake()
+    assert setpoints.settled and not setpoints.moving  # There is nothing to do.
+    setpoints.hold_back(np.array([0.2]), np.array([0.1]))
+    assert setpoints.position[0] == pytest.approx(0.3)
+    assert not setpoints.settled and not setpoints.moving
+    setpoints.wake()
+    assert setpoints.moving
+    for _ in range(1000):
+        setpoints.advance(0.002)
+    assert setpoints.settled and setpoints.position[0] == pytest.approx(0.5)
