@@ -191,6 +191,10 @@ def test_a_file_that_is_missing_or_nothing_we_know_is_told(tmp_path):
         load_robot(write(tmp_path / 'robot.txt', ''))
     with pytest.raises(ModelError, match="any.yaml must say which 'model' it describes"):
         load_robot(write(tmp_path / 'any.yaml', 'base: none'))
+    write(tmp_path / 'one' / 'arm.xml', ARM)
+    for name in ('any.yaml', 'zebra.yaml'):
+        with pytest.raises(ModelError, match=f"{name} must say which 'model' it describes"):
+            load_robot(write(tmp_path / 'one' / name, 'base: none'))
     write(tmp_path / 'two' / 'a.xml', ARM)
     write(tmp_path / 'two' / 'b.xml', ARM)
     with pytest.raises(ModelError, match='two has neither robot.yaml nor two.xml nor one model '
@@ -236,6 +240,21 @@ def test_a_mount_of_a_file_carries_the_robot_on_its_highest_point(tmp_path):
     np.testing.assert_allclose(load_base(tmp_path / 'stand.xml').top_offset, [0.0, 0.0, 0.3])
 
 
+@pytest.mark.parametrize('height', [0.25, 0.6])
+def test_a_mount_that_is_not_on_a_floor_carries_the_robot_at_its_origin(tmp_path, height):
+    base = load_base(write(tmp_path / 'stand.xml', MOUNT.replace('0 0 0.2"', f'0 0 {height}"')))
+    np.testing.assert_array_equal(base.top_offset, [0.0, 0.0, 0.0])
+    assert not any('stands on' in sentence for sentence in base.inferred)
+
+
+def test_a_base_with_one_end_carries_the_robot_there(tmp_path):
+    cart = CART.replace('<body name="deck" pos="0 0 0.2"/>', '<body name="lift" pos="0 0 0.2">'
+                        '<joint name="rise" type="slide"/><geom size="0.1"/></body>')
+    base = load_base(write(tmp_path / 'cart.xml', cart.replace(
+        '</actuator>', '<position joint="rise" kp="100"/></actuator>')))
+    assert base.inferred[-1] == "the robot stands on body 'lift'"
+
+
 def test_a_base_with_joints_carries_the_robot_on_the_body_that_is_said(tmp_path):
     write(tmp_path / 'cart.yaml', 'support: deck')
     base = load_base(write(tmp_path / 'cart.xml', CART))
@@ -266,6 +285,13 @@ def test_an_arena_of_a_file_is_a_world_to_stand_in(tmp_path):
     model = compose(write(tmp_path / 'arm.xml', ARM), arena=arena).compile()
     np.testing.assert_allclose(model.body('robot0_base').pos, [0.5, 0.0, 0.02])
     assert model.body('block').pos[0] == 1.0
+
+
+def test_robots_stand_in_the_middle_of_an_arena_that_does_not_say_where(tmp_path):
+    hall = '<mujoco><worldbody><geom type="plane" size="5 5 0.1"/></worldbody></mujoco>'
+    arena = load_arena(write(tmp_path / 'hall.xml', hall))
+    robot = load_robot(write(tmp_path / 'arm.xml', ARM))
+    np.testing.assert_array_equal(arena.robot_position(robot), [0.0, 0.0, 0.0])
 
 
 def test_files_of_other_packages_are_robots_hands_and_worlds_by_path(tmp_path):

@@ -98,6 +98,14 @@ def test_a_control_range_is_no_longer_than_what_the_joint_can_reach(tmp_path):
     np.testing.assert_allclose(hand.format_action([1.0]), [-1.0])
 
 
+def test_a_control_range_that_ends_a_little_beyond_the_joint_presses(tmp_path):
+    text = HAND.replace('name="pull" tendon="split" ctrlrange="0 255"',
+                        'name="pull" joint="left_finger" ctrlrange="-0.001 0.031"')
+    text = text.replace('gainprm="1.5"', 'gainprm="12750"')
+    model = load_gripper(write(tmp_path / 'hand.xml', text)).compile()
+    np.testing.assert_allclose(model.actuator('gripper0_pull').ctrlrange, [-0.001, 0.031])
+
+
 def test_an_actuator_without_any_limit_is_told(tmp_path):
     text = HAND.replace('ctrlrange="0 255" forcerange="-50 50"', '')
     hand = load_gripper(write(tmp_path / 'hand.xml', text))

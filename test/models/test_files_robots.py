@@ -11,6 +11,9 @@ from files_rig import ARM, ARM_WITH_HAND, TWO_ARMS, write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, compose_robot, load_robot
+from manip_sim.models.files.frames import free_name
+from manip_sim.models.files.reading import read_model
+from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 
@@ -296,3 +299,30 @@ def test_joints_without_actuators_get_servos(tmp_path):
     model = robot.compile()
     np.testing.assert_allclose(model.actuator_ctrlrange, model.jnt_range)
     assert (model.actuator_biasprm[:, 1] < 0.0).all()
+
+
+def test_what_stands_beside_the_robot_and_has_shapes_or_joints_stays(tmp_path):
+    beside = """<body name="table" pos="1 0 0"><geom size="0.2"/></body>
+      <body name="door" pos="2 0 0"><joint name="hinge"/>
+        <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body>
+      <body name="marker" pos="3 0 0"/><body name="base" """
+    spec = read_model(write(tmp_path / 'arm.xml', ARM.replace('<body name="base"', beside))).spec
+    assert {'table', 'door', 'base'} <= {body.name for body in spec.bodies}
+    assert spec.body('marker') is None
+
+
+def test_an_actuator_that_sticks_to_things_drives_no_joint():
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody>
+      <body><joint name="turn"/><geom size="1"/><body name="pad"><joint name="press" type="slide"/>
+        <geom size="1"/><site name="middle"/></body></body></worldbody>
+      <actuator><adhesion name="stick" body="pad" ctrlrange="0 1"/>
+        <general name="thrust" site="middle"/><motor name="torque" joint="turn"/></actuator>
+      </mujoco>""")
+    tree = BodyTree(model)
+    assert [tree.driven(actuator) for actuator in range(3)] == [set(), {0, 1}, {0}]
+
+
+@pytest.mark.parametrize(('taken', 'found'), [
+    ([], 'a'), (['a'], 'a1'), (['a', 'a1'], 'a2'), (['a', 'a2'], 'a1')])
+def test_a_free_name_has_the_first_number_that_is_free(taken, found):
+    assert free_name(taken, 'a') == found

@@ -75,7 +75,7 @@ def test_without_a_cube_the_example_says_so(sim_process, process):
     ({'start_paused': True}, 'the simulation stands still: is it paused, or in lock-step?')])
 def test_the_example_tells_what_is_wrong_with_a_node_that_answers(
         parameters, problem, serve, client, monkeypatch, capsys):
-    monkeypatch.setattr('manip_sim.examples.task._PATIENCE_S', 2.0)
+    monkeypatch.setattr('manip_sim.examples.task._PATIENCE_S', 6.0)
     serve(arena='table', **parameters)
     client.state()
     assert pick_cube.main([]) == 1

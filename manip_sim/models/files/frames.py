@@ -56,8 +56,7 @@ def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
 
 
 def add_body_at(spec: mujoco.MjSpec, model: mujoco.MjModel, place: tuple[str, Any], name: str,
-                position: ArrayLike = (0.0, 0.0, 0.0),
-                orientation: ArrayLike = (0.0, 0.0, 0.0)) -> Any:
+                position: ArrayLike, orientation: ArrayLike) -> Any:
     """
     Add a body without mass.
 
