@@ -47,7 +47,7 @@ class Output:
     def heard(self) -> bool:
         """Whether somebody listens."""
         try:
-            return not self._closed and self._publisher.handle.get_subscription_count() > 0
+            return not self._closed and self._publisher.get_subscription_count() > 0
         except InvalidHandle:  # It is being closed in another thread.
             return False
 
