@@ -4,6 +4,7 @@
 """Joints that are tied to each other by equalities of MuJoCo, in chains and stars."""
 
 import mujoco
+import numpy as np
 import pytest
 
 from manip_sim.simulation.couplings import JointCouplings
@@ -54,3 +55,13 @@ def test_a_polynomial_counts_up_to_its_fourth_power():
     pair = couplings('<joint joint1="j1" joint2="j0" polycoef="0.1 0.2 0.3 0.4 0.5"/>')
     assert pair.follow({0: 0.5})[1] == pytest.approx(
         0.1 + 0.2 * 0.5 + 0.3 * 0.25 + 0.4 * 0.125 + 0.5 * 0.0625)
+
+
+def test_ratios_are_the_derivative_of_the_polynomial_over_the_whole_range():
+    pair = couplings('<joint joint1="j1" joint2="j0" polycoef="0.1 0.2 0.3 0.4 0.5"/>')
+    ratios = pair.ratios(0)
+    assert len(ratios) > 2
+    for place, found in zip(np.linspace(-1.0, 1.0, len(ratios)), ratios):
+        assert found[0] == pytest.approx(1.0, abs=1e-6)
+        assert found[1] == pytest.approx(
+            0.2 + 0.6 * place + 1.2 * place**2 + 2.0 * place**3, abs=1e-3)

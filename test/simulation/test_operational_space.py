@@ -8,6 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.simulation.cartesian.operational_space import wanted_motion
+from manip_sim.simulation.cartesian.settings import CartesianSettings
+
 
 def base_axes(op):
     """Return the axes of the arm's mount in the world."""
@@ -167,3 +170,29 @@ def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):
     goal[axis] += way
     op.run_until_done([op.go_to((goal, rotation))])
     assert op.report.counts == {'unreachable': 0, 'joint_limit': 0, 'singular': 0, 'slowed': 0}
+
+
+@pytest.mark.parametrize(('error', 'expected'), [
+    ([0.01, 0.0, 0.02, 0.0, -0.03, 0.0], None),
+    ([3.0, 0.0, 4.0, 0.0, 0.0, 0.01], [0.3, 0.0, 0.4, 0.0, 0.0, None]),
+    ([0.0, 0.01, 0.0, 6.0, 0.0, -8.0], [0.0, None, 0.0, 0.36, 0.0, -0.48])])
+def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings(error, expected):
+    settings = CartesianSettings(linear_velocity=0.5, angular_velocity=0.6)
+    error = np.array(error)
+    balance = settings.stiffness / settings.damping * error
+    expected = balance if expected is None else np.array(
+        [b if e is None else e for b, e in zip(balance, expected)])
+    motion = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
+    np.testing.assert_allclose(motion.twist, expected, atol=1e-12)
+    assert not motion.slowed and not motion.singular
+
+
+def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
+    settings, error = CartesianSettings(), np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.0])
+    free = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
+    limits = np.full(6, 10.0)
+    limits[0] = free.joints[0] / 4.0
+    slow = wanted_motion(np.eye(6), error, np.zeros(6), settings, limits)
+    np.testing.assert_allclose(slow.twist, free.twist / 4.0, atol=1e-12)
+    np.testing.assert_allclose(slow.joints, free.joints / 4.0, atol=1e-12)
+    assert slow.slowed and not free.slowed

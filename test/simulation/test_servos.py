@@ -12,6 +12,7 @@ from sampling import Driven, sampled, whole_robot
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.actuator_properties import stiffness_and_damping
 
 #: Franka Emika data sheet.
 TORQUE_LIMITS_N_M = np.array([87.0] * 4 + [12.0] * 3)
@@ -485,3 +486,15 @@ def test_a_servo_much_too_damped_for_a_light_joint_stays_stiff(one_joint_arm, ru
     simulation.data.qfrc_applied[simulation.model.joint(joint).dofadr[0]] = 0.1
     run(simulation, 2.0)
     assert abs(simulation.robot.state().position[0]) < 0.05
+
+
+@pytest.mark.parametrize(('actuator', 'gains'), [
+    ('<position kp="3" kv="0.5" joint="joint1"/>', (3.0, 0.5)),
+    ('<velocity kv="0.5" joint="joint1"/>', (None, 0.5))])
+def test_the_gains_of_a_servo_are_those_of_the_model_however_small(actuator, gains):
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody>{LINK}</worldbody><actuator>{actuator}</actuator></mujoco>')
+    kp, kv = stiffness_and_damping(model, np.array([0]), np.array([0]))
+    assert kv == pytest.approx([gains[1]])
+    if gains[0] is not None:
+        assert kp == pytest.approx([gains[0]])
