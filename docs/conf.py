@@ -44,13 +44,14 @@ nitpicky = True
 # Types of other packages, and of the standard library, are not linked: builds need no network.
 nitpick_ignore_regex = [
     ('py:.*', r'(mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
-    ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence|Union)'),
+    ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence)'),
+    ('py:.*', 'Union'),
     ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT)'),
     # Fields of instances are part of the text of their class.
     ('py:(attr|data)', '.*'),
     # What is behind the classes that are documented.
-    ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|ModelFile|RobotPlan|Subsystems'
-                        r'|ImageSettings|CameraModel|Camera|InitializationNoise|create_camera)'),
+    ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|ModelFile|RobotPlan'
+                        r'|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise|create_camera)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
