@@ -51,7 +51,8 @@ nitpick_ignore_regex = [
     ('py:(attr|data)', '.*'),
     # What is behind the classes that are documented.
     ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|ModelFile|RobotPlan'
-                        r'|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise|create_camera)'),
+                        r'|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise'
+                        r'|create_camera)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
