@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import contextlib
 from typing import Any
 
@@ -24,6 +23,7 @@ from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
@@ -127,10 +127,6 @@ class SimNode(Node):
         self._descriptions: list[ModelPublisher | DescriptionPublisher] = [
             model, DescriptionPublisher(self, world, self._robots, value('ros2_control_tag'))]
 
-    @staticmethod
-    def _models(world: World) -> list[Any]:
-        return [world.arena, *world.robots, *(m for robot in world.robots for m in robot.models)]
-
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
         value = self._declared.value
         for name, part in robot.parts.items():
@@ -185,43 +181,16 @@ class SimNode(Node):
     def _tell_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
 
-    def _introduce(self, world: World) -> None:
-        value = self._declared.value
-        lines = []
-        for scope, robot in self._robots.items():
-            name = f'{scope.name}: ' if scope.name else ''
-            lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
-                         f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
-                         f'{self.simulation.timestep_s:g} s'
-                         + (', paused until ~/pause is called' if self.thread.paused else ''))
-            lines += self._parts_in_words(scope, robot)
-        space = '<robot>/' if any(scope.name for scope in self._robots) else ''
-        lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '
-                     f'on {space}<part>/command, {space}<part>/joint_command and '
-                     f'{space}joint_command')
-        self.get_logger().info('\n'.join(lines))
-        for model in self._models(world):
-            if getattr(model, 'inferred', None):
-                self.get_logger().info(f'{model.name}: inferred: {"; ".join(model.inferred)}')
-        for note in self.notes:
-            self.get_logger().info(note)
+    def _introduce(self) -> None:
+        log = self.get_logger()
+        log.info(introduction(self._robots, self.simulation, self._declared.value,
+                              self.thread.paused))
+        for note in (*inferred(self._world), *self.notes):
+            log.info(note)
         for defect in self.simulation.start_defects:
-            self.get_logger().warning(f'start: {defect}')
+            log.warning(f'start: {defect}')
         if self.get_parameter('use_sim_time').value:
-            self.get_logger().warning('use_sim_time has no effect here: this node makes the time')
-
-    def _parts_in_words(self, scope: Scope, robot: SimulatedRobot) -> Iterator[str]:
-        unit = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
-        for name, part in robot.parts.items():
-            if not part.joints or part.atomic != (name,):
-                continue
-            mode = 'position'
-            if part.gripper is None and part.actuators:
-                mode = self._declared.value(scope.parameter(f'control_mode.{name}'))
-            yield f'  {name}: {mode} mode, joints {", ".join(part.joints)}'
-            if part.gripper is None:
-                limits = ' '.join(f'[{low:g}, {high:g}]' for low, high in robot.limits(name))
-                yield f'    limits {limits} {unit[mode]}'
+            log.warning('use_sim_time has no effect here: this node makes the time')
 
     def start(self) -> None:
         """
@@ -236,7 +205,7 @@ class SimNode(Node):
         # Nobody should wait for these to get the first state.
         for publisher in self._descriptions:
             publisher.publish()
-        self._introduce(self._world)
+        self._introduce()
 
     def destroy_node(self) -> None:
         """Destroy the node and its actions, which rclpy would leave, and the node with them."""

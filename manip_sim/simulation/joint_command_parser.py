@@ -41,6 +41,11 @@ class _Group:
     clamps: FloatArray
     indices: IntArray
 
+    def __post_init__(self) -> None:
+        # Many commands have the same ones.
+        for array in (self.places, self.clamps, self.indices):
+            array.setflags(write=False)
+
 
 @dataclass(frozen=True)
 class _Addressed:

@@ -18,6 +18,7 @@ from manip_sim.simulation.active_commands import ActiveCommands
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
 from manip_sim.simulation.cartesian.targets import Hand
+from manip_sim.simulation.command_timeouts import CommandTimeouts
 from manip_sim.simulation.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status,
     TrajectoryStop)
@@ -41,7 +42,6 @@ class JointController(ControlledJoints):
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :param hands: of the arms that take Cartesian commands, by arm
-    :ivar timeouts: how often each atomic part had no fresh command for too long
     :ivar cartesian: controls the hands
     :ivar commands: those that have not ended
     """
@@ -53,9 +53,7 @@ class JointController(ControlledJoints):
             model, data, hands or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
         self.commands = ActiveCommands(len(self.names))
-        self._timeout_s = dict.fromkeys(atomic, 0.0)
-        self._last_command_s: dict[str, float] = {}
-        self.timeouts = dict.fromkeys(atomic, 0)
+        self._timeouts = CommandTimeouts(atomic)
         #: Whether servos have yet to be told new efforts.
         self._efforts_due = False
         self._written = False
@@ -69,11 +67,15 @@ class JointController(ControlledJoints):
             for c in self.commands.running))
 
     @property
+    def timeouts(self) -> dict[str, int]:
+        """How often each atomic part had no fresh command for too long."""
+        return self._timeouts.counts
+
+    @property
     def resting(self) -> bool:
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
         return not (self._setpoints.moving or self._written or self.commands.running
-                    or self.commands.waiting
-                    or any(self._timeout_s[part] for part in self._last_command_s))
+                    or self.commands.waiting or self._timeouts.pending)
 
     def rebind(self, model: mujoco.MjModel) -> None:
         """Go on with a model in which these actuators and joints are what and where they were."""
@@ -96,7 +98,7 @@ class JointController(ControlledJoints):
         :raises UnknownNameError: if there is no such part
         """
         for name in self.parts_of(self.indices_of(part)):
-            self._timeout_s[name] = timeout_s
+            self._timeouts.set(name, timeout_s)
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
@@ -131,7 +133,7 @@ class JointController(ControlledJoints):
         """Abort all commands and rest where the joints are; modes stay."""
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
-        self._last_command_s.clear()
+        self._timeouts.clear()
         self.cartesian.reset()
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)
@@ -156,8 +158,7 @@ class JointController(ControlledJoints):
             command.handle.end(Status.ABORTED, 'the control mode has changed')
             return
         meant.handle.status = Status.RUNNING
-        for part in meant.parts:
-            self._last_command_s[part] = now_s
+        self._timeouts.renew(meant.parts, now_s)
         if isinstance(meant, JointTrajectory):
             self.commands.await_start(meant)
         elif isinstance(meant, TrajectoryStop):
@@ -231,9 +232,8 @@ class JointController(ControlledJoints):
             if (isinstance(command, JointSetpoint) and set(command.modes) == {'position'}
                     and self._setpoints.at_rest(command.indices)):
                 self._finish(command, data, command.values)
-        for part, last_s in list(self._last_command_s.items()):
-            timeout_s = self._timeout_s[part]
-            if 0.0 < timeout_s <= now_s - last_s + 1e-9 and part not in self.busy_parts:
+        for part in self._timeouts.overdue(now_s):
+            if part not in self.busy_parts:
                 self._time_out(part)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
@@ -243,8 +243,7 @@ class JointController(ControlledJoints):
 
     def _time_out(self, part: str) -> None:
         indices = self.indices_of(part)
-        del self._last_command_s[part]
-        self.timeouts[part] += 1
+        self._timeouts.count(part)
         self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
         gives = self._servos.gives_effort(indices)
         self._effort[indices[gives]] = 0.0
@@ -312,8 +311,7 @@ class JointController(ControlledJoints):
                 self._finish(command, data, position)
                 # It may have a velocity there still, or have been held back on the way.
                 self._setpoints.come_back(command.indices, position)
-                for part in command.parts - self._commanded_parts():
-                    self._last_command_s.pop(part, None)
+                self._timeouts.forget(command.parts - self._commanded_parts())
 
     def _commanded_parts(self) -> frozenset[str]:
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))

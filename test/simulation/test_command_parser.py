@@ -182,6 +182,14 @@ def test_command_for_joints_of_several_parts_moves_them_all(panda_sim, parse, ru
     assert panda_sim.data.joint(FINGER).qpos[0] == pytest.approx(0.01, abs=1e-3)
 
 
+def test_what_commands_for_the_same_joints_share_cannot_be_changed(parse):
+    first, second = (parse.joint_command([J1, FINGER], position=[0.1, 0.01]) for _ in range(2))
+    for one, other in zip(first, second):
+        assert one.indices is other.indices and one.values is not other.values
+        with pytest.raises(ValueError, match='read-only'):
+            one.indices[0] = 5
+
+
 def test_the_same_names_mean_something_else_in_another_mode(panda_sim, parse):
     (goal,) = parse.joint_command([J1, J2], position=[9.0, 9.0])
     panda_sim.robot.set_control_mode('arm', 'velocity')

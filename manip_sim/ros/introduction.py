@@ -1,0 +1,67 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a node says of itself when it has started."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from manip_sim.interface.scope import Scope
+from manip_sim.models import World
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+_UNITS = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
+Value = Callable[[str], Any]
+
+
+def introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation, value: Value,
+                 paused: bool) -> str:
+    """
+    Return the robots with their parts, modes and limits, and where they are reached.
+
+    :param robots: by the scope of their topics and parameters
+    :param simulation: of the robots
+    :param value: returns the value of a parameter
+    :param paused: whether the simulation waits to be let run
+    """
+    lines = []
+    for scope, robot in robots.items():
+        name = f'{scope.name}: ' if scope.name else ''
+        lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
+                     f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
+                     f'{simulation.timestep_s:g} s'
+                     + (', paused until ~/pause is called' if paused else ''))
+        lines += _parts(scope, robot, value)
+    space = '<robot>/' if any(scope.name for scope in robots) else ''
+    lines.append(f'  states on {space}joint_states and {space}<part>/joint_states, commands '
+                 f'on {space}<part>/command, {space}<part>/joint_command and '
+                 f'{space}joint_command')
+    return '\n'.join(lines)
+
+
+def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
+    for name, part in robot.parts.items():
+        if not part.joints or part.atomic != (name,):
+            continue
+        mode = 'position'
+        if part.gripper is None and part.actuators:
+            mode = value(scope.parameter(f'control_mode.{name}'))
+        yield f'  {name}: {mode} mode, joints {", ".join(part.joints)}'
+        if part.gripper is None:
+            limits = ' '.join(f'[{low:g}, {high:g}]' for low, high in robot.limits(name))
+            yield f'    limits {limits} {_UNITS[mode]}'
+
+
+def inferred(world: World) -> Iterator[str]:
+    """
+    Yield what was inferred of each model that comes from a file.
+
+    :param world: with the models
+    """
+    models: list[Any] = [world.arena, *world.robots]
+    for model in (*models, *(part for robot in world.robots for part in robot.models)):
+        sentences = getattr(model, 'inferred', None)
+        if sentences:
+            yield f'{model.name}: inferred: {"; ".join(sentences)}'
