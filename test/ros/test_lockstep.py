@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.errors import CommandError
 
-CYCLES = 2000
+CYCLES = 1000
 PERIOD_NS = 2_000_000
 BUSY = 'import time; end = time.time() + 120\nwhile time.time() < end: pass'
 
