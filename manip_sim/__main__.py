@@ -29,7 +29,7 @@ def main() -> int:
     """
     Run the node.
 
-    :returns: the exit code: 0 after SIGINT or SIGTERM, 1 if the node cannot start
+    :returns: exit code: 0 after SIGINT, SIGTERM or --help, 1 on failure, 2 for a wrong argument
     """
     arguments = sys.argv[1:]
     ours = arguments[:arguments.index('--ros-args')] if '--ros-args' in arguments else arguments
@@ -41,7 +41,7 @@ def main() -> int:
         return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
-    # Nothing of what is imported and built is garbage; run() collects again.
+    # Nothing that is imported and built at the start is garbage; run() enables collection again.
     gc.disable()
     try:
         from manip_sim.without_opengl import import_mujoco

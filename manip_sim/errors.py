@@ -16,11 +16,11 @@ import re
 
 from manip_sim.quoting import quoted
 
-#: Least likeness of a name that is suggested, from 0 to 1.
+#: Least similarity of a suggested name, from 0 to 1.
 _ALIKE = 0.5
-#: Of a name that was requested; a longer one is like none of ours.
+#: How much of a requested name is compared; a longer one resembles none of ours.
 _COMPARED_CHARACTERS = 100
-#: Room for suggestions, and for suggestions and the list of names together [characters].
+#: Longest suggestions, and longest suggestions and list of names together [characters].
 _MAX_HINT, _MAX_CHOICES = 120, 240
 
 
@@ -33,7 +33,7 @@ class ModelError(ManipSimError, ValueError):
 
 
 class CommandError(ManipSimError, ValueError):
-    """A command has the wrong length, an unknown joint or a number that is not finite."""
+    """A command is invalid (length, joint names, numbers) or cannot be carried out at present."""
 
 
 class ParameterError(ManipSimError, ValueError):
@@ -41,7 +41,7 @@ class ParameterError(ManipSimError, ValueError):
 
 
 class SimulationEnded(ManipSimError):
-    """The simulation is not running any more."""
+    """The simulation is no longer running."""
 
 
 class UnknownNameError(ModelError, KeyError):
@@ -67,7 +67,7 @@ class UnknownNameError(ModelError, KeyError):
 
 def describe_choices(name: object, available: Iterable[str]) -> str:
     """
-    Say which of the available names is nearest, and which there are, in at most 240 characters.
+    Suggest the nearest available names, and list what is available, in at most 240 characters.
 
     :param name: what was requested
     :param available: the names that exist
@@ -96,8 +96,8 @@ def _nearest(asked: str, names: list[str]) -> list[str]:
     """
     Return up to three names, the nearest first.
 
-    Names of the same words in any order go before those that end with the same words, as
-    ``robot0_joint1`` does for ``joint1``, and those before names that look alike.
+    These are names of the same words in any order; else names that end with the same words, as
+    ``robot0_joint1`` does for ``joint1``; else names that look alike.
     """
     words = {name: _words(name) for name in names}
     ending = {name: _common_end(_words(asked), words[name]) for name in names}
@@ -121,7 +121,7 @@ def _common_end(one: list[str], other: list[str]) -> int:
 
 
 def _likeness(one: str, other: str) -> float:
-    """Return how alike two names are, or their words in alphabetical order, from 0 to 1."""
+    """Return the similarity of two names, or of their sorted words if higher, from 0 to 1."""
     return max(
         difflib.SequenceMatcher(None, other.lower(), one.lower()).ratio(),
         difflib.SequenceMatcher(None, ' '.join(sorted(_words(other))),

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 CONTACT_SHEET = 'contact_sheet.png'
 MAX_BYTES = 150_000
-#: Below the folder of the gallery; robots are in that folder itself.
+#: Subfolders of the gallery's folder; robots are in that folder itself.
 _FOLDERS = {'robots': '.', 'grippers': 'grippers', 'bases': 'bases'}
-#: Of robots, and of what is smaller [pixels].
+#: Sizes of the pictures of robots, and of grippers and bases [pixels].
 _SIZE, _SMALL_SIZE = (800, 540), (600, 405)
 _THUMBNAIL_SIZE = (360, 243)
 _CAPTION_HEIGHT = 26
 _COLUMNS = 3
-#: Of grippers, which are the same from the left and from the right, and of bases.
+#: Views of grippers, which look the same from the left and from the right, and of bases.
 _FRONT_AND_SIDE, _FRONT_AND_BACK = (View(200.0), View(110.0)), (View(140.0), View(40.0))
 
 
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     if sys.platform == 'linux':
-        # MuJoCo looks at this when it is imported, hence the imports inside functions.
+        # MuJoCo reads this when it is imported, hence the imports inside functions.
         os.environ.setdefault('MUJOCO_GL', 'egl')
     try:
         make_gallery(options.output, options.name)
@@ -75,8 +75,8 @@ def make_gallery(output: Path, names: Sequence[str] = ()) -> list[Path]:
     Write a picture for each robot, gripper and base, and the contact sheets.
 
     :param output: folder, created if it is missing
-    :param names: of robots, grippers and bases, by default all; a base or gripper without visible
-        shapes is left out then
+    :param names: of robots, grippers and bases; if empty, all but grippers and bases without
+        visible shapes
     :returns: the files written
     :raises UnknownNameError: if there is no such robot, gripper or base
     :raises ManipSimError: if pillow is missing or nothing can be rendered
@@ -104,7 +104,7 @@ def make_gallery(output: Path, names: Sequence[str] = ()) -> list[Path]:
 def _known_names() -> dict[str, list[str]]:
     try:
         import mujoco  # noqa: F401
-    except Exception as error:  # What MUJOCO_GL asks for is looked up at the import.
+    except Exception as error:  # The import loads what MUJOCO_GL names.
         raise cannot_render(error) from error
     from manip_sim.models.bases import base_names
     from manip_sim.models.grippers import gripper_names
@@ -113,7 +113,7 @@ def _known_names() -> dict[str, list[str]]:
 
 
 def _pictures(kind: str, names: Sequence[str], optional: bool) -> Iterator[tuple[str, Image]]:
-    """Yield pictures; optional ones of what has no visible shapes are left out."""
+    """Yield names and pictures; ``optional`` omits grippers and bases without visible shapes."""
     from manip_sim.models import compose
     from manip_sim.models.bases import create_base
     from manip_sim.models.grippers import create_gripper

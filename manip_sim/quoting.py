@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Show text that came from outside in a message: on one line, without control characters, cut."""
+"""Text from outside as messages show it: on one line, without control characters, shortened."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LINE_LIMIT = 500
 
 def quoted(text: object, limit: int = _TEXT_LIMIT) -> str:
     """
-    Return a name or value in quotes, with escapes for all that is not printable.
+    Return a name or value in quotes, shortened, with unprintable characters escaped.
 
     :param text: what came from outside; a long one costs no more than a short one
     :param limit: number of characters that are shown
@@ -24,7 +24,7 @@ def quoted(text: object, limit: int = _TEXT_LIMIT) -> str:
 
 
 def shown(value: object, limit: int = _TEXT_LIMIT) -> str:
-    """Return a value that came from outside: a text in quotes, another one, cut, as it is."""
+    """Return a value that came from outside: a text in quotes, any other on one line."""
     return quoted(value, limit) if isinstance(value, str) else one_line(str(value), limit)
 
 
@@ -41,7 +41,7 @@ def quoted_names(names: Sequence[object], limit: int = _NAMES_LIMIT) -> str:
 
 def one_line(text: str, limit: int = _LINE_LIMIT) -> str:
     """
-    Return a text with escapes for line ends and control characters, cut to a length.
+    Return a text, shortened, with line ends and control characters escaped.
 
     :param limit: number of characters of the text that are shown
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one place that knows where the files beside the package lie, and what they say of it."""
+"""The one place that knows where the package's data files are, and which version they declare."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def share_directory() -> Path:
 @lru_cache(maxsize=1)
 def package_version() -> str:
     """Return the version that ``package.xml`` declares."""
-    from xml.etree import ElementTree  # A node that starts needs neither.
+    from xml.etree import ElementTree  # Not needed to start a node.
     version = ElementTree.parse(share_directory() / 'package.xml').findtext('version')
     assert version is not None
     return version

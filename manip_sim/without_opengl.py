@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How programs that may render later, or never, import MuJoCo."""
+"""Import MuJoCo in programs that render later, or never."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ def import_mujoco() -> None:
     """
     Import MuJoCo without OpenGL.
 
-    MuJoCo would look for it in processes of their own, which takes long and outlives a signal, and
-    could not be imported where ``MUJOCO_GL`` asks for something that is not there.
+    Otherwise MuJoCo looks for OpenGL in child processes, which take long and outlive a signal, and
+    its import fails where ``MUJOCO_GL`` names a backend that is not available.
     """
     asked = os.environ.get('MUJOCO_GL')
     os.environ['MUJOCO_GL'] = 'disable'

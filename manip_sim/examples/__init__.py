@@ -1,4 +1,4 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Controllers that know the node by its topics alone."""
+"""Controllers that use the node through its topics alone."""

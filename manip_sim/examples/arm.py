@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One arm with a gripper, commanded and seen through its topics."""
+"""One arm with a gripper, commanded and observed through its topics."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from manip_sim.arrays import FloatArray
 from manip_sim.examples.inverse_kinematics import InverseKinematics
 from manip_sim.examples.task import Task, TaskFailed
 
-#: The fastest joint of a motion moves so fast on average [rad/s], and a motion takes so long [s].
+#: Average speed of the fastest joint of a motion [rad/s], and the shortest motion [s].
 _SPEED, _SHORTEST_S = 0.9, 0.8
-#: A motion has ended when all joints are so near [rad]; later than planned by so much at most [s].
+#: How near its goal each joint must come [rad], and how much later than planned at most [s].
 _NEAR, _LATE_S = 0.01, 3.0
-#: Fingers that move less [rad or m] for so long [s], and in so many states, are still: a program
-#: that gets little time sees few states, and its command may come late.
+#: Fingers are still if they move less than this [rad or m] for a duration [s] and a number of
+#: states: a program that gets little processor time sees few states and may command late.
 _STILL, _STILL_S, _STILL_STATES = 5e-4, 0.3, 20
-#: Further postures to start from where the present one leads to none.
+#: Number of random postures to start from if the present one leads to no solution.
 _STARTS = 40
 
 
@@ -71,14 +71,14 @@ class Arm:
 
     @property
     def is_seen(self) -> bool:
-        """Whether there is a state of everything."""
+        """Whether a message has come on every topic."""
         return None not in (self._all, self._arm, self._fingers, self._wrench)
 
     def connect(self, model: mujoco.MjModel) -> None:
         """
-        Wait until the simulation listens, and take its model; to be called when it is seen.
+        Wait until the node subscribes to commands, and use its model; needs :attr:`is_seen`.
 
-        :raises TaskFailed: if it does not listen
+        :raises TaskFailed: if it does not subscribe
         """
         self._task.wait_until(lambda: min(self._trajectory.get_subscription_count(),
                                           self._gripper.get_subscription_count()) > 0,
@@ -93,24 +93,24 @@ class Arm:
 
     @property
     def joints(self) -> FloatArray:
-        """Where the arm's joints are [rad]."""
+        """Positions of the arm's joints [rad], shape (n,), a copy."""
         assert self._arm is not None
         return np.array(self._arm.position)
 
     @property
     def fingers(self) -> FloatArray:
-        """Where the gripper's joints are [rad or m]."""
+        """Positions of the gripper's joints [rad or m], shape (n,), a copy."""
         assert self._fingers is not None
         return np.array(self._fingers.position)
 
     @property
     def grip(self) -> tuple[FloatArray, FloatArray]:
-        """Where the grip site is in ``world``: position [m] and rotation matrix."""
+        """Pose of the grip site in ``world``: position [m] and rotation matrix, copies."""
         return self._kinematics.forward(self.joints)
 
     @property
     def force(self) -> FloatArray:
-        """What the wrist exerts on the gripper [N], in :attr:`sensor_frame`."""
+        """Force that the wrist exerts on the gripper [N], in :attr:`sensor_frame`, a copy."""
         assert self._wrench is not None
         force = self._wrench.wrench.force
         return np.array([force.x, force.y, force.z])
@@ -124,7 +124,7 @@ class Arm:
 
     @property
     def sensor_frame(self) -> str:
-        """The name of the frame of the force sensor."""
+        """The name of the frame of the force/torque sensor."""
         assert self._wrench is not None
         return str(self._wrench.header.frame_id)
 
@@ -133,12 +133,12 @@ class Arm:
     def posture(self, position: FloatArray, rotations: Sequence[FloatArray],
                 start: FloatArray | None = None) -> FloatArray:
         """
-        Return joint positions that bring the grip site to a pose, by the shortest way.
+        Return joint positions for a pose: of those found, the ones that are nearest to ``start``.
 
         :param position: of the grip site in ``world`` [m], shape (3,)
-        :param rotations: rotation matrices of the grip site that will do
-        :param start: from where the way is [rad]; by default where the joints are
-        :raises TaskFailed: if it is out of reach
+        :param rotations: acceptable rotation matrices of the grip site in ``world``
+        :param start: joint positions before the motion [rad], shape (n,); by default the present
+        :raises TaskFailed: if no joint positions are found
         """
         start = self.joints if start is None else start
         low, high = self._kinematics.ranges
@@ -159,9 +159,9 @@ class Arm:
 
     def move(self, goal: FloatArray) -> None:
         """
-        Move the joints on a quintic, and wait until they are there.
+        Move the joints along a quintic polynomial, and wait until they reach the goal.
 
-        :param goal: joint positions [rad]
+        :param goal: joint positions [rad], shape (n,)
         :raises TaskFailed: if they do not get there
         """
         assert self._arm is not None

@@ -6,7 +6,7 @@ Hand a cube from one arm to a second and a third one, through topics alone.
 
 Needs a node with ``config/hand_over.yaml``. The arms ``left`` and ``right`` hold the cube from
 above by its sides along y, the arm ``middle`` from below by its sides along x. After each grasp
-the cube's pose tells whether it moves with the hand.
+the cube's pose shows whether it moves with the hand.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
 from manip_sim.examples.task import run, Task, TaskFailed
 
-#: Where ``left`` gives the cube to ``middle``, and that to ``right``, in ``world`` [m].
+#: Where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
-#: Where the cube shall stand in the end [m], and how far from there it may [m].
+#: Where the cube should stand in the end, in ``world`` [m], and the tolerance [m].
 GOAL, NEAR_GOAL_M = np.array([-0.05, -0.5, 0.825]), 0.03
-#: How far from the cube a hand waits [m]; above or below its middle it grips so far away [m].
+#: How far from the cube a hand waits [m], and how far from the cube's centre it grips [m].
 _AWAY_M, _OFF_MIDDLE_M = 0.12, 0.008
-#: A cube that is held moves in the hand by less [m].
+#: A cube that is held moves in the hand by less than this [m].
 _SLIP_M = 0.01
-#: Fingers that close move by more [rad or m].
+#: Fingers that close move by more than this [rad or m].
 _CLOSES = 2e-3
 _SETTLE_S = 0.3
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 class HandOver(Task):
-    """Lets ``left`` pick the cube up, ``middle`` take it, and ``right`` put it down."""
+    """A task: ``left`` picks the cube up, ``middle`` takes it, and ``right`` puts it down."""
 
     def __init__(self) -> None:
         super().__init__('hand_over', 'sim_node --ros-args --params-file hand_over.yaml')
@@ -56,7 +56,7 @@ class HandOver(Task):
         return np.array([position.x, position.y, position.z])
 
     def _sides(self) -> list[FloatArray]:
-        """Return the horizontal directions from the cube's middle to its sides."""
+        """Return the horizontal directions from the cube's centre to its sides, in ``world``."""
         assert self._pose is not None
         turned, rotation = self._pose.pose.orientation, np.empty(9)
         mujoco.mju_quat2Mat(rotation, np.array([turned.w, turned.x, turned.y, turned.z]))
@@ -88,9 +88,9 @@ class HandOver(Task):
     # ------------------------------------------------------------------ steps
 
     def _take(self, arm: Arm, approach: FloatArray, across: Sequence[FloatArray]) -> None:
-        """Let an arm grip the cube, moving along ``approach``, with its fingers ``across``."""
+        """Let an arm approach the cube and grip it, fingers closing along one of ``across``."""
         rotations = [_looking(approach, direction) for direction in across]
-        # Each of two hands leaves the other one some room.
+        # Two hands that hold the cube leave room for each other.
         grip = self._cube - _OFF_MIDDLE_M * approach
         before = arm.posture(grip - _AWAY_M * approach, rotations)
         at_cube = arm.posture(grip, rotations, start=before)
@@ -103,7 +103,7 @@ class HandOver(Task):
         self.say(f'{arm.name} grips the cube at {_in_words(self._cube)}')
 
     def _carry(self, arm: Arm, place: FloatArray, approach: FloatArray) -> None:
-        """Let an arm bring the cube to a place, and check that it comes along."""
+        """Let an arm carry the cube to a place, and check that it is still held."""
         inside = self._inside(arm)
         rotations = [_looking(approach, direction) for direction in _directions(approach)]
         arm.move(arm.posture(place - _OFF_MIDDLE_M * approach, rotations))
@@ -147,20 +147,20 @@ class HandOver(Task):
                  'the goal')
 
     def _inside(self, arm: Arm) -> FloatArray:
-        """Return where the cube is in the frame of an arm's grip site [m]."""
+        """Return the cube's position in the frame of an arm's grip site [m], shape (3,)."""
         position, rotation = arm.grip
         inside: FloatArray = (self._cube - position) @ rotation
         return inside
 
 
 def _directions(approach: FloatArray) -> list[FloatArray]:
-    """Return where fingers may close: along y from above, across to that from below."""
+    """Return directions in which fingers may close: along y from above, along x from below."""
     axis = np.array([0.0, 1.0, 0.0] if approach[2] < 0.0 else [1.0, 0.0, 0.0])
     return [axis, -axis]
 
 
 def _looking(approach: FloatArray, across: FloatArray) -> FloatArray:
-    """Return the rotation of a grip site: z is the way it approaches, fingers close along x."""
+    """Return the rotation of a grip site that approaches along z and closes fingers along x."""
     x = across - (across @ approach) * approach
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(approach, x), approach], axis=1)
@@ -174,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     Hand the cube over.
 
-    :returns: the exit code: 0 if the cube stands at the goal, else 1
+    :returns: the exit code: 1 if the task failed, 0 if it succeeded or was interrupted
     """
     return run(HandOver, arguments)
 

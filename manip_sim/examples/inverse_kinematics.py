@@ -14,7 +14,7 @@ from manip_sim.arrays import FloatArray
 
 _DAMPING = 1e-3
 _ITERATIONS = 500
-#: Larger errors [m, rad] are approached bit by bit.
+#: Larger errors are scaled down to this in each iteration [m, rad].
 _LARGEST_ERROR = 0.1
 _TOLERANCE = 1e-5
 
@@ -25,8 +25,8 @@ class InverseKinematics:
 
     :param model: a ``mujoco.MjModel``, such as the one that the node publishes on ``~/mjcf``
     :param joints: names of the arm's joints
-    :param site: name of the site that shall reach the pose
-    :param others: where other joints of the model are, by name [rad or m]
+    :param site: name of the site that is to reach the pose
+    :param others: positions of other joints of the model, by name [rad or m]
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[str], site: str,
@@ -44,16 +44,16 @@ class InverseKinematics:
 
     @property
     def ranges(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest positions of the joints, a turn either way without limits [rad]."""
+        """Lowest and highest joint positions, within half a turn either way [rad], shape (n,)."""
         low, high = np.clip(self._range, -np.pi, np.pi).T
         return low, high
 
     def forward(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """
-        Return where the site is.
+        Return the pose of the site.
 
         :param positions: of the joints [rad], shape (n,)
-        :returns: position in the world [m], shape (3,), and rotation matrix, shape (3, 3)
+        :returns: position in ``world`` [m], shape (3,), and rotation matrix, shape (3, 3), copies
         """
         self._data.qpos[self._qpos] = positions
         mujoco.mj_kinematics(self._model, self._data)
@@ -63,11 +63,11 @@ class InverseKinematics:
 
     def solve(self, start: FloatArray, position: FloatArray, rotation: FloatArray) -> FloatArray:
         """
-        Return joint positions that bring the site to a pose.
+        Return joint positions that bring the site to a pose [rad], shape (n,).
 
         :param start: joint positions to start from [rad], shape (n,)
-        :param position: of the site in the world [m], shape (3,)
-        :param rotation: rotation matrix of the site in the world, shape (3, 3)
+        :param position: of the site in ``world`` [m], shape (3,)
+        :param rotation: rotation matrix of the site in ``world``, shape (3, 3)
         :raises ValueError: if the pose is not reached
         """
         joints = np.array(start, dtype=float)

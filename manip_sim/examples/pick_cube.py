@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Pick a cube up through topics alone, and say what the wrist feels.
+Pick a cube up through topics alone, and report its weight as the wrist's sensor measures it.
 
-Needs a node with ``arena:=table``. The model comes from ``~/mjcf``; everything else from the
+Needs a node with ``arena:=table``. The model comes from ``~/mjcf``, everything else from the
 joint states and the wrench.
 """
 
@@ -27,7 +27,7 @@ _SETTLE_S = 1.0
 
 
 class CubePicker(Task):
-    """Moves the arm over the cube, down, closes the gripper, lifts and holds."""
+    """A task that moves the arm over the cube and down, closes the gripper, lifts and holds."""
 
     def __init__(self) -> None:
         super().__init__('pick_cube', 'sim_node --ros-args -p arena:=table')
@@ -79,7 +79,7 @@ class CubePicker(Task):
         self.say('done')
 
     def _average_force(self, duration_s: float) -> FloatArray:
-        # A busy machine may bring the wrench of an instant long after its joint states.
+        # On a busy machine the wrench of an instant may come long after its joint states.
         begin_s, forces = self.now_s, {}
         while self._arm.force_time_s < begin_s + duration_s:
             self.next_state()
@@ -90,7 +90,7 @@ class CubePicker(Task):
 
 
 def _pointing_down(rotation: FloatArray) -> FloatArray:
-    """Return the rotation nearest to one whose z points down and whose axes are the world's."""
+    """Return the rotation nearest to a given one with z down and axes along the world's."""
     z = np.array([0.0, 0.0, -1.0])
     x = np.zeros(3)
     largest = int(np.abs(rotation[:2, 0]).argmax())
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     Pick the cube up.
 
-    :returns: the exit code: 0 if the cube is held, else 1
+    :returns: the exit code: 1 if the task failed, 0 if the cube is held or it was interrupted
     """
     return run(CubePicker, arguments)
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node that does a task step by step: waits for conditions, tells what it does, and fails."""
+"""A node that does a task step by step: it waits for conditions, and prints what it does."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Task(Node):
     A node that does one task and ends.
 
     :param name: of the node
-    :param start: a command that starts the simulation that the task needs, for a message
+    :param start: a command that starts the simulation that the task needs, for error messages
     """
 
     def __init__(self, name: str, start: str) -> None:
@@ -64,9 +64,9 @@ class Task(Node):
         """
         Wait for the simulation.
 
-        :param ready: tells whether there are states of all that the task needs
+        :param ready: tells whether all states that the task needs have come
         :returns: the simulation's model
-        :raises TaskFailed: if nothing comes, telling how to start the simulation
+        :raises TaskFailed: if they do not come; the message says how to start the simulation
         """
         start = f"start one with '{self._start}'"
         self.wait_until(lambda: self._mjcf is not None, f'no node answers: {start}')
@@ -78,7 +78,7 @@ class Task(Node):
         """
         Wait for a condition.
 
-        :raises TaskFailed: with the problem, if it is not met for ten seconds of wall time
+        :raises TaskFailed: with ``problem``, if it is not met within ten seconds of wall time
         """
         end = time.monotonic() + _PATIENCE_S
         while not condition():
@@ -93,7 +93,7 @@ class Task(Node):
                         'the simulation stands still: is it paused, or in lock-step?')
 
     def wait(self, duration_s: float) -> None:
-        """Wait for so long in simulation time [s]."""
+        """Wait for a duration of simulation time [s]."""
         end = self.now_s + duration_s
         while self.now_s < end:
             self.next_state()
@@ -105,10 +105,10 @@ class Task(Node):
 
 def run(create: Callable[[], Task], arguments: Sequence[str] | None) -> int:
     """
-    Do a task as a process.
+    Run a task as a process.
 
-    :param arguments: of the process, with ROS arguments
-    :returns: the exit code: 0 if it is done, else 1
+    :param arguments: the command line, with ROS arguments; None: that of the process
+    :returns: the exit code: 1 if the task failed, 0 if it is done or was interrupted
     """
     rclpy.init(args=arguments)
     task = create()
