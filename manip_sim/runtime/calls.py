@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Functions that other threads let the simulation's thread run."""
+"""Functions that the simulation's thread runs for other threads."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Calls:
     """
     Functions that wait for the simulation's thread, in the order in which they came.
 
-    :param inbox: what that thread waits for
+    :param inbox: wakes that thread
     """
 
     def __init__(self, inbox: Inbox) -> None:
@@ -35,11 +35,11 @@ class Calls:
 
     def run(self, function: Callable[[], T]) -> T:
         """
-        Let the simulation's thread run a function, and wait for it.
+        Let the simulation's thread run a function, and wait until it has.
 
         :returns: what the function returns
         :raises Exception: what the function raises
-        :raises SimulationEnded: if the simulation has ended, or does before it comes to this
+        :raises SimulationEnded: if the simulation has ended, or ends before it runs the function
         """
         future: Future[T] = Future()
         with self._lock:
@@ -53,7 +53,7 @@ class Calls:
             raise SimulationEnded('the simulation has ended') from error
 
     def answer(self) -> None:
-        """Run all that wait, in the simulation's thread."""
+        """Run the functions that wait; called in the simulation's thread."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
         for function, future in waiting:
@@ -63,7 +63,7 @@ class Calls:
                 future.set_exception(error)
 
     def end(self) -> None:
-        """Cancel those that wait, and take no more."""
+        """Cancel the functions that wait, and accept no more."""
         with self._lock:
             self._ended = True
             waiting, self._waiting = self._waiting, []

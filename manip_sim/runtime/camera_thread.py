@@ -18,7 +18,7 @@ from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
 from manip_sim.simulation.appearance import Snapshot, VisibleWorld
 
 THREAD_NAME = 'cameras'
-#: What a rendering may still take when the thread is to end [s].
+#: How long a running rendering may still take when the thread is to end [s].
 _LAST_S = 2.0
 
 
@@ -43,8 +43,8 @@ class Shot:
 
     :ivar view: the camera
     :ivar snapshot: of the instant
-    :ivar picture: what was requested, at least
-    :ivar took_s: wall time of the rendering, 0 if it was rendered before [s]
+    :ivar picture: colours or depth or both, at least what was requested
+    :ivar took_s: wall time of the rendering [s]; 0 if an earlier picture is used again
     """
 
     view: View
@@ -68,16 +68,16 @@ class _Order:
 
 class CameraThread:
     """
-    Renders in a thread of its own, with a context and data of its own.
+    A thread that renders, with an OpenGL context and an ``MjData`` of its own.
 
     For each camera the newest snapshot counts: one that has not been rendered when the next comes
     is left out.
 
-    :param way: to render, of :func:`manip_sim.rendering.gl.choose_gl`
-    :param world: at the start
+    :param way: to render, as :func:`manip_sim.rendering.gl.choose_gl` returns it
+    :param world: as it is at the start
     :param views: the cameras
     :param deliver: is called in this thread with each shot
-    :param tell_failure: is called in this thread if nothing can be rendered (any more)
+    :param tell_failure: is called in this thread with the error that ends the rendering
     :ivar left_out: how many snapshots of each camera were not rendered because newer ones came
     :ivar failed: why nothing is rendered, or None
     """
@@ -102,7 +102,7 @@ class CameraThread:
 
     def start(self, timeout_s: float) -> None:
         """
-        Begin, and wait until OpenGL is there or has failed.
+        Start the thread, and wait until OpenGL is ready or has failed.
 
         :param timeout_s: how long to wait at most [s]
         """
@@ -111,10 +111,10 @@ class CameraThread:
 
     def order(self, view: View, snapshot: Snapshot, rgb: bool, depth: bool) -> None:
         """
-        Ask for a shot; returns at once.
+        Request a shot of a view, and return at once.
 
-        :param rgb: with colours
-        :param depth: with depth
+        :param rgb: whether colours are needed
+        :param depth: whether depth is needed
         """
         if self.failed is not None:
             return
@@ -129,7 +129,7 @@ class CameraThread:
         End the thread.
 
         :param timeout_s: how long to wait for a rendering that runs [s]
-        :returns: whether it has ended; a process in which it has not must not end by Python's way
+        :returns: whether it has ended; if not, the process must end by ``os._exit``
         """
         with self._wake:
             self._stopping = True
@@ -145,7 +145,7 @@ class CameraThread:
         try:
             context = create_context(self._way, *self._size)
             self._serve()
-        except Exception as error:  # OpenGL, MuJoCo and drivers raise what they like.
+        except Exception as error:  # OpenGL and MuJoCo raise many types.
             self.failed = error if isinstance(error, ManipSimError) else cannot_render(error)
             if not self._stopping:
                 self._tell_failure(self.failed)
@@ -181,7 +181,7 @@ class CameraThread:
         return list(orders.values())
 
     def _meet(self, order: _Order, renderer: Any) -> None:
-        if order.view.camera not in self._world.cameras:  # It has gone with its object.
+        if order.view.camera not in self._world.cameras:  # Deleted with its object.
             return
         last = self._shots.get(order.view.camera)
         if last is not None and order.is_met_by(last):

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Keep commands until the next control period; the newest wins and nothing piles up."""
+"""Keep commands until the next control period; newer ones replace older ones."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from manip_sim.simulation.commands import (
 
 class CommandBuffer:
     """
-    Commands that wait.
+    Commands that wait for the next control period.
 
-    :param lockstep_parts: the atomic parts that must each have one for :meth:`ready`
+    :param lockstep_parts: the atomic parts that must each have a command for :meth:`ready`
     """
 
     def __init__(self, lockstep_parts: Iterable[str] = ()) -> None:
@@ -26,9 +26,9 @@ class CommandBuffer:
         """
         Keep a command; the newest wins, joint by joint.
 
-        Joints that it names are taken from older commands; one that loses all of them is replaced.
-        A trajectory that begins later takes joints from other trajectories only, and a stop ends
-        nothing but trajectories.
+        Its joints are removed from older commands; one that loses all of its joints is replaced.
+        A trajectory that begins later removes joints from other trajectories only, and so does an
+        empty trajectory (a stop), which aborts those that lose all of their joints.
         """
         kept = []
         stop = isinstance(command, TrajectoryStop)
@@ -42,16 +42,16 @@ class CommandBuffer:
 
     def ready(self, busy_parts: Iterable[str] = ()) -> bool:
         """
-        Tell whether every one of the lockstep parts has a command.
+        Tell whether each of the lock-step parts has a command.
 
-        :param busy_parts: parts that have one already, such as a trajectory that they follow
+        :param busy_parts: parts that need no command, such as those that follow a trajectory
         """
         commanded = frozenset(busy_parts).union(*(c.parts for c in self._waiting))
         return self._needed <= commanded
 
     @property
     def waits(self) -> bool:
-        """Whether there are commands."""
+        """Whether any command waits."""
         return bool(self._waiting)
 
     def take(self) -> list[Command]:
@@ -70,7 +70,7 @@ class CommandBuffer:
 
 
 def _rivals(older: Command, newer: Command) -> bool:
-    """Tell whether a command takes joints from an older one."""
+    """Tell whether a command removes its joints from an older one."""
     if isinstance(newer, GripperCommand):
         return isinstance(older, GripperCommand) and older.parts == newer.parts
     if isinstance(older, GripperCommand):

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Watch the goals of actions in the simulation's thread, and tell how each has ended."""
+"""Watch the goals of actions in the simulation's thread, and report those that have ended."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class GoalTracker:
     """
     Goals that have not ended.
 
-    In lock-step each counts as the command of its parts until it has ended, so that whoever waits
-    for its end does not have to command them.
+    In lock-step each counts as the command of its parts until it has ended, so that a client that
+    waits for the result does not have to command them too.
 
     :param thread: runs the simulation; any number of trackers may observe it
     :param ended: is called in the simulation's thread, with each goal that has ended
@@ -52,9 +52,9 @@ class GoalTracker:
 
     def cancel(self, goal: Goal) -> bool:
         """
-        End a goal because its client wants so.
+        End a goal at the request of its client.
 
-        :returns: whether it had not ended before
+        :returns: whether this ended it; False if it or the simulation had ended before
         """
         try:
             return self._thread.call(lambda: self._change(goal, goal.cancel))
@@ -62,7 +62,7 @@ class GoalTracker:
             return False
 
     def abort_all(self, reason: str) -> None:
-        """End all goals without success."""
+        """Abort all goals."""
         def abort() -> None:
             for goal in self._goals:
                 goal.abort(reason)
@@ -75,7 +75,7 @@ class GoalTracker:
         return changed
 
     def observe(self, simulation: Simulation) -> None:
-        """See which goals have ended; called in the simulation's thread."""
+        """Check which goals have ended; called in the simulation's thread."""
         if self._goals:
             for goal in self._goals:
                 goal.check(simulation)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the simulation's thread waits for beside the time."""
+"""What a thread that takes commands waits for: other threads, or messages in a subclass."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import threading
 
 
 class Inbox:
-    """Lets other threads wake the one that waits."""
+    """A signal by which other threads wake the one that waits."""
 
     def __init__(self) -> None:
         self._woken = threading.Event()
 
     def wake(self) -> None:
-        """Let the present wait end, or the next one if there is none; any thread may call this."""
+        """End the present wait, or the next one if nobody waits; any thread may call this."""
         self._woken.set()
 
     def wait(self, timeout_s: float) -> None:
         """
         Wait until there may be something to do.
 
-        :param timeout_s: for so long at most [s]
+        :param timeout_s: how long to wait at most [s]
         """
         if self._woken.wait(timeout_s):
             self._woken.clear()
 
     def take(self, most: int = 1) -> None:
         """
-        Take what has come, without waiting.
+        Take the messages that have come, without waiting; here there are none.
 
-        :param most: of each topic
+        :param most: how many of each topic
         """

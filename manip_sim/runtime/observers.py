@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Who sees a simulation at the end of control periods."""
+"""Functions that see a simulation at the end of control periods."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from manip_sim.simulation import Simulation
 Observer = Callable[[Simulation], None]
 #: Tells whether an observer has to be called.
 Look = Callable[[], bool]
-#: How often observers are looked at while periods follow each other, wall time [s].
+#: How often it is looked which observers have to be called while periods run, wall time [s].
 _LOOK_S = 0.02
 
 
@@ -26,7 +26,7 @@ class _Entry:
 
 
 class Observers:
-    """The observers of a simulation; those that nobody needs at present cost nothing."""
+    """The observers of a simulation; those that nobody needs at present are not called."""
 
     def __init__(self) -> None:
         self._all: tuple[_Entry, ...] = ()
@@ -35,7 +35,7 @@ class Observers:
 
     def add(self, observer: Observer, every: int, look: Look | None) -> None:
         """
-        Add one; any thread may call this.
+        Add an observer; any thread may call this.
 
         :raises ValueError: if the divider is less than 1
         """
@@ -45,24 +45,24 @@ class Observers:
         self.look_again()
 
     def look_again(self) -> None:
-        """Ask all observers at the next state; any thread may call this."""
+        """Look at the next state which observers have to be called; any thread may call this."""
         self._look_at = 0.0
 
     @property
     def absent(self) -> bool:
-        """Whether nobody needed to be called at the last look, and none is due."""
+        """Whether no observer had to be called at the last look, and no new look is requested."""
         return not self._present and self._look_at > 0.0
 
     def show(self, simulation: Simulation, number: int, now_s: float, look: bool) -> None:
         """
-        Let the observers see a state.
+        Call the observers that need it with a state.
 
-        :param number: of the control period; those are called whose divider it is a multiple of
+        :param number: of the control period; observers are called at multiples of their divider
         :param now_s: monotonic wall time [s]
-        :param look: ask in any case who has to be called
+        :param look: whether to look which observers have to be called even if that is not due
         """
         if look or now_s >= self._look_at:
-            # First, for who comes meanwhile.
+            # Set first, or a look_again() that comes meanwhile would be lost.
             self._look_at = now_s + _LOOK_S
             self._present = tuple(
                 entry for entry in self._all if entry.look is None or entry.look())

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decide when a control period is due; it is told the time and never waits itself."""
+"""Decide when a control period is due; the caller passes the time and does the waiting."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import math
 
 class Pacer:
     """
-    Absolute deadlines for control periods that shall run at a factor of real time.
+    Absolute deadlines for control periods that are to run at a factor of real time.
 
-    Nothing adds up: the n-th deadline is the anchor plus n periods. A change of the factor and a
-    backlog of more than ``backlog_s`` set a new anchor, so that time that is lost stays lost.
+    Errors do not add up: the n-th deadline is the anchor plus n periods. A change of the factor or
+    a backlog of more than ``backlog_s`` sets a new anchor, so lost time is not made up for.
 
     :param period_s: length of a control period in simulation time [s]
     :param real_time_factor: simulation time per wall time
@@ -31,12 +31,12 @@ class Pacer:
         self.restart(now_s)
 
     def restart(self, now_s: float) -> None:
-        """Let the first period be due one period from now."""
+        """Set a new anchor: the next period is due one period from now."""
         self._anchor_s = now_s
         self._count = 1
 
     def set_real_time_factor(self, factor: float, now_s: float) -> None:
-        """Go on at another factor from now."""
+        """Change the real-time factor from now on."""
         self._factor = factor
         self.restart(now_s)
 
@@ -47,7 +47,7 @@ class Pacer:
 
     @property
     def missed(self) -> int:
-        """Number of control periods that were dropped so far, in whole ones."""
+        """Number of control periods that were dropped so far, rounded down."""
         return math.floor(self.lost_s / self._period_s + 1e-9)
 
     @property

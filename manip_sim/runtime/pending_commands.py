@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the robots of a simulation have been told for the next control period."""
+"""The commands for all robots of a simulation that wait for the next control period."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from manip_sim.runtime.command_buffer import CommandBuffer
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle
 
-#: Tells which atomic parts of a robot, by its name, need no command.
+#: Returns which atomic parts of a robot, given by its name, need no command.
 BusyParts = Callable[[str], frozenset[str]]
 
 
@@ -21,7 +21,7 @@ class PendingCommands:
     """
     Commands by robot until they are used; in lock-step, also whether all have come.
 
-    Any thread may add some; all else is for the simulation's thread.
+    Any thread may add commands; all else is for the simulation's thread.
 
     :param simulation: whose robots they are for
     :param lockstep_parts: by robot, the parts that must have had a command; None: there is no
@@ -39,14 +39,14 @@ class PendingCommands:
             for name, robot in simulation.robots.items()}
         self._busy: list[BusyParts] = []
         self._lock = threading.Lock()
-        #: The state that commands may answer; none while they are being used.
+        #: Stamp of the state that commands may answer [ns]; None while they are being used.
         self._present_ns: int | None = simulation.time_ns
 
     def keep_busy(self, busy_parts: BusyParts) -> None:
         """
-        Let lock-step not wait for commands of some parts, beside those that follow trajectories.
+        Do not let lock-step wait for commands of some parts, besides those with trajectories.
 
-        :param busy_parts: returns the atomic parts of a robot, by its name
+        :param busy_parts: returns these atomic parts of a robot, given by its name
         """
         self._busy = [*self._busy, busy_parts]
 
@@ -56,11 +56,11 @@ class PendingCommands:
         Keep validated commands.
 
         :param commands: of one robot
-        :param stamp_ns: in lock-step, the state that they are the answer to [ns]; 0: not told
-        :param robot: its name; None is the only one
-        :returns: what becomes of each command
-        :raises CommandError: in lock-step, if that is not the present state, or it has been
-            answered already
+        :param stamp_ns: in lock-step, stamp of the state that they answer [ns]; 0: not given
+        :param robot: its name; None: the only robot
+        :returns: the handle of each command
+        :raises CommandError: in lock-step, if that is not the present state, or if all commands
+            for it have come already
         """
         buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
         with self._lock:
@@ -80,7 +80,7 @@ class PendingCommands:
 
     def may_answer(self, time_ns: int) -> None:
         """
-        Let commands answer a state from now on.
+        Accept commands that answer a state from now on.
 
         :param time_ns: its simulation time [ns]
         """
@@ -98,7 +98,7 @@ class PendingCommands:
             *(busy_parts(robot) for busy_parts in self._busy))
 
     def take(self) -> list[tuple[str, Command]]:
-        """Return the commands with their robots' names; the next state may be answered again."""
+        """Return the commands with their robots' names; accept no answers to the present state."""
         with self._lock:
             self._present_ns = None
             return [(name, command) for name, buffer in self._buffers.items() if buffer.waits
@@ -106,7 +106,7 @@ class PendingCommands:
 
     def clear(self, reason: str) -> None:
         """
-        Abort all commands; the next state may be answered again.
+        Abort all commands, and accept no answers to the present state.
 
         :param reason: why, for their handles
         """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The thread that owns a simulation: it waits, advances and shows; others ask it."""
+"""The thread that owns a simulation: it waits, advances and calls observers."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 
 T = TypeVar('T')
-#: How long ``free`` runs at once at most if a control period is shorter, wall time [s].
+#: How long ``free`` may run idle control periods at once, if one is shorter, wall time [s].
 _ROUND_S = 5e-4
-#: How many messages of a topic are taken before what was called after them.
+#: How many messages of a topic are taken before a call that came after them.
 _TAKEN_BEFORE_CALLS = 10
-#: How often a state is repeated while nothing moves it on, wall time [s].
+#: Period at which a state is repeated while the simulation does not advance, wall time [s].
 _REPEAT_S = 0.1
 
 
@@ -48,16 +48,16 @@ class Progress:
 
 class SimulationThread:
     """
-    Runs a simulation in a thread of its own.
+    A thread that runs a simulation.
 
     :param simulation: used by this thread alone while it runs
     :param steps: physics steps of a control period
     :param stepping: ``realtime``, ``free`` or ``lockstep``
     :param real_time_factor: for ``realtime``
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
-    :param paused: wait for :meth:`pause` or :meth:`step`
-    :param tell_failure: is told, in this thread, which command failed and how
-    :param inbox: what the thread waits for beside the time; may bring commands
+    :param paused: whether to begin paused and wait for :meth:`pause` or :meth:`step`
+    :param tell_failure: is called in this thread with a command that failed and the exception
+    :param inbox: what the thread waits for besides deadlines; may bring commands
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -72,7 +72,7 @@ class SimulationThread:
         self._stepping = stepping
         self._tell_failure = tell_failure
         self._observers = Observers()
-        # A stamp of zero means none, so the first instant is that after one period.
+        # A stamp of zero means no stamp, so the first instant is that after one period.
         simulation.step_count = max(simulation.step_count, steps)
         self._commands = PendingCommands(
             simulation, (lockstep_parts or {}) if stepping == 'lockstep' else None)
@@ -83,7 +83,7 @@ class SimulationThread:
         self._calls = Calls(self._inbox)
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
-        #: How many periods may follow each other in which nothing but physics happens.
+        #: How many control periods may be run at once if nothing but physics happens in them.
         self._at_once = 1
         self.progress = Progress(time.monotonic(), simulation.time_ns)
         self.at_start = True
@@ -92,35 +92,35 @@ class SimulationThread:
 
     def observe(self, observer: Observer, every: int = 1, look: Look | None = None) -> None:
         """
-        Let a function see the simulation at the end of control periods, from now on.
+        Call a function at the end of control periods from now on.
 
         It sees each period whose number, counted from the beginning of simulation time, is a
-        multiple of ``every``; the states of a start, a reset and a pause are seen in any case.
+        multiple of ``every``; the state after a start or a reset and repeated states in any case.
 
         :param observer: is called in the simulation's thread, which waits for it
         :param every: divider of the control periods, 1 or more
-        :param look: tells in the simulation's thread whether the observer has to be called; it is
-            asked before each state while the simulation is paused or in lock-step, else every
-            20 ms; None is always
+        :param look: returns in the simulation's thread whether the observer has to be called; it
+            is asked before each state while the simulation is paused, diverged or in lock-step,
+            else every 20 ms; None: always call
         :raises ValueError: if the divider is less than 1
         """
         self._observers.add(observer, every, look)
 
     def look_again(self) -> None:
-        """Ask at the end of the next control period which observers have to be called."""
+        """Look at the end of the next control period which observers have to be called."""
         self._observers.look_again()
 
     def keep_busy(self, busy_parts: BusyParts) -> None:
         """
-        Let lock-step not wait for commands of some parts, beside those that follow trajectories.
+        Do not let lock-step wait for commands of some parts, besides those with trajectories.
 
-        :param busy_parts: returns the atomic parts of a robot, by its name; called in the
+        :param busy_parts: returns these atomic parts of a robot, given by its name; called in the
             simulation's thread, must not call back
         """
         self._commands.keep_busy(busy_parts)
 
     def start(self) -> None:
-        """Show the first state and begin."""
+        """Start the thread; it first shows the observers the present state."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -157,11 +157,11 @@ class SimulationThread:
         Hand over validated commands; the next control period uses them.
 
         :param commands: validated, for one robot
-        :param stamp_ns: in lockstep, the state that they are the answer to; 0 if they do not say
-        :param robot: its name; None is the only one
-        :returns: what becomes of each command
-        :raises CommandError: in lockstep, if that is not the present state, or it has been
-            answered already
+        :param stamp_ns: in lock-step, stamp of the state that they answer [ns]; 0: not given
+        :param robot: its name; None: the only robot
+        :returns: the handle of each command
+        :raises CommandError: in lock-step, if that is not the present state, or if all commands
+            for it have come already
         """
         handles = self._commands.add(commands, stamp_ns, robot)
         if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:
@@ -177,7 +177,7 @@ class SimulationThread:
         :param function: takes nothing; may change the simulation
         :returns: what the function returns
         :raises Exception: what the function raises
-        :raises SimulationEnded: if the simulation has ended, or does before it comes to this
+        :raises SimulationEnded: if the simulation has ended, or ends before it runs the function
         """
         with self._lock:
             if self._thread.ident is None and not self._stopping:
@@ -186,9 +186,9 @@ class SimulationThread:
 
     def pause(self, paused: bool) -> None:
         """
-        Stop or go on; time that passed meanwhile is not made up for.
+        Pause or resume the simulation; wall time that passed meanwhile is not made up for.
 
-        :param paused: whether to stop
+        :param paused: whether to pause
         """
         def change() -> None:
             if self._paused and not paused:
@@ -198,7 +198,7 @@ class SimulationThread:
 
     def step(self) -> None:
         """
-        Advance by one control period and show its state.
+        Advance by one control period and show the observers its state.
 
         :raises CommandError: if the simulation is not paused, or has diverged
         """
@@ -212,14 +212,14 @@ class SimulationThread:
 
     def reset(self, restart_time: bool = False) -> None:
         """
-        Put the simulation back to its start, drop commands that wait, show the state.
+        Put the simulation back to its start, abort all commands, show the observers the state.
 
-        :param restart_time: let simulation time begin again, as at the start, and not go on
+        :param restart_time: whether simulation time begins again, as at the start, or goes on
         """
         def change() -> None:
             self._commands.clear('the simulation was reset')
             self._simulation.reset()
-            # A state of its own needs a stamp of its own, and zero is none.
+            # A new state needs a new stamp, and zero means no stamp.
             self._simulation.step_count += self._steps
             if restart_time:
                 self._simulation.step_count = self._steps
@@ -230,7 +230,7 @@ class SimulationThread:
 
     def set_real_time_factor(self, factor: float) -> None:
         """
-        Go on at another speed, from now.
+        Change the speed of the simulation from now on.
 
         :param factor: simulation time per wall time, above 0
         """
@@ -247,7 +247,7 @@ class SimulationThread:
                 if self._stopping:
                     return
                 if self._calls:
-                    # What came before a call is used before it.
+                    # Commands that came before a call are taken before it.
                     self._inbox.take(_TAKEN_BEFORE_CALLS)
                     self._calls.answer()
                 if due and not self._paused:
@@ -278,12 +278,12 @@ class SimulationThread:
 
     @property
     def _repeats(self) -> bool:
-        """Whether the present state is shown again and again: nothing is due by itself."""
+        """Whether the present state is repeated, because no period is due by itself."""
         return (self._paused or self._stepping == 'lockstep'
                 or self._simulation.diverged is not None)
 
     def _period(self, most: int = 1) -> None:
-        """Run a control period, or several if nobody notices."""
+        """Run a control period, or up to ``most`` while idle and without observers."""
         for name, command in self._commands.take():
             # It may have been withdrawn meanwhile.
             if command.handle.is_active:
