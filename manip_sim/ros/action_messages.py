@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Goals from the messages of actions, and feedback and results from goals."""
+"""Convert requests of actions to goals, and goals to feedback and results."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class ActionMessages(ABC):
     """
     What the messages of an action mean for a part of a robot.
 
-    :param action_type: with ``Feedback`` and ``Result``, as of ``control_msgs.action``
+    :param action_type: with ``Feedback`` and ``Result``, such as those of ``control_msgs.action``
     :param robot: that is commanded
     :param part: of the robot
-    :param now_ns: tells the simulation time [ns]
+    :param now_ns: returns the simulation time [ns]
     :ivar action_type: of the action
     :ivar robot: that is commanded
     :ivar part: of the robot
-    :cvar name: of the action, below the part
+    :cvar name: of the action, after that of the part
     """
 
     name: ClassVar[str]
@@ -55,11 +55,11 @@ class ActionMessages(ABC):
 
     @abstractmethod
     def feedback_of(self, goal: Any) -> Any:
-        """Return what can be told of a goal on its way."""
+        """Return the feedback of a goal that has not ended."""
 
     @abstractmethod
     def result_of(self, goal: Any) -> Any:
-        """Return what can be told of a goal that has ended."""
+        """Return the result of a goal that has ended."""
 
 
 class TrajectoryMessages(ActionMessages):
@@ -94,7 +94,7 @@ class TrajectoryMessages(ActionMessages):
             self._now_ns())
 
     def feedback_of(self, goal: TrajectoryGoal) -> Any:
-        """Return desired and actual state, and the difference."""
+        """Return the desired and the actual state, and the difference."""
         message, view = self.action_type.Feedback(), goal.view
         message.joint_names = list(goal.names)
         if view is not None:
@@ -106,7 +106,7 @@ class TrajectoryMessages(ActionMessages):
         return message
 
     def result_of(self, goal: TrajectoryGoal) -> Any:
-        """Return the code and the reason."""
+        """Return the error code and the reason."""
         message, outcome = self.action_type.Result(), goal.outcome
         if outcome is not None:
             message.error_code, message.error_string = int(outcome.code), outcome.reason
@@ -142,11 +142,11 @@ class GripperMessages(ActionMessages):
                            GripperRequest(command.position, command.max_effort))
 
     def feedback_of(self, goal: GripperGoal) -> Any:
-        """Return where the gripper is."""
+        """Return the state of the gripper."""
         return self._filled(self.action_type.Feedback(), goal)
 
     def result_of(self, goal: GripperGoal) -> Any:
-        """Return where the gripper is, and whether it was stopped on its way."""
+        """Return the state of the gripper, and whether it has reached the goal or stalled."""
         return self._filled(self.action_type.Result(), goal)
 
     @staticmethod
@@ -182,7 +182,7 @@ class ParallelGripperMessages(GripperMessages):
             *numbers['name']))
 
     def result_of(self, goal: GripperGoal) -> Any:
-        """Return where the gripper is, and whether it was stopped on its way."""
+        """Return the state of the gripper, and whether it has reached the goal or stalled."""
         message = self._filled(self.action_type.Result(), goal)
         if goal.view is not None:
             message.reached_goal, message.stalled = goal.view.reached, goal.view.stalled

@@ -39,7 +39,7 @@ class Actions:
     :param node: the node
     :param offered: what the messages of each action mean, and what counts its goals
     :param thread: runs the simulation
-    :param log: counts and tells what is rejected
+    :param log: logs what is rejected
     :ivar tracker: watches the goals
     """
 
@@ -123,7 +123,7 @@ def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: Sim
     :param node: the node, with its ``notes``
     :param commands: of each robot
     :param thread: runs the simulation
-    :param log: counts and tells what is rejected
+    :param log: logs what is rejected
     """
     types = load_action_types()
     if types is None:

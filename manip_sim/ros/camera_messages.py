@@ -18,7 +18,7 @@ from std_msgs.msg import Header
 
 from manip_sim.rendering.intrinsics import Intrinsics
 
-#: Of JPEG, as image_transport_plugins have it by default.
+#: Of JPEG, the default of image_transport_plugins.
 _QUALITY = 95
 _PLUMB_BOB = 'plumb_bob'
 
@@ -32,7 +32,7 @@ def image(head: Header, pixels: NDArray[Any]) -> Image:
     """
     Return an image: ``rgb8`` of bytes with shape (h, w, 3), ``32FC1`` of floats with shape (h, w).
 
-    :param pixels: contiguous, from the top to the bottom
+    :param pixels: contiguous, the top row first
     """
     message = Image(header=head, height=pixels.shape[0], width=pixels.shape[1],
                     encoding='rgb8' if pixels.ndim == 3 else '32FC1',
@@ -48,12 +48,12 @@ def jpeg(head: Header, rgb: NDArray[np.uint8]) -> CompressedImage:
     """
     Return an image as JPEG; needs pillow.
 
-    :param rgb: shape (h, w, 3), from the top to the bottom
+    :param rgb: shape (h, w, 3), the top row first
     """
     from PIL.Image import fromarray
     stream = io.BytesIO()
     fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
-    # As image_transport writes it, whatever the order of colours inside.
+    # The format as image_transport writes it, whatever the order of colours inside.
     return CompressedImage(header=head, format='rgb8; jpeg compressed bgr8',
                            data=array('B', stream.getvalue()))
 

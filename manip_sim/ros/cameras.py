@@ -40,7 +40,7 @@ class CameraPublishers:
     The topics of one camera.
 
     :param node: the node
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     :param name: of the camera
     :param found: its intrinsics
     :param depth: with depth
@@ -199,7 +199,7 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Si
     :param chosen: what their images are, by name
     :param simulation: what is seen
     :param thread: runs it
-    :param frame_prefix: beginning of the names of frames
+    :param frame_prefix: prefix of the names of frames
     :raises ModelError: if a camera is orthographic
     """
     compressed = importlib.util.find_spec('PIL') is not None

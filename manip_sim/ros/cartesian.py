@@ -28,7 +28,7 @@ class CartesianSubscribers:
     :param commands: the subscriptions of the robot, which count
     :param parameters: those of ``cartesian_parameters`` are declared
     :param thread: the simulation's
-    :param frame_prefix: beginning of the names of frames, which commands may leave out
+    :param frame_prefix: prefix of the names of frames, which commands may leave out
     """
 
     def __init__(self, commands: CommandSubscribers, parameters: Parameters,

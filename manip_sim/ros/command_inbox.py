@@ -56,7 +56,7 @@ class CommandInbox(Inbox):
     wake together, and who waits for the one while another thread waits for the other may not wake.
 
     :param node: the node
-    :param log: counts and tells what callbacks raise, and what cannot be read
+    :param log: counts and logs what callbacks raise, and what cannot be read
     :ivar group: of the subscriptions
     """
 
@@ -199,7 +199,7 @@ def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
     """
     Create what takes commands, or return None if the executor has to.
 
-    :param log: counts and tells what callbacks raise, and what cannot be read
+    :param log: counts and logs what callbacks raise, and what cannot be read
     """
     return CommandInbox(node, log) if is_known() else None
 

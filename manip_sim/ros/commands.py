@@ -60,12 +60,12 @@ class CommandSubscribers:
 
     :param node: the node
     :param robot: whose parser validates; it is only read
-    :param scope: where its topics are
+    :param scope: namespace of its topics
     :param thread: takes the commands
-    :param log: counts and tells what is rejected
+    :param log: logs what is rejected
     :param inbox: takes what is quickly read in the simulation's thread; None is the executor
     :ivar robot: the robot
-    :ivar scope: where its topics are
+    :ivar scope: namespace of its topics
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
         ``joint_command`` for messages on the combined topic
     """

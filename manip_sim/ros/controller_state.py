@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What controllers want and get, as joint_trajectory_controller tells it."""
+"""Reference and measured state of controllers, as joint_trajectory_controller publishes them."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ except ModuleNotFoundError as missing:
 
 #: The type of ``<part>/controller_state``.
 MESSAGE_TYPE: Any = JointTrajectoryControllerState or JointTrajectory
-#: Rows of numbers that a message takes.
+#: Number of rows of :func:`controller_numbers`.
 ROWS = 9
 
 
 def controller_numbers(state: ControllerState) -> FloatArray:
     """
-    Return the numbers of a message.
+    Return the numbers of a message; joints without a setpoint have the measured state as reference.
 
     :returns: rows, of n joints each: position, velocity, acceleration and effort of the reference;
         measured position, velocity and effort; error of position and velocity; shape (9 n,)
@@ -56,7 +56,7 @@ def controller_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> 
     fields of ``control_msgs/JointTrajectoryControllerState``: reference, feedback, error, output.
 
     :param names: of the joints, n
-    :param numbers: as ``controller_numbers`` returns them
+    :param numbers: as :func:`controller_numbers` returns them, shape (9 n,)
     """
     rows = numbers.reshape(ROWS, len(names))
     points = {'reference': _point(*rows[:4]), 'feedback': _point(rows[4], rows[5], None, rows[6]),

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tell once a second how the simulation and its commands are doing, on ``/diagnostics``."""
+"""Publish the status of the simulation and its commands once a second on ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 
 _PERIOD_S = 1.0
-#: Of simulation time; less is lost to the moments between two messages.
+#: Share of simulation time; a smaller loss causes no warning.
 _TOLERATED_LOSS = 0.01
-#: The real-time factor is measured over so many control periods where they are long.
+#: Number of control periods over which the real-time factor is measured where they are long.
 _WINDOW_PERIODS = 5
 
 
@@ -40,7 +40,7 @@ class Pace:
     are longer, and begins anew with a pause, another real-time factor or a restart of time.
 
     :param thread: tells how far the simulation has come
-    :ivar factor: simulation time per wall time; NaN where the window has just begun
+    :ivar factor: simulation time per wall time; NaN when the window has just begun, 0 when paused
     :ivar loss: part of the simulation time that was dropped, from 0 to 1
     """
 
@@ -69,7 +69,7 @@ class Pace:
             return
         realtime = thread.stepping == 'realtime'
         period_s = thread.period_s / asked if realtime else 0.0
-        # What is overdue counts, or a simulation that hangs would seem to run.
+        # Overdue time counts too, or a simulation that hangs would seem to run.
         overdue_s = max(0.0, now_s - progress.wall_s - period_s - _PERIOD_S)
         if progress != window[-1]:
             window.append(progress)
@@ -87,13 +87,13 @@ class Pace:
 
 class Diagnostics:
     """
-    Publishes a status for the simulation, for the commands of each part and for other nodes.
+    Publisher of the status of the simulation, the commands of each part, images and other nodes.
 
     :param node: the node
-    :param simulation: only looked at
+    :param simulation: only read
     :param thread: tells how far the simulation has come
-    :param commands: tells what came in for each robot
-    :param cameras: tell how many images there were
+    :param commands: count the commands for each robot
+    :param cameras: count the images
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
@@ -203,14 +203,14 @@ class Diagnostics:
         return status
 
     def _tell_new(self, name: str, report: CartesianReport) -> None:
-        """Warn of what has newly kept a hand from where it should be."""
+        """Warn of what has kept a hand from its target since the last status."""
         for kind, count in report.counts.items():
             if count > self._last_faults.get(f'{name} {kind}', 0):
                 self._last_faults[f'{name} {kind}'] = count
                 self._node.rejections.warn(name, kind, report.texts[kind])
 
     def _tell_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
-        """Warn of a gripper's own code that has failed since the last status."""
+        """Warn if a gripper's own code has failed since the last status."""
         faults, before = gripper.faults, self._last_faults.get(status.name, 0)
         self._last_faults[status.name] = faults
         if faults > before:

@@ -18,14 +18,14 @@ from manip_sim.ros.log import RejectionLog
 
 class GuardedExecutor(SingleThreadedExecutor):
     """
-    Runs callbacks one at a time; one that raises is logged and counted, and the next one runs.
+    A single-threaded executor: a callback that raises is logged and counted, the next one runs.
 
     This holds for all callbacks, also for those of rclpy, such as the parameter services. The
     client of a service that raised gets no answer. Data that cannot be read is logged and counted
-    too: rclpy tells nothing of it, but that a subscription or service was ready and nothing could
-    be taken from it. Unreadable data that waits together counts once.
+    too: rclpy only shows that a subscription or service was ready and that nothing could be taken
+    from it. Unreadable data that waits together counts once.
 
-    :param log: counts and tells what callbacks raise, and what cannot be read
+    :param log: counts and logs what callbacks raise, and what cannot be read
     :param context: the context of the nodes
     """
 
@@ -44,8 +44,8 @@ class GuardedExecutor(SingleThreadedExecutor):
         """
         Let :meth:`spin` return after the present callback.
 
-        ``shutdown`` in another thread than ``spin`` destroys what a running callback triggers at
-        its end; join the thread between the two.
+        Join the thread of :meth:`spin` before ``shutdown``, which would otherwise destroy what a
+        running callback triggers at its end.
         """
         self._ending = True
         self.wake()
@@ -57,7 +57,7 @@ class GuardedExecutor(SingleThreadedExecutor):
         """
         Wait for one callback and run it.
 
-        :param timeout_sec: how long to wait [s]; None is until there is one
+        :param timeout_sec: how long to wait [s]; None: until there is one
         """
         try:
             task, entity, _ = self.wait_for_ready_callbacks(timeout_sec, None, self._is_ending)
@@ -78,7 +78,7 @@ class GuardedExecutor(SingleThreadedExecutor):
         return None
 
     def _take_service(self, srv: Any) -> Any:
-        # As rclpy does, but that this does not tell whether there was a request.
+        # Like rclpy's method, which does not report that there was no request.
         with contextlib.suppress(InvalidHandle), srv.handle:
             request, header = srv.handle.service_take_request(srv.srv_type.Request)
             if header is None:
@@ -93,7 +93,7 @@ class GuardedExecutor(SingleThreadedExecutor):
 
 
 def _release(entity: Any) -> None:
-    """Let an entity be waited for again whose message could not even be taken."""
+    """Let executors wait again for an entity whose message could not even be taken."""
     if entity is None:
         return
     entity._executor_event = False

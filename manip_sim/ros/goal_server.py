@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One action server: takes goals, has them tracked, tells feedback and results."""
+"""One action server: it accepts goals, has them tracked, and sends feedback and results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RESULT_TIMEOUT_S = 10
 
 class GoalServer:
     """
-    Serves an action; all of it runs in the thread of the executor.
+    The server of an action; all of it runs in the thread of the executor.
 
     A goal that cannot be met is rejected, with the code and the reason in the log: ROS 2 has no
     result for a goal that was rejected.
@@ -33,7 +33,7 @@ class GoalServer:
     :param messages: what the messages of the action mean
     :param commands: counts goals as commands of the part
     :param tracker: watches the goals
-    :param log: counts and tells what is rejected
+    :param log: logs what is rejected
     :param begun: is called when a goal has begun
     """
 
@@ -45,7 +45,7 @@ class GoalServer:
         self._log = log
         self._begun = begun
         self._name = commands.scope.topic(f'{messages.part}/{messages.name}')
-        #: The last request that was accepted; what is made of it is used right afterwards.
+        #: The last request that was accepted, with its goal, which is begun right afterwards.
         self._accepted: tuple[Any, Goal] | None = None
         self._running: dict[bytes, tuple[Goal, Any, Future]] = {}
         self._told_ns: dict[bytes, int] = {}
@@ -106,7 +106,7 @@ class GoalServer:
 
     def tell_end(self, goal: Goal) -> bool:
         """
-        Let the client of a goal that has ended know.
+        Inform the client of a goal that has ended.
 
         :returns: whether the goal is one of this action
         """
@@ -117,7 +117,7 @@ class GoalServer:
         return False
 
     def tell_feedback(self) -> None:
-        """Publish the feedback of all goals for which time has passed."""
+        """Publish feedback of each goal if simulation time has passed since the last one."""
         for key, (goal, goal_handle, _) in self._running.items():
             view = goal.view
             if view is None or goal.outcome is not None or self._told_ns.get(key) == view.time_ns:

@@ -38,8 +38,8 @@ class RejectionLog:
 
     :param logger: the logger of the node
     :param clock: tells monotonic wall time [s]
-    :ivar failed: how many ``callbacks`` and ``publications`` have failed, and how many ``takes``
-        of received data, because it could not be read
+    :ivar failed: how many ``callbacks``, ``publications`` and ``commands`` have failed, and how
+        many ``takes`` of received data, because it could not be read
     """
 
     def __init__(self, logger: Any, clock: Callable[[], float] = time.monotonic) -> None:
@@ -58,7 +58,7 @@ class RejectionLog:
 
         :param topic: topic or service; its name must not come from outside
         :param kind: what makes warnings alike, such as :func:`kind_of`; from a bounded set
-        :param text: may contain what came from outside; line ends are escaped, and it is cut
+        :param text: may contain what came from outside; line ends are escaped, it is shortened
         """
         key = (topic, kind)
         with self._lock:
@@ -79,8 +79,8 @@ class RejectionLog:
         """
         Count an exception that nobody expected, and log it as :meth:`warn` does.
 
-        :param what: ``callbacks`` or ``publications``
-        :param topic: topic or service that was served
+        :param what: ``callbacks``, ``publications`` or ``commands``
+        :param topic: topic or service that was served, or parts that were commanded
         """
         with self._lock:
             self.failed[what] += 1
@@ -88,7 +88,7 @@ class RejectionLog:
 
     def unreadable(self, topic: str) -> None:
         """
-        Count received data that is no message of its type, and log it as :meth:`warn` does.
+        Count received data that is not a message of its type, and log it as :meth:`warn` does.
 
         :param topic: topic or service that it came on
         """

@@ -26,18 +26,18 @@ from manip_sim.ros.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime.camera_thread import THREAD_NAME
 
-#: How often the main thread looks whether the other threads are well [s].
+#: Period at which the main thread checks whether the other threads still run [s].
 _WATCH_S = 0.5
-#: Python lets another thread run after so long [s]; the default of 5 ms would delay the physics.
+#: After how long Python lets another thread run [s]; the default of 5 ms delays the physics.
 _SWITCH_S = 5e-4
 
 
 class EndSignals:
     """
-    Lets the main thread wait for SIGINT or SIGTERM.
+    SIGINT and SIGTERM, for which the main thread can wait.
 
-    The signals arrive as bytes in a socket: a handler that took a lock, such as that of an event,
-    could meet the lock it waits for.
+    The signals arrive as bytes in a socket: a handler that takes a lock, such as that of an event,
+    can deadlock if the thread that it interrupts holds this lock.
     """
 
     def __init__(self) -> None:
@@ -48,12 +48,12 @@ class EndSignals:
             signal.signal(number, lambda *_: None)
 
     def wait(self, timeout_s: float) -> bool:
-        """Tell whether a signal has come; wait for one for so long [s]."""
+        """Wait for a signal, at most for a time-out [s]; tell whether one has come."""
         return bool(select.select([self._arrived], [], [], timeout_s)[0])
 
     def ignore_more(self) -> None:
-        """Let further signals do nothing: the process is ending."""
-        # Of a signal that comes in between Python would print that it is ignored.
+        """Ignore further signals: the process is ending."""
+        # Python would print a message about a signal that comes while the handlers change.
         hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
@@ -70,9 +70,9 @@ def run(arguments: Sequence[str]) -> int:
     """
     asked_to_end = EndSignals()
     sys.setswitchinterval(_SWITCH_S)
-    # rclpy warns so of a node that could not be created, beside the error.
+    # rclpy warns of a node that could not be created, in addition to the error.
     warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
-    # What rcl says of bad arguments is said once, by us.
+    # Errors in arguments are printed once, below, and not by rcl too.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -95,7 +95,7 @@ def run(arguments: Sequence[str]) -> int:
 def _leave(code: int) -> int:
     """Return an exit code, or end the process at once if a rendering hangs in it."""
     if any(thread.name == THREAD_NAME for thread in threading.enumerate()):
-        # Python's end would close OpenGL under it.
+        # A normal exit of Python would close OpenGL while it renders.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
@@ -104,7 +104,7 @@ def _leave(code: int) -> int:
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
     node = SimNode()
-    # What lasts as long as the process need not be looked through while the simulation runs.
+    # The garbage collector need not examine what lasts as long as the process.
     gc.freeze()
     gc.enable()
     for warning in for_other_nodes(arguments, node.get_fully_qualified_name()):

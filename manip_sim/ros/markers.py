@@ -44,7 +44,7 @@ class MarkerPublisher:
     :param node: the node
     :param end_effectors: that tell wrenches, by what their markers are called
     :param frame_id: name of the frame ``world``
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     """
 
     def __init__(self, node: Node, end_effectors: Mapping[str, EndEffectorReader], frame_id: str,

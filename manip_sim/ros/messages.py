@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages of stamps and numbers: the one place that makes stamps."""
+"""Messages made of stamps and numbers; the one place that makes stamps."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def stamp_of(time_ns: int) -> Time:
 
 
 def nanoseconds_of(stamp: Time) -> int:
-    """Return the nanoseconds of a stamp."""
+    """Return a stamp as nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def clock(stamp: Time, _: FloatArray) -> Clock:
-    """Return a time; it takes no numbers."""
+    """Return a clock message; no numbers are used."""
     return Clock(clock=stamp)
 
 
@@ -38,7 +38,7 @@ def joint_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> Joint
     Return the joint states of a part.
 
     :param names: of its joints, n
-    :param numbers: positions, velocities and efforts, shape (3 n,)
+    :param numbers: positions, velocities and efforts in SI units, shape (3 n,)
     """
     message = JointState()
     message.header.stamp = stamp
@@ -53,7 +53,7 @@ def wrench_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> WrenchSta
     """
     Return a wrench in a frame.
 
-    :param numbers: force and torque, shape (6,)
+    :param numbers: force [N] and torque [N m], shape (6,)
     """
     message = WrenchStamped()
     message.header.stamp = stamp
@@ -65,9 +65,9 @@ def wrench_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> WrenchSta
 
 def pose_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> PoseStamped:
     """
-    Return where something is in a frame.
+    Return a pose in a frame.
 
-    :param numbers: position, and quaternion x, y, z, w, shape (7,)
+    :param numbers: position [m], and quaternion x, y, z, w, shape (7,)
     """
     message = PoseStamped()
     message.header.stamp = stamp
@@ -79,9 +79,9 @@ def pose_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> PoseStamped
 
 def twist_stamped(frame_id: str, stamp: Time, numbers: FloatArray) -> TwistStamped:
     """
-    Return how fast something moves, in the axes of a frame.
+    Return a twist in the axes of a frame.
 
-    :param numbers: linear and angular velocity, shape (6,)
+    :param numbers: linear velocity [m/s] and angular velocity [rad/s], shape (6,)
     """
     message = TwistStamped()
     message.header.stamp = stamp

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Look for other nodes that publish the same time or states, or bear the same name."""
+"""Look for other nodes that publish the same time or states, or have the same name."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from manip_sim.interface.scope import Scope
 
 class Neighbours:
     """
-    Finds conflicts with other nodes; each is logged once for as long as it lasts.
+    Conflicts with other nodes; each is logged once for as long as it lasts.
 
     :param node: the node
-    :param scopes: where the topics of each robot are
+    :param scopes: namespaces of the topics of each robot
     """
 
     def __init__(self, node: Node, scopes: Sequence[Scope]) -> None:
@@ -33,9 +33,9 @@ class Neighbours:
 
     def conflicts(self) -> list[str]:
         """
-        Return what other nodes publish that this node publishes too.
+        Return the present conflicts: nodes of the same name, publishers of the same topics.
 
-        To be called from time to time; what is new is logged as a warning.
+        To be called from time to time; new conflicts are logged as warnings.
         """
         found = {**self._same_name(), **self._same_topics()}
         for what in found.keys() - self._told:
@@ -61,6 +61,6 @@ class Neighbours:
         names = [(info.node_name, info.node_namespace)
                  for info in self._node.get_publishers_info_by_topic(topic)]
         if self._own in names:
-            # One of those that bear this name is this node.
+            # One of the nodes that have this name is this node.
             names.remove(self._own)
         return quoted_names(sorted({f'{space.rstrip("/")}/{name}' for name, space in names}))

@@ -26,8 +26,8 @@ class ObjectPublishers(Topics):
     Publishers for pose and twist of each free body.
 
     :param node: the node
-    :param log: counts and tells what could not be published
-    :param frame_prefix: beginning of the names of frames
+    :param log: counts and logs what could not be published
+    :param frame_prefix: prefix of the names of frames
     """
 
     def __init__(self, node: Node, log: RejectionLog, frame_prefix: str = '') -> None:

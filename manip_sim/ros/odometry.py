@@ -29,8 +29,8 @@ class OdometryPublisher(Topics):
     :param reader: reads the base
     :param topic: where it is published
     :param frame: name of the frame of the odometry
-    :param frame_prefix: beginning of the names of frames
-    :param log: counts and tells what could not be published
+    :param frame_prefix: prefix of the names of frames
+    :param log: counts and logs what could not be published
     """
 
     def __init__(self, node: Node, reader: OdometryReader, topic: str, frame: str,

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publishers that never stop the simulation, and cost next to nothing while nobody listens."""
+"""Publishers that never stop the simulation, and cost little while nobody subscribes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from manip_sim.ros.rclpy_internals import RCLError
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
 
-#: For who comes later too.
+#: Keeps the last message for subscribers that come later.
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -30,11 +30,11 @@ class Output:
     A publisher that never stops the simulation.
 
     With history ``keep_all`` a reader that does not acknowledge fills the history. Publishing then
-    waits (100 ms with Fast DDS) and fails. Until all is acknowledged, or the reader is gone,
-    further messages are dropped and counted without waiting.
+    waits (100 ms with Fast DDS) and fails. Until all messages are acknowledged or the reader is
+    gone, further messages are dropped and counted without waiting.
 
     :param publisher: the publisher
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     """
 
     def __init__(self, publisher: Publisher, log: RejectionLog) -> None:
@@ -45,7 +45,7 @@ class Output:
 
     @property
     def heard(self) -> bool:
-        """Whether somebody listens."""
+        """Whether there are subscribers."""
         try:
             return not self._closed and self._publisher.get_subscription_count() > 0
         except InvalidHandle:  # It is being closed in another thread.
@@ -53,7 +53,7 @@ class Output:
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody listens and the next message can be published."""
+        """Whether there are subscribers and the next message can be published."""
         return self.heard and not self._drops()
 
     def _drops(self) -> bool:
@@ -69,15 +69,15 @@ class Output:
 
     def close(self, node: Node) -> None:
         """
-        Destroy the publisher; nothing is wanted from now on.
+        Destroy the publisher; no messages are wanted from now on.
 
-        :param node: that created it
+        :param node: the node that created it
         """
         self._closed = True
         node.destroy_publisher(self._publisher)
 
     def publish(self, message: Any) -> None:
-        """Publish a message, or bytes that one was serialized to, or count it as dropped."""
+        """Publish a message or its serialized bytes, or count it as dropped."""
         try:
             if not (self._stalled and self._drops()):
                 self._publisher.publish(message)
@@ -93,7 +93,7 @@ def create_output(node: Node, log: RejectionLog, message_type: Any, topic: str, 
     """
     Create a publisher whose quality of service can be overridden by parameters.
 
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     :param depth: how many messages are kept
     """
     return Output(node.create_publisher(
@@ -106,9 +106,9 @@ class Topic:
     A topic whose messages differ in their stamps and numbers only.
 
     :param output: where they are published
-    :param make: returns the message of a stamp and of numbers, shape (count,)
-    :param read: returns the numbers of the present instant, or None if there is nothing to tell
-    :param count: of the numbers
+    :param make: returns the message for a stamp and for numbers, shape (count,)
+    :param read: returns the numbers of the present instant, or None to publish no message
+    :param count: number of the numbers
     :ivar output: where they are published
     """
 
@@ -119,14 +119,14 @@ class Topic:
         self._message = SerializedMessage(make, count)
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish the present instant."""
+        """Publish the message of the present instant."""
         numbers = self._read(simulation)
         if numbers is not None:
             self.output.publish(self._message.at(simulation.time_ns, numbers))
 
 
 class Topics:
-    """Topics of which those are published that somebody listens to."""
+    """Topics that are published only while they have subscribers."""
 
     def __init__(self) -> None:
         self._all: tuple[Topic, ...] = ()
@@ -137,11 +137,11 @@ class Topics:
         self._all = topics
 
     def look(self) -> bool:
-        """See to which topics somebody listens, and tell whether to any."""
+        """Look which topics have subscribers, and tell whether any has."""
         self._heard = tuple(topic for topic in self._all if topic.output.heard)
         return bool(self._heard)
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish the present instant on the topics that somebody listened to at the last look."""
+        """Publish the present instant on the topics that had subscribers at the last look."""
         for topic in self._heard:
             topic.publish(simulation)

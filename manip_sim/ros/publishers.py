@@ -30,10 +30,10 @@ from manip_sim.simulation.wrench import EndEffectorReader
 
 class ClockPublisher(Topics):
     """
-    Publishes ``/clock``.
+    The publisher of ``/clock``.
 
     :param node: the node
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     """
 
     def __init__(self, node: Node, log: RejectionLog) -> None:
@@ -44,13 +44,13 @@ class ClockPublisher(Topics):
 
 class StatePublishers(Topics):
     """
-    Publishers for the joint states of all parts of a robot, its wrenches and poses.
+    Publishers of the joint and controller states of a robot's parts, its wrenches, poses, twists.
 
     :param node: the node
-    :param robot: tells the parts and their joints
-    :param scope: where its topics are
-    :param log: counts and tells what could not be published
-    :param frame_prefix: beginning of the names of frames
+    :param robot: whose states are read
+    :param scope: namespace of its topics
+    :param log: counts and logs what could not be published
+    :param frame_prefix: prefix of the names of frames
     """
 
     def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog,
@@ -101,7 +101,7 @@ class StatePublishers(Topics):
 
 class ModelPublisher:
     """
-    Publishes the composed model, and again when objects come or go; for everyone who comes later.
+    Latched publishers of the composed model, which publish it again when objects come or go.
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
@@ -117,7 +117,7 @@ class ModelPublisher:
 
     def publish(self) -> None:
         """
-        Publish it as it is at the start.
+        Publish the model as it is at the start.
 
         :raises ModelError: if a file cannot be read
         """

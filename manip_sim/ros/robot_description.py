@@ -23,7 +23,7 @@ class DescriptionPublisher:
 
     :param node: the node
     :param world: in which the robots are
-    :param robots: by where their topics are
+    :param robots: by their scope
     :param ros2_control_tag: with a ``<ros2_control>`` tag for the present control modes, which
         names the topics as they are called after remapping
     """

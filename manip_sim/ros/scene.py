@@ -48,10 +48,10 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
     Publish odometry each period, and frames and markers at their rate.
 
     :param value: returns the value of a parameter
-    :param robots: by where their topics are
+    :param robots: by their scope
     :param simulation: what is seen
     :param thread: runs it
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     :returns: what follows changes of the objects
     """
     prefix = value('frame_prefix')

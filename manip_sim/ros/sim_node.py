@@ -41,7 +41,7 @@ from manip_sim.simulation.commands import Command
 
 class SimNode(Node):
     """
-    Serves simulated robots; :meth:`start` lets it run, :meth:`stop` ends it.
+    A node that serves simulated robots; :meth:`start` lets it run, :meth:`stop` ends it.
 
     :param arguments: further arguments of ``rclpy.node.Node``, such as ``context`` and
         ``parameter_overrides``
@@ -68,7 +68,7 @@ class SimNode(Node):
         check_qos_values(self)
         self._declared = Parameters(self)
         value = self._declared.value
-        #: What a user shall know of a start that has succeeded.
+        #: Notes for the user that are logged after the start.
         self.notes: list[str] = []
         composition = compose_world(self._declared)
         world = composition.world
@@ -135,7 +135,7 @@ class SimNode(Node):
                 robot.set_command_timeout(name, value(scope.parameter(f'command_timeout.{name}')))
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
-        # An empty list of strings is a list with an empty string in ROS.
+        # In ROS parameters, a list with one empty string stands for an empty list of strings.
         name = scope.parameter('lockstep_parts')
         parts: list[str] = [part for part in self._declared.value(name) if part]
         for part in parts:
@@ -151,7 +151,7 @@ class SimNode(Node):
             raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
 
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
-        # After the end there is nothing to change.
+        # After the end of the simulation there is nothing to change.
         with contextlib.suppress(SimulationEnded):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
@@ -163,7 +163,7 @@ class SimNode(Node):
                     self._change_part(*found, parameter.value)
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters as rclpy does, which says less of those that cannot be set."""
+        """Set parameters as rclpy does, but say more about those that cannot be set."""
         reason = self._declared.rejection(parameter_list)
         if reason is not None:
             return SetParametersResult(successful=False, reason=reason)
@@ -194,7 +194,7 @@ class SimNode(Node):
 
     def start(self) -> None:
         """
-        Let the simulation run, then describe it.
+        Start the simulation, then publish and log what it consists of.
 
         :raises ManipSimError: if the world cannot be described
         """
@@ -202,29 +202,29 @@ class SimNode(Node):
         self.thread.start()
         if self._command_thread is not None:
             self._command_thread.start()
-        # Nobody should wait for these to get the first state.
+        # The first state should not wait for these, which take longer.
         for publisher in self._descriptions:
             publisher.publish()
         self._introduce()
 
     def destroy_node(self) -> None:
-        """Destroy the node and its actions, which rclpy would leave, and the node with them."""
+        """Destroy the node, and before it its action servers, which rclpy would not destroy."""
         if self._actions is not None:
             self._actions.destroy()
         super().destroy_node()
 
     @property
     def takes_commands(self) -> bool:
-        """Whether the thread that takes commands runs, if there is one."""
+        """Whether the thread that takes commands runs; True if there is none."""
         return self._command_thread is None or self._command_thread.is_alive
 
     def end_goals(self) -> None:
-        """Abort the goals of actions and let their clients know; the executor must still run."""
+        """Abort the goals of actions and inform their clients; the executor must still run."""
         if self._actions is not None:
             self._actions.end()
 
     def stop(self) -> None:
-        """End the simulation; the node can be destroyed then."""
+        """End the simulation; afterwards the node can be destroyed."""
         if self._command_thread is not None:
             self._command_thread.stop()
         self.thread.stop()

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A subscription to commands that any publisher matches."""
+"""A subscription to commands that matches reliable and best-effort publishers."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ COMMAND_DEPTH = 10
 
 class CommandSubscription:
     """
-    Subscribes reliably, and beside that best-effort once such a publisher comes.
+    A reliable subscription, to which a best-effort one is added once such a publisher comes.
 
     A reliable subscription loses nothing, which lock-step needs, but does not match a best-effort
-    publisher. What comes twice, from reliable publishers then, is taken once.
+    publisher. Messages of reliable publishers, which then come twice, are taken once.
 
     :param node: the node
     :param message_type: of the topic
     :param topic: its name
-    :param take: is called with each message as it was serialized
-    :param inbox: takes the messages; None is the executor
+    :param take: is called with each message in its serialized form
+    :param inbox: takes the messages; None: the executor does
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None],

@@ -38,8 +38,8 @@ def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree], prefi
     Create what publishes ``/tf`` and ``/tf_static``; without ``tf2_msgs`` say so.
 
     :param frames: returns the tree of a simulation
-    :param prefix: beginning of the names of all frames
-    :param log: counts and tells what could not be published
+    :param prefix: prefix of the names of all frames
+    :param log: counts and logs what could not be published
     :returns: None without ``tf2_msgs``
     """
     if TFMessage is None:
@@ -52,7 +52,7 @@ def create_outputs(node: Node, log: RejectionLog) -> tuple[Output, Output]:
     """
     Create the publishers of ``/tf`` and ``/tf_static``.
 
-    :param log: counts and tells what could not be published
+    :param log: counts and logs what could not be published
     """
     return (create_output(node, log, TFMessage, '/tf', _DEPTH),
             Output(node.create_publisher(TFMessage, '/tf_static', LATCHED), log))
@@ -65,7 +65,7 @@ class TransformPublisher:
     :param moving: takes the messages for ``/tf``
     :param static: takes those for ``/tf_static``
     :param frames: returns the tree of a simulation
-    :param prefix: beginning of the names of all frames
+    :param prefix: prefix of the names of all frames
     """
 
     def __init__(self, moving: Output, static: Output, frames: Callable[[Simulation], FrameTree],
@@ -110,7 +110,7 @@ def transforms(frames: Sequence[Frame], prefix: str, stamp: Time, numbers: Float
     Return where frames are in their parents.
 
     :param frames: n of them
-    :param prefix: beginning of the names of all frames
+    :param prefix: prefix of the names of all frames
     :param numbers: position and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
     """
     message, found = TFMessage(), []
