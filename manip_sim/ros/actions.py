@@ -26,9 +26,9 @@ from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.goals import Goal
 
-#: How often clients are told how their goals are doing, wall time [s].
+#: Period of feedback to clients, wall time [s].
 _FEEDBACK_S = 0.05
-#: How long the end of the node waits for clients to be told, wall time [s].
+#: How long the node waits at its end until clients have their results, wall time [s].
 _END_S = 1.0
 
 
@@ -49,7 +49,7 @@ class Actions:
         self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
         self._guard = node.create_guard_condition(self._tell_ends)
         self.tracker = GoalTracker(thread, self._has_ended)
-        # It runs while there are goals.
+        # The timer runs while there are goals.
         self._timer = node.create_timer(_FEEDBACK_S, self._tell_feedback,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._servers = [
@@ -79,7 +79,7 @@ class Actions:
         self._servers = []
 
     def end(self) -> None:
-        """Abort all goals, and wait until their clients were told; the executor must still run."""
+        """Abort all goals and wait until their clients know; the executor must still run."""
         with contextlib.suppress(SimulationEnded):
             if not self.tracker.goals:
                 return
@@ -100,10 +100,10 @@ class Actions:
 def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], int]
                 ) -> Iterator[ActionMessages]:
     """
-    Return the actions that there are for a robot.
+    Yield what the messages of each action of a robot mean.
 
     :param types: of the actions
-    :param now_ns: tells the simulation time [ns]
+    :param now_ns: returns the simulation time [ns]
     """
     for name, part in robot.parts.items():
         if part.gripper is None:
@@ -118,7 +118,7 @@ def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], 
 def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: SimulationThread,
                   log: RejectionLog) -> Actions | None:
     """
-    Offer the actions if the package control_msgs is installed, else say that they are missing.
+    Offer the actions if the package control_msgs is installed, else note that they are missing.
 
     :param node: the node, with its ``notes``
     :param commands: of each robot

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish what the chosen cameras see: rendered in a thread of its own, where somebody listens."""
+"""Publish images of the chosen cameras, rendered in a thread of its own while subscribed to."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 
-#: Images are large, and a late one is worth little.
+#: Queue depth; images are large, and a late one is worth little.
 _DEPTH = 2
 #: How long the start waits for OpenGL [s].
 _READY_S = 10.0
@@ -43,8 +43,8 @@ class CameraPublishers:
     :param log: counts and logs what could not be published
     :param name: of the camera
     :param found: its intrinsics
-    :param depth: with depth
-    :param compressed: with JPEG
+    :param depth: whether there are depth images
+    :param compressed: whether there are JPEG images
     :param frame_id: of its optical frame
     """
 
@@ -63,7 +63,7 @@ class CameraPublishers:
                        output(CameraInfo, 'depth/camera_info', depth)]
 
     def wanted(self) -> tuple[bool, bool, bool]:
-        """Return whether somebody listens to colours, to depth, and to the intrinsics."""
+        """Return whether colours, depth and intrinsics have subscribers."""
         return (_is_wanted(self._color) or _is_wanted(self._jpeg), _is_wanted(self._depth),
                 any(_is_wanted(info) for info in self._infos))
 
@@ -94,7 +94,7 @@ def _is_wanted(output: Output | None) -> bool:
 
 class Cameras:
     """
-    The chosen cameras: what is due goes to the thread that renders, what it sees to the topics.
+    The chosen cameras: due snapshots go to the thread that renders, its images to the topics.
 
     :param node: the node
     :param publishers: of each camera
@@ -121,7 +121,7 @@ class Cameras:
         return self._unable or (self._renderer.failed if self._renderer is not None else None)
 
     def start(self) -> None:
-        """Look for OpenGL; without it say so, and go on without images."""
+        """Start the thread that renders; without OpenGL log an error, and go on without images."""
         if not self._publishers:
             return
         try:
@@ -138,21 +138,21 @@ class Cameras:
         self._node.get_logger().error(f'no images: {error}; all else works')
 
     def stop(self) -> None:
-        """End the rendering; one that hangs is left behind."""
+        """End the thread that renders; if a rendering hangs, it is left behind."""
         if self._renderer is not None and not self._renderer.stop():
             self._node.get_logger().error('a rendering does not end and is left behind')
 
     def watch(self, camera: str, every: int) -> None:
         """
-        Let a camera see the simulation from now on.
+        Request images of a camera from now on.
 
-        :param every: of so many control periods, one
+        :param every: number of control periods for each image
         """
         publishers = self._publishers[camera]
         period_ns = round(self._thread.period_s * 1e9)
 
         def observe(simulation: Simulation) -> None:
-            # What is repeated in lock-step is an image only where it was due.
+            # In lock-step a repeated state gives an image only if one is due at its time.
             due = simulation.time_ns // period_ns % every == 0
             held = self._thread.paused or self._thread.at_start or simulation.diverged is not None
             if due or held:
@@ -176,9 +176,9 @@ class Cameras:
 
     def statistics(self, elapsed_s: float) -> dict[str, object]:
         """
-        Return what became of images since the last call, for diagnostics.
+        Return rate and wall time per image since the last call, and how many were left out so far.
 
-        :param elapsed_s: wall time since then [s]
+        :param elapsed_s: wall time since the last call [s]
         """
         values: dict[str, object] = {}
         for name in self.names:
@@ -196,7 +196,7 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Si
     Create the topics of the cameras that are chosen.
 
     :param node: the node, with its ``rejections``
-    :param chosen: what their images are, by name
+    :param chosen: settings of their images, by the name of the camera
     :param simulation: what is seen
     :param thread: runs it
     :param frame_prefix: prefix of the names of frames

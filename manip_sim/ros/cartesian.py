@@ -25,8 +25,8 @@ class CartesianSubscribers:
     """
     Subscriptions to the Cartesian command topics of the arms of a robot, and their parameters.
 
-    :param commands: the subscriptions of the robot, which count
-    :param parameters: those of ``cartesian_parameters`` are declared
+    :param commands: the subscriptions of the robot, which count the messages
+    :param parameters: with those of ``cartesian_parameters`` declared
     :param thread: the simulation's
     :param frame_prefix: prefix of the names of frames, which commands may leave out
     """
@@ -49,7 +49,7 @@ class CartesianSubscribers:
                 self._change(name, parameters.value(name))
 
     def parameter_changed(self, parameter: Parameter) -> None:
-        """Use the new value of a parameter, if it is one of these arms."""
+        """Use the new value of a parameter, if it is a setting of these arms."""
         if parameter.name in self._settings:
             self._change(parameter.name, parameter.value)
 
@@ -75,7 +75,7 @@ class CartesianSubscribers:
 
 
 def reports_of(commands: CommandSubscribers, part: str) -> list[CartesianReport]:
-    """Return what kept the hands of a part's arms from where they should be."""
+    """Return the reports of the arms of a part: what kept their hands from their targets."""
     robot = commands.robot
     if part not in robot.parts:
         return []
@@ -84,6 +84,6 @@ def reports_of(commands: CommandSubscribers, part: str) -> list[CartesianReport]
 
 
 def counts_of(reports: Sequence[CartesianReport]) -> dict[str, Any]:
-    """Return these as values of a diagnostic status."""
+    """Return the counts of reports as values of a diagnostic status."""
     return {f'cartesian_{kind}': sum(report.counts[kind] for report in reports)
             for kind in (reports[0].counts if reports else ())}

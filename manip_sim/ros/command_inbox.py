@@ -4,11 +4,11 @@
 """
 Take commands without rclpy's executor.
 
-An executor asks all that a node has, in Python, before and after each wait. Here one thread waits
-for the commands alone and takes them: in lock-step it is the simulation's, which uses them then,
-else one of its own, as a flood would take time from the physics. There is no public way to wait
-for some subscriptions; where rclpy is another than those that this is known to work with, the
-executor takes commands as it does everything else.
+An executor goes through all entities of a node, in Python, before and after each wait. Here one
+thread waits for commands alone and takes them: in lock-step the simulation's, which uses them
+next, else one of its own, because a flood would take time from the physics. rclpy has no public
+way to wait for some subscriptions only; with releases of rclpy for which this is not known to
+work, the executor takes the commands too.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.
 _KNOWN = '7.1.'
-#: How often events are looked at [s].
+#: Period at which events are looked at [s].
 _EVENTS_S = 0.2
-#: While the context is being shut down there is nothing to wait for; then it is looked again [s].
+#: How long to pause when there is nothing to wait for, as while the context is shut down [s].
 _CLOSING_S = 0.01
 
 
 class _NotByExecutors(CallbackGroup):
-    """What executors leave to somebody else."""
+    """A group of entities that executors do not serve."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -50,10 +50,10 @@ class _NotByExecutors(CallbackGroup):
 
 class CommandInbox(Inbox):
     """
-    Takes the messages of subscriptions in the thread that waits.
+    An inbox that takes the messages of subscriptions in the thread that waits.
 
-    It sees to their events too, a few times a second: in Fast DDS a subscription and its events
-    wake together, and who waits for the one while another thread waits for the other may not wake.
+    It handles their events too, a few times a second: in Fast DDS a subscription and its events
+    share a wake-up, so a thread may miss its own while another thread waits for the other.
 
     :param node: the node
     :param log: counts and logs what callbacks raise, and what cannot be read
@@ -75,7 +75,7 @@ class CommandInbox(Inbox):
         self.wake()
 
     def wake(self) -> None:
-        """Let the present wait end, or the next one if there is none; any thread may call this."""
+        """End the present wait, or the next one if nobody waits; any thread may call this."""
         with contextlib.suppress(InvalidHandle):  # The node is being destroyed.
             self._guard.trigger()
 
@@ -83,7 +83,7 @@ class CommandInbox(Inbox):
         """
         Wait until a message comes or somebody wakes this, and take what has come.
 
-        :param timeout_s: for so long at most [s]
+        :param timeout_s: how long to wait at most [s]
         """
         try:
             self._receive(timeout_s)
@@ -98,8 +98,8 @@ class CommandInbox(Inbox):
         """
         with contextlib.suppress(InvalidHandle, RCLError):
             for _ in range(most):
-                # To wait for no time takes longer than to be woken. Whoever else wakes this now
-                # has said why before, and is seen to before the next wait.
+                # A wait with a time-out of zero takes longer than one that is woken. Other threads
+                # that wake this one have said why before, and are served before the next wait.
                 self._guard.trigger()
                 if not self._receive(0.0):
                     break
@@ -128,7 +128,7 @@ class CommandInbox(Inbox):
         return bool(ready)
 
     def _see_events(self, events: list[Any]) -> None:
-        """Let callbacks see the events that have come, such as a publisher that does not match."""
+        """Call the callbacks of events that have come, such as a publisher that does not match."""
         with InUse((self._node.context.handle, *events)):
             wait_set = WaitSet(0, 0, 0, 0, 0, len(events), self._node.context.handle)
             wait_set.clear_entities()
@@ -160,9 +160,9 @@ class CommandInbox(Inbox):
 
 class CommandThread:
     """
-    Takes the messages of an inbox in a thread of its own.
+    A thread that takes the messages of an inbox.
 
-    It rests as long as it has worked, so that a flood leaves time to the physics.
+    It sleeps for as long as it has worked, so that a flood of messages leaves time to the physics.
 
     :param inbox: holds the messages
     """
@@ -197,7 +197,7 @@ class CommandThread:
 
 def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
     """
-    Create what takes commands, or return None if the executor has to.
+    Create an inbox that takes commands, or return None if the executor has to.
 
     :param log: counts and logs what callbacks raise, and what cannot be read
     """

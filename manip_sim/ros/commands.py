@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Subscribe to commands: validate, count, tell what is rejected, hand over the rest."""
+"""Subscribe to commands: validate and count them, log what is rejected, hand over the rest."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from manip_sim.simulation.commands import Command
 from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand
 
 Parse = Callable[[Any], Sequence[Command]]
-#: Their stamp is that of the state that they answer.
+#: Messages whose stamp is that of the state that they answer.
 _ANSWERS = (JointState, PoseStamped, TwistStamped)
 
 
 @dataclass
 class CommandStatistics:
     """
-    What came in for a part.
+    Counts of the commands for a part.
 
-    :ivar accepted: messages that were used
-    :ivar rejected: messages that were rejected
-    :ivar clamped: numbers that were brought into their range
+    :ivar accepted: messages and goals that were used
+    :ivar rejected: messages and goals that were rejected
+    :ivar clamped: numbers that were brought into their limits
     :ivar slowed: trajectories that were slowed down to keep to the velocity limits
-    :ivar last_s: monotonic wall time of the last accepted message [s]
+    :ivar last_s: monotonic wall time when the last one was accepted [s]
     """
 
     accepted: int = 0
@@ -63,7 +63,7 @@ class CommandSubscribers:
     :param scope: namespace of its topics
     :param thread: takes the commands
     :param log: logs what is rejected
-    :param inbox: takes what is quickly read in the simulation's thread; None is the executor
+    :param inbox: takes all messages but trajectories; None: the executor takes those too
     :ivar robot: the robot
     :ivar scope: namespace of its topics
     :ivar statistics: by atomic part, ``arm`` for messages to both arms of two, and
@@ -106,7 +106,7 @@ class CommandSubscribers:
 
         :param name: of the topic within the scope
         :param part: whose statistics count what is rejected
-        :param parse: makes commands of a message
+        :param parse: converts a message to commands
         """
         topic = self.scope.topic(name)
         entry = self._entry_of.get(part, part)
@@ -125,20 +125,20 @@ class CommandSubscribers:
                 return
             self.count(topic, part, commands)
 
-        # A trajectory may take long to read, which would hold up the physics.
+        # To read a trajectory may take long, which would delay other commands and the physics.
         inbox = None if message_type is JointTrajectory else self._inbox
         CommandSubscription(self._node, message_type, topic, take, inbox)
 
     def count_rejected(self, part: str) -> None:
-        """Count what came for a part and is not used."""
+        """Count a message or goal for a part that is rejected."""
         self.statistics[self._entry_of[part]].rejected += 1
 
     def count(self, topic: str, part: str, commands: Sequence[Command]) -> None:
         """
-        Count commands that are used, and tell what of them was changed.
+        Count commands that are used, and log which of them were clamped or slowed down.
 
         :param topic: topic or action that they came on
-        :param part: that it is for, or ``joint_command``
+        :param part: that they are for, or ``joint_command``
         """
         entry = self._entry_of.get(part, part)
         now_s, clamped = time.monotonic(), sum(command.clamped for command in commands)

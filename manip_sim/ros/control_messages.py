@@ -12,9 +12,9 @@ from typing import Any
 @dataclass(frozen=True)
 class ActionTypes:
     """
-    Types with ``Goal``, ``Feedback`` and ``Result``, as of ``control_msgs.action``.
+    Types with ``Goal``, ``Feedback`` and ``Result``, such as those of ``control_msgs.action``.
 
-    :ivar parallel_gripper_command: None in versions of the package that are older than it
+    :ivar parallel_gripper_command: None in older versions of the package, which do not have it
     """
 
     follow_joint_trajectory: Any

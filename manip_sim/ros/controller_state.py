@@ -30,7 +30,7 @@ ROWS = 9
 
 def controller_numbers(state: ControllerState) -> FloatArray:
     """
-    Return the numbers of a message; joints without a setpoint have the measured state as reference.
+    Return the numbers of a message; without a setpoint the reference is the measured state.
 
     :returns: rows, of n joints each: position, velocity, acceleration and effort of the reference;
         measured position, velocity and effort; error of position and velocity; shape (9 n,)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node says of itself when it has started."""
+"""What a node logs about itself when it has started."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Value = Callable[[str], Any]
 def introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation, value: Value,
                  paused: bool) -> str:
     """
-    Return the robots with their parts, modes and limits, and where they are reached.
+    Return a description of the robots: their parts, modes, limits and topics.
 
     :param robots: by the scope of their topics and parameters
     :param simulation: of the robots
     :param value: returns the value of a parameter
-    :param paused: whether the simulation waits to be let run
+    :param paused: whether the simulation is paused
     """
     lines = []
     for scope, robot in robots.items():
@@ -56,9 +56,9 @@ def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
 
 def inferred(world: World) -> Iterator[str]:
     """
-    Yield what was inferred of each model that comes from a file.
+    Yield what was inferred about each model that comes from a file.
 
-    :param world: with the models
+    :param world: the world of the models
     """
     models: list[Any] = [world.arena, *world.robots]
     for model in (*models, *(part for robot in world.robots for part in robot.models)):

@@ -28,7 +28,7 @@ FORCE_SCALE = 0.01
 TORQUE_SCALE = 0.1
 #: Diameters of points, shafts and heads of arrows [m].
 _POINT_M, _SHAFT_M, _HEAD_M = 0.008, 0.006, 0.012
-#: An arrow that is shorter has no direction that could be seen [m].
+#: Shorter arrows are left out, as their direction cannot be seen [m].
 _SHORTEST_M = 1e-6
 _ORANGE, _YELLOW = (1.0, 0.55, 0.0), (1.0, 0.9, 0.1)
 _RED, _BLUE = (0.9, 0.15, 0.15), (0.25, 0.45, 1.0)
@@ -36,13 +36,13 @@ _RED, _BLUE = (0.9, 0.15, 0.15), (0.25, 0.45, 1.0)
 
 class MarkerPublisher:
     """
-    Publishes markers in ``world``; each message replaces the markers of the one before.
+    A publisher of markers in ``world``; each message replaces the markers of the one before.
 
-    Arrows show the force on the body that can move, or what the world does to a tool; those of
-    torques stand for their axes.
+    Arrows show contact forces, on the body that can move, and external wrenches; an arrow of a
+    torque points along its axis.
 
     :param node: the node
-    :param end_effectors: that tell wrenches, by what their markers are called
+    :param end_effectors: readers of wrenches, by the beginning of the namespace of their markers
     :param frame_id: name of the frame ``world``
     :param log: counts and logs what could not be published
     """
@@ -65,7 +65,7 @@ class MarkerPublisher:
         return marker
 
     def look(self) -> bool:
-        """Tell whether somebody listens."""
+        """Tell whether there are subscribers."""
         return self._output.heard
 
     def publish(self, simulation: Simulation) -> None:

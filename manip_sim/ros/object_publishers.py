@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish where the free bodies of the world are; bodies may come and go."""
+"""Publish pose and twist of the free bodies of the world; bodies may come and go."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Output, Topic, Topics
 from manip_sim.simulation import Simulation
 
-#: What a part of a topic's name may be.
+#: A valid part of a topic's name; bodies with other names are not published.
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
 class ObjectPublishers(Topics):
     """
-    Publishers for pose and twist of each free body.
+    Publishers of the pose and twist of each free body.
 
     :param node: the node
     :param log: counts and logs what could not be published
@@ -58,7 +58,7 @@ class ObjectPublishers(Topics):
             return create_output(self._node, self._log, message_type, f'objects/{name}/{kind}')
 
         def pose(simulation: Simulation) -> FloatArray | None:
-            # It may be gone already, and follow is to come.
+            # The body may be gone before follow() is called.
             there = name in simulation.entities.free_names
             return simulation.entities.pose(simulation.data, name) if there else None
 

@@ -21,9 +21,9 @@ from manip_sim.simulation.odometry import OdometryReader
 
 class OdometryPublisher(Topics):
     """
-    Publishes where a base is in the frame of its odometry, and its velocity in its own axes.
+    A publisher of a base's pose in the frame of its odometry, and of its twist in its own axes.
 
-    It is exact: the covariances are zero.
+    They are exact: the covariances are zero.
 
     :param node: the node
     :param reader: reads the base
@@ -47,10 +47,10 @@ class OdometryPublisher(Topics):
 
 def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
     """
-    Return where a frame is in another one, and how it moves.
+    Return a message with the pose of a frame in another one, and its twist.
 
-    :param numbers: position, quaternion x, y, z, w, linear and angular velocity in the axes of
-        the frame that moves, shape (13,)
+    :param numbers: position [m], quaternion x, y, z, w, and linear [m/s] and angular velocity
+        [rad/s] in the axes of the frame that moves, shape (13,)
     """
     message = Odometry(child_frame_id=child_frame_id)
     message.header.stamp = stamp

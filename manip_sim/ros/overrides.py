@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Check what the user gave besides the node's own parameters: QoS, and who it is meant for."""
+"""Check QoS overrides, and look for parameters that are meant for other nodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MAX_DEPTH = 100_000
 
 def check_qos_values(node: Node) -> None:
     """
-    Check the values of QoS overrides; rclpy would raise what says little, or accept them.
+    Check the values of QoS overrides; rclpy would raise unclear errors, or accept them.
 
     :raises ParameterError: if one cannot be used
     """
@@ -68,7 +68,7 @@ def _qos_overrides(node: Node) -> list[tuple[str, Any]]:
 
 def for_other_nodes(arguments: Sequence[str], node_name: str) -> Iterator[str]:
     """
-    Tell which parameters of the command line have no effect, because they are for other nodes.
+    Yield warnings about parameters of the command line that are for other nodes only.
 
     :param arguments: of the command line
     :param node_name: the node's name with its namespace
@@ -97,6 +97,6 @@ def _nodes_in(file: Path) -> list[str]:
 
 
 def without_source(error: Exception) -> str:
-    """Return the first line of what rcl says, without the places in its source code."""
+    """Return the first line of an error of rcl, without the places in its source code."""
     lines = str(error).splitlines()
     return re.sub(r', at [^ ,]+:\d+', '', lines[0]) if lines else type(error).__name__

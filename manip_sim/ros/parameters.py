@@ -27,9 +27,9 @@ _COUPLED = ('control_mode', 'command_timeout')
 
 class Parameters:
     """
-    Declares parameters on a node and validates their changes.
+    The parameters of a node: declares them and validates their changes.
 
-    :param node: the node; its overrides may give an integer where a double is meant
+    :param node: the node; its overrides may give an integer where a double is declared
     """
 
     def __init__(self, node: Node) -> None:
@@ -81,9 +81,9 @@ class Parameters:
 
     def couple(self, scope: Scope, parts: Mapping[str, Part]) -> None:
         """
-        Let parameters of a part set those of the parts that it consists of, and the reverse.
+        Let parameters of a part set those of the parts that it consists of, and of its other name.
 
-        Of what the user gave at the start, that of one arm overrides that of both.
+        Of the values that the user gave at the start, that for one arm overrides that for both.
 
         :param scope: the robot
         :param parts: its parts by name
@@ -98,7 +98,7 @@ class Parameters:
                         self._node.set_parameters([given[name]])
 
     def of_part(self, name: str) -> tuple[Scope, str, str] | None:
-        """Return the robot, the group and the part that a parameter is about, or None."""
+        """Return the scope, the group and the part that a parameter belongs to, or None."""
         for scope, parts in self._parts.items():
             for group in _COUPLED:
                 begin = scope.parameter(f'{group}.')
@@ -107,7 +107,7 @@ class Parameters:
         return None
 
     def _with_coupled(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Add what follows for other parts, which the user does not set at the same time."""
+        """Add the parameters of coupled parts, unless the user sets them at the same time."""
         values = {p.name: p for p in parameters}
         result = list(parameters)
         for parameter in parameters:

@@ -4,9 +4,9 @@
 """
 POSIX Extended regular expressions that are searched in a bounded time.
 
-The time grows with the length of the text times the length of the expression, never faster: all
-ways through the expression are followed at once (K. Thompson, "Regular expression search
-algorithm", 1968). The modules of Python follow one after the other, which may take for ever.
+The time grows at most with the length of the text times that of the expression, repetitions
+written out: all paths through the expression are followed at once (K. Thompson, "Regular
+expression search algorithm", 1968). Python's ``re`` backtracks, which may take exponential time.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class _Node(NamedTuple):
 
 
 class _Parser:
-    """Reads an expression by recursive descent."""
+    """A recursive descent parser."""
 
     def __init__(self, pattern: str) -> None:
         self._pattern = pattern
@@ -178,7 +178,7 @@ class PosixExpression:
     def __init__(self, pattern: str) -> None:
         if len(pattern) > _MAX_LENGTH:
             raise ValueError(f'longer than {_MAX_LENGTH} characters')
-        #: What a way through the expression does at each place, and where it may go on.
+        #: Instructions: kind, test of a character, and the instructions that may follow.
         self._program: list[tuple[str, Callable[[str], bool] | None, list[int]]] = []
         self._emit(_Parser(pattern).parse())
         self._add('match')
@@ -248,7 +248,7 @@ class PosixExpression:
         return test is not None and test(character)
 
     def _reachable(self, places: set[int], begin: bool, end: bool) -> set[int]:
-        """Return all places that are reached without a further character."""
+        """Return all instructions that are reached without a further character."""
         reached: set[int] = set()
         left = list(places)
         while left:

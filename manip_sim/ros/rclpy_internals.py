@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What rclpy has no public name for: of the releases of ROS 2 Jazzy, 7.1, and in one place."""
+"""What rclpy has no public name for, in one place; as in its releases 7.1, of ROS 2 Jazzy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ['InUse', 'parameter_overrides', 'RCLError', 'UnknownROSArgsError', 'W
 
 class InUse:
     """
-    Keeps handles from being destroyed by other threads; an ``ExitStack`` takes twice as long.
+    A guard against destruction of handles by other threads; ``ExitStack`` takes twice as long.
 
     :param handles: of a context, subscriptions ...; events are handles too
     """
@@ -41,6 +41,6 @@ class InUse:
 
 
 def parameter_overrides(node: Node) -> dict[str, Parameter]:
-    """Return what was given to a node at its start, declared or not; it may be changed."""
+    """Return the overrides of a node's parameters, declared or not; no copy, may be changed."""
     overrides: dict[str, Parameter] = node._parameter_overrides
     return overrides

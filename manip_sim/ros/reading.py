@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read serialized commands: what is too large to be one, or is no message, is rejected."""
+"""Read serialized commands: data that is too large, or not a message, is rejected."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from trajectory_msgs.msg import JointTrajectory
 from manip_sim.errors import CommandError
 from manip_sim.simulation.command_parser import MAX_POINTS
 
-#: More than any command needs, but a trajectory [bytes].
+#: More than any command but a trajectory needs [bytes].
 _MAX_SIZE = 2**18
-#: Of a trajectory, the points of many joints with velocities and accelerations [bytes].
+#: Enough for the points of many joints with velocities and accelerations [bytes].
 _MAX_TRAJECTORY_SIZE = 2**24
 _MAX_JOINTS = 1000
-#: Serialized data begins with so many bytes that say how it is encoded.
+#: Size of the header of serialized data, which says how the data is encoded [bytes].
 _ENCODING_SIZE = 4
 
 
@@ -30,9 +30,9 @@ def read_command(message_type: Any, data: bytes) -> Any:
 
     rclpy makes Python objects of a message in one call, in which no other thread runs: 100 000
     points of a trajectory would stop the physics for more than a second. So sizes are checked
-    before.
+    first.
 
-    :raises CommandError: if it is too large, or no message of this type
+    :raises CommandError: if the data is too large, or not a message of this type
     """
     trajectory = message_type is JointTrajectory
     most = _MAX_TRAJECTORY_SIZE if trajectory else _MAX_SIZE
@@ -53,7 +53,7 @@ def trajectory_fields(part: str, message: JointTrajectory) -> tuple[Any, Any, An
 
     Velocities and accelerations that no point has are None.
 
-    :param part: that it is for
+    :param part: that it is for, named in errors
     :raises CommandError: if a point has an effort
     """
     points = message.points

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish the URDF of each robot, as robot_state_publisher, RViz and ros2_control take it."""
+"""Publish the URDF of each robot for robot_state_publisher, RViz and ros2_control."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from manip_sim.simulation import SimulatedRobot
 
 class DescriptionPublisher:
     """
-    Publishes ``robot_description`` of each robot, for everyone who comes later too.
+    Latched publishers of ``robot_description`` of each robot.
 
     :param node: the node
-    :param world: in which the robots are
+    :param world: the world of the robots
     :param robots: by their scope
-    :param ros2_control_tag: with a ``<ros2_control>`` tag for the present control modes, which
-        names the topics as they are called after remapping
+    :param ros2_control_tag: whether to add a ``<ros2_control>`` tag for the present control modes,
+        which names the topics as they are called after remapping
     """
 
     def __init__(self, node: Any, world: World, robots: Mapping[Scope, SimulatedRobot],
@@ -46,7 +46,7 @@ class DescriptionPublisher:
 
     def publish(self) -> None:
         """
-        Publish them, once.
+        Publish the descriptions, once.
 
         :raises ModelError: if the world does not compile
         """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What tools such as RViz show of a world: its frames, the odometry of bases, markers."""
+"""Publish what tools such as RViz show of a world: frames, odometry of bases, markers."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ ODOM = 'odom'
 
 def check_frame_prefix(prefix: str) -> str:
     """
-    Return a prefix of frames as it is.
+    Check a prefix of the names of frames, and return it.
 
-    :raises ParameterError: if tf2 does not take names that begin so
+    :raises ParameterError: if tf2 does not accept names that begin so
     """
     if prefix.startswith('/') or any(not c.isprintable() or c.isspace() for c in prefix):
         raise ParameterError(f"parameter 'frame_prefix': {quoted(prefix)} cannot begin the name "
@@ -52,7 +52,7 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
     :param simulation: what is seen
     :param thread: runs it
     :param log: counts and logs what could not be published
-    :returns: what follows changes of the objects
+    :returns: functions to be called when objects have come or gone
     """
     prefix = value('frame_prefix')
     readers = {}

@@ -15,12 +15,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from manip_sim.arrays import FloatArray
 from manip_sim.ros.messages import stamp_of
 
-#: Returns the message of a stamp and of numbers, shape (count,).
+#: Returns the message for a stamp and for numbers, shape (count,).
 Make = Callable[[Time, FloatArray], Any]
-#: Serialized data begins with so many bytes that say how it is encoded (OMG CDR); what follows is
-#: aligned from there.
+#: Size of the header of serialized data, which says how the data is encoded (OMG CDR) [bytes];
+#: what follows is aligned from there.
 _ENCODING_SIZE = 4
-#: A stamp and the bits of doubles that no name contains: they are no UTF-8.
+#: A stamp and the bits of doubles that no name contains, because they are not valid UTF-8.
 _MARKED_NS = 0x71FEFDFC * 1_000_000_000 + 0x3AFBFAF9
 _MARKED_BITS = 0x6AFFFEFD_F8000000
 
@@ -29,10 +29,9 @@ class SerializedMessage:
     """
     The bytes of messages that differ in their stamps and numbers only.
 
-    ``make`` says what a message is. It is called with marked numbers once, and where these are in
-    the serialized data others are written later. Where that does not give what rclpy itself
-    makes of the message, as with a middleware that encodes in another way, :meth:`at` returns
-    what ``make`` does.
+    ``make`` is called once with marked numbers; where these are found in the serialized data,
+    others are written later. If this does not yield the message that ``make`` returns, as with a
+    middleware that encodes in another way, :meth:`at` returns the messages of ``make`` themselves.
 
     :param make: returns the message
     :param count: how many numbers it takes
@@ -54,7 +53,7 @@ class SerializedMessage:
     def _mark(self) -> None:
         marks = _MARKED_BITS + np.arange(self._count, dtype=np.uint64)
         marked = self._make(stamp_of(_MARKED_NS), marks.view(np.float64))
-        if not hasattr(type(marked), '_TYPE_SUPPORT'):  # It is no message.
+        if not hasattr(type(marked), '_TYPE_SUPPORT'):  # Not a message type.
             return
         self._buffer = bytearray(serialize_message(marked))
         aligned = memoryview(self._buffer)[_ENCODING_SIZE:]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Services that control the simulation; each says why it cannot do what it is called for."""
+"""Services that control the simulation; a response says why a call has failed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from manip_sim.simulation import Simulation
 
 class SimulationServices:
     """
-    ``~/pause``, ``~/step``, ``~/reset`` and ``~/tare_wrench``.
+    The services ``~/pause``, ``~/step``, ``~/reset`` and ``~/tare_wrench``.
 
     :param node: the node
     :param simulation: what is controlled

@@ -30,15 +30,15 @@ from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.spawning import Plan, plan_with, plan_without
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
-#: The name of what has none.
+#: Name of an object that has none.
 _UNNAMED = 'object'
-#: What a file or a text can be.
+#: Formats of files and texts.
 FORMATS = ('mjcf', 'yaml')
 
 
 class SpawningServices:
     """
-    Lets objects come and go while the simulation runs.
+    The services that add and delete objects while the simulation runs.
 
     The new world is compiled in the thread of the executor; the simulation's thread takes it over
     between two control periods, with everything else as it was.
@@ -55,7 +55,7 @@ class SpawningServices:
         self._simulation = simulation
         self._thread = thread
         self._changed = changed
-        # One group: each plan is made from what the last one left.
+        # One group, because each plan is made from the one before.
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, meet in ((types.SpawnEntity, 'spawn_entity', self._spawn),
                                          (types.DeleteEntity, 'delete_entity', self._delete)):

@@ -4,8 +4,8 @@
 """
 Numbers of the package ``simulation_interfaces``, the same in its versions 1 and 2.
 
-They are written down here so that the handlers need no types of the package, which may be absent;
-a test compares them to those of the package where that is installed.
+They are copied here because the package may be absent; where it is installed, a test compares
+them with it.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class BoundsType(IntEnum):
 
 
 class Feature(IntEnum):
-    """Those constants of the message ``SimulatorFeatures`` that work here."""
+    """Constants of the message ``SimulatorFeatures`` for what is supported here."""
 
     SPAWNING = 0
     DELETING = 1

@@ -38,13 +38,13 @@ _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation
 
 
 class _YieldToExecutor:
-    """Awaited in a coroutine, lets the executor run what else is ready, and then come back."""
+    """An awaitable that lets the executor run what else is ready before a coroutine goes on."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
 
     def __await__(self) -> Generator[None, None, None]:
-        # An executor looks after what it has begun only when something wakes it.
+        # An executor goes on with tasks that it has begun only when something wakes it.
         executor = self._node.executor
         if executor is not None:
             executor.wake()
@@ -54,7 +54,7 @@ class _YieldToExecutor:
 def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: SimulationThread,
                                 objects_changed: Callable[[Simulation], None]) -> None:
     """
-    Offer the standard's services under ``~/`` if their package is installed, else do nothing.
+    Offer the services of the standard under ``~/`` if its package is installed, else do nothing.
 
     :param node: the node
     :param simulation: what is controlled
@@ -68,7 +68,7 @@ def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: Simu
 
 class SimulationInterfaces:
     """
-    The standard's services for simulation state, steps, reset and entities.
+    The services of the standard for simulation state, steps, reset and entities.
 
     A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
     simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
@@ -230,7 +230,7 @@ def _numbers(message: Any) -> list[float]:
 
 
 def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
-    """Return what of a state shall be set; version 1 of the standard has no flags and sets all."""
+    """Return pose and twist to set, or None; version 1 of the standard has no flags, sets both."""
     state = request.state
     set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
     pose = twist = None
@@ -248,7 +248,7 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
 
 
 def _matching(pattern: str, names: list[str]) -> list[str]:
-    """Return the names in which a POSIX Extended regular expression is found."""
+    """Return the names in which a POSIX Extended regular expression matches."""
     if not pattern:
         return names
     try:

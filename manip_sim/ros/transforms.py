@@ -28,14 +28,14 @@ except ModuleNotFoundError as missing:
         raise
     TFMessage = None
 
-#: As tf2's broadcasters.
+#: Queue depth, as in tf2's broadcasters.
 _DEPTH = 100
 
 
 def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree], prefix: str,
                      log: RejectionLog) -> TransformPublisher | None:
     """
-    Create what publishes ``/tf`` and ``/tf_static``; without ``tf2_msgs`` say so.
+    Create the publisher of ``/tf`` and ``/tf_static``; note if ``tf2_msgs`` is missing.
 
     :param frames: returns the tree of a simulation
     :param prefix: prefix of the names of all frames
@@ -60,10 +60,10 @@ def create_outputs(node: Node, log: RejectionLog) -> tuple[Output, Output]:
 
 class TransformPublisher:
     """
-    Publishes where frames are in their parents; frames may come and go with objects.
+    A publisher of the transforms of frames; frames may come and go with objects.
 
-    :param moving: takes the messages for ``/tf``
-    :param static: takes those for ``/tf_static``
+    :param moving: output for ``/tf``
+    :param static: output for ``/tf_static``
     :param frames: returns the tree of a simulation
     :param prefix: prefix of the names of all frames
     """
@@ -85,33 +85,33 @@ class TransformPublisher:
         :param simulation: whose objects may have come or gone
         """
         tree = self._frames(simulation)
-        # The simulation's thread sees the old tree with its message, or the new one.
+        # Assigned at once, because the simulation's thread needs a tree with its own message.
         self._present = tree, SerializedMessage(
             partial(transforms, tree.moving, self._prefix), 7 * len(tree.moving))
         self._static.publish(transforms(
             tree.static, self._prefix, stamp_of(simulation.time_ns), tree.static_poses))
 
     def look(self) -> bool:
-        """Tell whether somebody listens to the frames that move."""
+        """Tell whether ``/tf`` has subscribers."""
         return self._moving.heard
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish where the frames are that move."""
+        """Publish the transforms of the frames that move."""
         if self._present is None:
             return
         tree, message = self._present
-        if tree.model is simulation.model:  # Else objects have changed, and follow is to come.
+        if tree.model is simulation.model:  # Else follow() is about to be called.
             self._moving.publish(message.at(
                 simulation.time_ns, tree.moving_poses(simulation.data).ravel()))
 
 
 def transforms(frames: Sequence[Frame], prefix: str, stamp: Time, numbers: FloatArray) -> Any:
     """
-    Return where frames are in their parents.
+    Return a message with the poses of frames in their parents.
 
     :param frames: n of them
     :param prefix: prefix of the names of all frames
-    :param numbers: position and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
+    :param numbers: position [m] and quaternion x, y, z, w of each, shape (7 n,) or (n, 7)
     """
     message, found = TFMessage(), []
     for frame, row in zip(frames, numbers.reshape(-1, 7).tolist()):
