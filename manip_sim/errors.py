@@ -4,7 +4,7 @@
 """
 The exceptions that a caller can act on.
 
-Each message says what was asked, what was found and what is available.
+Each message says what was requested, what was found and what is available.
 """
 
 from __future__ import annotations

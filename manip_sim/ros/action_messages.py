@@ -24,16 +24,16 @@ from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryReque
 
 class ActionMessages(ABC):
     """
-    What the messages of an action mean for a part of a robot.
+    Conversions between the messages of an action and goals for a part of a robot.
 
-    :param action_type: with ``Feedback`` and ``Result``, such as those of ``control_msgs.action``
+    :param action_type: with ``Feedback`` and ``Result``, such as the types of ``control_msgs``
     :param robot: that is commanded
     :param part: of the robot
     :param now_ns: returns the simulation time [ns]
     :ivar action_type: of the action
     :ivar robot: that is commanded
     :ivar part: of the robot
-    :cvar name: of the action, after that of the part
+    :cvar name: of the action, after ``<part>/``
     """
 
     name: ClassVar[str]
@@ -63,7 +63,7 @@ class ActionMessages(ABC):
 
 
 class TrajectoryMessages(ActionMessages):
-    """Messages of control_msgs/FollowJointTrajectory."""
+    """Conversions of the messages of control_msgs/FollowJointTrajectory."""
 
     name = 'follow_joint_trajectory'
 
@@ -127,7 +127,7 @@ def _point(position: FloatArray, velocity: FloatArray, acceleration: FloatArray 
 
 
 class GripperMessages(ActionMessages):
-    """Messages of control_msgs/GripperCommand."""
+    """Conversions of the messages of control_msgs/GripperCommand."""
 
     name = 'gripper_cmd'
 
@@ -159,7 +159,7 @@ class GripperMessages(ActionMessages):
 
 
 class ParallelGripperMessages(GripperMessages):
-    """Messages of control_msgs/ParallelGripperCommand."""
+    """Conversions of the messages of control_msgs/ParallelGripperCommand."""
 
     name = 'parallel_gripper_cmd'
 

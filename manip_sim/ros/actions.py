@@ -37,7 +37,7 @@ class Actions:
     The action servers of all robots.
 
     :param node: the node
-    :param offered: what the messages of each action mean, and what counts its goals
+    :param offered: conversions of the messages of each action, and what counts its goals
     :param thread: runs the simulation
     :param log: logs what is rejected
     :ivar tracker: watches the goals
@@ -100,7 +100,7 @@ class Actions:
 def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], int]
                 ) -> Iterator[ActionMessages]:
     """
-    Yield what the messages of each action of a robot mean.
+    Yield the conversions of the messages of each action of a robot.
 
     :param types: of the actions
     :param now_ns: returns the simulation time [ns]

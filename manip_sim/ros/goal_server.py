@@ -30,7 +30,7 @@ class GoalServer:
     result for a goal that was rejected.
 
     :param node: the node
-    :param messages: what the messages of the action mean
+    :param messages: conversions of the messages of the action
     :param commands: counts goals as commands of the part
     :param tracker: watches the goals
     :param log: logs what is rejected

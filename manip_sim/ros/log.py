@@ -39,7 +39,7 @@ class RejectionLog:
     :param logger: the logger of the node
     :param clock: tells monotonic wall time [s]
     :ivar failed: how many ``callbacks``, ``publications`` and ``commands`` have failed, and how
-        many ``takes`` of received data, because it could not be read
+        often received data could not be read, as ``takes``
     """
 
     def __init__(self, logger: Any, clock: Callable[[], float] = time.monotonic) -> None:

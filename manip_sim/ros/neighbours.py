@@ -18,7 +18,7 @@ class Neighbours:
     Conflicts with other nodes; each is logged once for as long as it lasts.
 
     :param node: the node
-    :param scopes: namespaces of the topics of each robot
+    :param scopes: namespace of the topics of each robot
     """
 
     def __init__(self, node: Node, scopes: Sequence[Scope]) -> None:

@@ -108,7 +108,7 @@ class Topic:
     :param output: where they are published
     :param make: returns the message for a stamp and for numbers, shape (count,)
     :param read: returns the numbers of the present instant, or None to publish no message
-    :param count: number of the numbers
+    :param count: how many numbers there are
     :ivar output: where they are published
     """
 
@@ -137,11 +137,11 @@ class Topics:
         self._all = topics
 
     def look(self) -> bool:
-        """Look which topics have subscribers, and tell whether any has."""
+        """Check which topics have subscribers, and tell whether any has."""
         self._heard = tuple(topic for topic in self._all if topic.output.heard)
         return bool(self._heard)
 
     def publish(self, simulation: Simulation) -> None:
-        """Publish the present instant on the topics that had subscribers at the last look."""
+        """Publish the present instant on the topics that had subscribers at the last check."""
         for topic in self._heard:
             topic.publish(simulation)

@@ -14,7 +14,7 @@ from manip_sim.simulation import Simulation
 Observer = Callable[[Simulation], None]
 #: Tells whether an observer has to be called.
 Look = Callable[[], bool]
-#: How often it is looked which observers have to be called while periods run, wall time [s].
+#: Period of checks which observers have to be called while the simulation runs, wall time [s].
 _LOOK_S = 0.02
 
 
@@ -45,21 +45,21 @@ class Observers:
         self.look_again()
 
     def look_again(self) -> None:
-        """Look at the next state which observers have to be called; any thread may call this."""
+        """Check at the next state which observers have to be called; any thread may call this."""
         self._look_at = 0.0
 
     @property
     def absent(self) -> bool:
-        """Whether no observer had to be called at the last look, and no new look is requested."""
+        """Whether no observer had to be called at the last check, and no new one is requested."""
         return not self._present and self._look_at > 0.0
 
     def show(self, simulation: Simulation, number: int, now_s: float, look: bool) -> None:
         """
-        Call the observers that need it with a state.
+        Call the observers that have to be called.
 
         :param number: of the control period; observers are called at multiples of their divider
         :param now_s: monotonic wall time [s]
-        :param look: whether to look which observers have to be called even if that is not due
+        :param look: whether to check which observers have to be called even if that is not due
         """
         if look or now_s >= self._look_at:
             # Set first, or a look_again() that comes meanwhile would be lost.

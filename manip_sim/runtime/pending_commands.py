@@ -44,7 +44,7 @@ class PendingCommands:
 
     def keep_busy(self, busy_parts: BusyParts) -> None:
         """
-        Do not let lock-step wait for commands of some parts, besides those with trajectories.
+        Exempt parts from those that lock-step waits for, as it exempts parts with trajectories.
 
         :param busy_parts: returns these atomic parts of a robot, given by its name
         """

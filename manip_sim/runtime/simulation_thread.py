@@ -21,7 +21,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 
 T = TypeVar('T')
-#: How long ``free`` may run idle control periods at once, if one is shorter, wall time [s].
+#: For how long ``free`` runs idle control periods at once, at least one of them, wall time [s].
 _ROUND_S = 5e-4
 #: How many messages of a topic are taken before a call that came after them.
 _TAKEN_BEFORE_CALLS = 10
@@ -107,12 +107,12 @@ class SimulationThread:
         self._observers.add(observer, every, look)
 
     def look_again(self) -> None:
-        """Look at the end of the next control period which observers have to be called."""
+        """Check at the end of the next control period which observers have to be called."""
         self._observers.look_again()
 
     def keep_busy(self, busy_parts: BusyParts) -> None:
         """
-        Do not let lock-step wait for commands of some parts, besides those with trajectories.
+        Exempt parts from those that lock-step waits for, as it exempts parts with trajectories.
 
         :param busy_parts: returns these atomic parts of a robot, given by its name; called in the
             simulation's thread, must not call back
