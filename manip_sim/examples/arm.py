@@ -82,7 +82,7 @@ class Arm:
         """
         self._task.wait_until(lambda: min(self._trajectory.get_subscription_count(),
                                           self._gripper.get_subscription_count()) > 0,
-                              'the node does not listen to commands')
+                              'the node does not subscribe to commands')
         assert self._all is not None and self._arm is not None
         # The sites of a gripper have the same prefix, whatever the robot's names begin with.
         site = self.sensor_frame.removesuffix('ft_frame') + 'grip_site'
@@ -175,7 +175,7 @@ class Arm:
         end_s = self._task.now_s + duration_s
         while self._task.now_s < end_s or np.abs(self.joints - goal).max() > _NEAR:
             if self._task.now_s > end_s + _LATE_S:
-                raise TaskFailed(f'{self.name or "the arm"} does not get where it shall: its '
+                raise TaskFailed(f'{self.name or "the arm"} does not reach its goal: its '
                                  f'joints are off by {np.abs(self.joints - goal).max():.3f} rad')
             self._task.next_state()
 

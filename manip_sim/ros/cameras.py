@@ -138,9 +138,9 @@ class Cameras:
         self._node.get_logger().error(f'no images: {error}; all else works')
 
     def stop(self) -> None:
-        """End the thread that renders; if a rendering hangs, it is left behind."""
+        """End the thread that renders; if rendering hangs, it is abandoned."""
         if self._renderer is not None and not self._renderer.stop():
-            self._node.get_logger().error('a rendering does not end and is left behind')
+            self._node.get_logger().error('rendering hangs; its thread is abandoned')
 
     def watch(self, camera: str, every: int) -> None:
         """

@@ -139,8 +139,8 @@ class Diagnostics:
         if pace.loss > _TOLERATED_LOSS and not thread.paused:
             status.level = DiagnosticStatus.WARN
             status.message = (
-                f'the machine is too slow: the real-time factor is {pace.factor:.3g}, asked for '
-                f'is {thread.real_time_factor:g}; control periods are dropped')
+                f'the machine is too slow: the real-time factor is {pace.factor:.3g} instead '
+                f'of {thread.real_time_factor:g}; control periods are dropped')
         if self._simulation.diverged is not None:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)

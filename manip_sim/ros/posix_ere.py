@@ -114,14 +114,15 @@ class _Parser:
         if character == '\\':
             character = self._pattern[self._at:self._at + 1]
             if not character or character not in string.punctuation:
-                raise ValueError('a backslash must stand before a sign that it makes literal')
+                raise ValueError('a backslash must be followed by punctuation, which it makes '
+                                 'literal')
             self._at += 1
         return _Node('test', test=character.__eq__)
 
     def _group(self) -> _Node:
         self._depth += 1
         if self._depth > _MAX_DEPTH:
-            raise ValueError(f'more than {_MAX_DEPTH} groups in one another')
+            raise ValueError(f'groups are nested more than {_MAX_DEPTH} deep')
         node = self._choice()
         if not self._skip(')'):
             raise ValueError("unmatched '('")

@@ -63,7 +63,7 @@ def trajectory_fields(part: str, message: JointTrajectory) -> tuple[Any, Any, An
         else [np.asarray(getattr(p, name)) for p in points]
         for name in ('positions', 'velocities', 'accelerations'))
     if any(len(p.effort) for p in points):
-        raise CommandError(f'{part}: a trajectory has no use for effort, leave it empty')
+        raise CommandError(f'{part}: effort is not supported in trajectories, leave it empty')
     return times_s, positions or [], velocities, accelerations
 
 

@@ -190,7 +190,7 @@ class SimNode(Node):
         for defect in self.simulation.start_defects:
             log.warning(f'start: {defect}')
         if self.get_parameter('use_sim_time').value:
-            log.warning('use_sim_time has no effect here: this node makes the time')
+            log.warning('use_sim_time has no effect here: this node is the source of the time')
 
     def start(self) -> None:
         """

@@ -128,7 +128,7 @@ def test_velocity_tolerance_is_not_taken_for_one_of_position(simulation, follow)
 @pytest.mark.parametrize(('fields', 'code', 'text'), [
     ({'trajectory': trajectory(['elbow'])}, 'INVALID_JOINTS', "no joint 'elbow'"),
     ({'trajectory': trajectory(positions=[0.1, 0.2])}, 'INVALID_GOAL', 'must have 1 number'),
-    ({'trajectory': trajectory(effort=[1.0])}, 'INVALID_GOAL', 'no use for effort'),
+    ({'trajectory': trajectory(effort=[1.0])}, 'INVALID_GOAL', 'not supported in trajectories'),
     ({'trajectory': JointTrajectory(joint_names=[J1])}, 'INVALID_GOAL', 'at least one point'),
     ({'multi_dof_trajectory': MultiDOFJointTrajectory(joint_names=['base'])}, 'INVALID_GOAL',
      'leave multi_dof_trajectory empty'),

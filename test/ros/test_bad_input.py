@@ -78,7 +78,7 @@ REJECTED = {
         (trajectory([J1], point([NAN])), 'must be finite'),
         (trajectory([J1], point([0.1], sec=-1)), 'must not be negative'),
         (trajectory([J1], point([0.1]), point([0.2], 2, velocities=[1.0])), 'velocities'),
-        (trajectory([J1], point([0.1], effort=[1.0])), 'no use for effort')],
+        (trajectory([J1], point([0.1], effort=[1.0])), 'not supported in trajectories')],
 }
 
 

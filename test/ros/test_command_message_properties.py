@@ -61,7 +61,7 @@ def test_bytes_that_were_spoiled_are_read_or_rejected(message, changes, length):
 def test_the_fields_of_a_trajectory_are_those_of_its_points_or_it_is_rejected(message):
     points = message.points
     if any(len(point.effort) for point in points):
-        with pytest.raises(CommandError, match='no use for effort'):
+        with pytest.raises(CommandError, match='not supported in trajectories'):
             trajectory_fields('arm', message)
         return
     times_s, positions, velocities, accelerations = trajectory_fields('arm', message)

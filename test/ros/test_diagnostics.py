@@ -106,7 +106,7 @@ def test_a_factor_that_is_not_reached_is_told_also_with_long_periods(serve, clie
     client.spin_until(lambda: len(arrays) > 3 and abs(factor_of(arrays[-1]) - 0.5) < 0.03)
     first, last = arrays[0].status[0], arrays[-1].status[0]
     assert last.level == DiagnosticStatus.WARN
-    assert 'asked for is 0.6' in last.message
+    assert 'instead of 0.6' in last.message
     assert int(values(last)['missed_deadlines']) > int(values(first)['missed_deadlines'])
 
 

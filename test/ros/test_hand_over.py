@@ -119,7 +119,7 @@ def test_an_arm_that_does_not_move_is_told(node, process, client):
     _, errors = finish(client, controller)
     node.thread.call(lambda: robot.set_control_mode('arm', 'position'))
     assert controller.returncode == 1
-    assert 'left does not get where it shall: its joints are off by' in errors
+    assert 'left does not reach its goal: its joints are off by' in errors
 
 
 def test_a_cube_that_does_not_stand_at_the_goal_is_told():

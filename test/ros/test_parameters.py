@@ -151,7 +151,7 @@ def test_a_dump_of_all_parameters_starts_an_equal_node(sim_process, process, cli
 def test_use_sim_time_is_answered_with_a_warning(serve, client):
     log = client.log()
     serve(use_sim_time=True)
-    client.spin_until(lambda: any('this node makes the time' in line for line in log))
+    client.spin_until(lambda: any('this node is the source of the time' in line for line in log))
     client.state()
 
 
