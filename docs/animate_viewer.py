@@ -29,11 +29,11 @@ from rosgraph_msgs.msg import Clock
 ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
              '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist']
 SIZE = {'width': 960, 'height': 540}
-#: Simulation time per second of wall time, between two frames [s], and how fast it is shown.
+#: Real-time factor, simulation time between two frames [s], and speed that they are shown at.
 FACTOR, STEP_S, SPEED = 0.25, 0.18, 2.0
 #: How long the page takes to show the newest state [ms].
 SETTLE_MS = 300
-#: The browser's notice of slow graphics, and the time, which runs slowly, are of no interest.
+#: Hidden: the page's line of state, which shows the slow pace, and the notice of slow graphics.
 STYLE = '[role=status] { visibility: hidden }'
 CLOSE = "document.querySelector('.mantine-Notification-closeButton')?.click()"
 

@@ -23,12 +23,12 @@ if _package.exists():
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.viewcode']
 source_suffix = {'.md': 'markdown'}
-# Of README.md a link, because rosdoc2 copies this folder alone.
+# _front_page.md is a link to README.md, because rosdoc2 copies this folder alone.
 exclude_patterns = ['_build', '_front_page.md']
 
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
-# Command lines with the placeholders of this documentation are no shell to be highlighted.
+# Command lines with placeholders are not valid shell, so nothing is highlighted by default.
 highlight_language = 'none'
 
 autodoc_mock_imports = ['rclpy']
@@ -49,7 +49,7 @@ nitpick_ignore_regex = [
     ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT)'),
     # Fields of instances are part of the text of their class.
     ('py:(attr|data)', '.*'),
-    # What is behind the classes that are documented.
+    # Classes and functions that the documented ones use.
     ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|ModelFile|RobotPlan'
                         r'|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise'
                         r'|create_camera)'),

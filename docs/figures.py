@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Draw the figures of the documentation from simulations that run here.
+Draw the figures of the documentation from simulations run by this script.
 
 It needs matplotlib.
 
@@ -39,7 +39,7 @@ def save(figure: plt.Figure, name: str) -> None:
 
 
 def run(simulation: Simulation, seconds: float, look: Callable[[], object]) -> list[object]:
-    """Advance, and return what is seen after each control period."""
+    """Advance, and return what ``look`` returns after each control period."""
     seen = []
     for _ in range(round(seconds / PERIOD_S)):
         simulation.advance(STEPS)
@@ -48,7 +48,7 @@ def run(simulation: Simulation, seconds: float, look: Callable[[], object]) -> l
 
 
 def wrench() -> None:
-    """Both wrenches along z: at rest, while the hand moves up, and under a push."""
+    """Draw both wrenches along z: at rest, while the hand moves up, and under a push."""
     simulation = Simulation(compose('Panda'))
     robot = simulation.robot
     body = simulation.model.body('gripper0_right_right_gripper').id
@@ -84,7 +84,7 @@ def wrench() -> None:
 
 
 def gravity() -> None:
-    """Joint 2 and joint 4 of a Panda in effort mode without any effort, both ways."""
+    """Draw joints 2 and 4 of a Panda at zero effort, with and without compensation."""
     figure, axes = plt.subplots(1, 2, figsize=(8.0, 3.0), sharex=True)
     for compensated, style in ((True, '-'), (False, '--')):
         simulation = Simulation(compose('Panda', gravity_compensation=compensated))
@@ -115,7 +115,7 @@ def gravity() -> None:
 
 
 def setpoints() -> None:
-    """What a joint does with a step, and with a stream of the same way."""
+    """Draw what a joint does with a step, and with a stream of the same distance."""
     figure, axes = plt.subplots(2, 2, figsize=(7.2, 4.6), sharex='col', sharey='row')
     for column, title in enumerate(('a step of 0.5 rad', 'a stream at 20 Hz')):
         simulation = Simulation(compose('Panda'))

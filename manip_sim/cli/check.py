@@ -24,7 +24,7 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Return what is wrong, and 1 if anything is."""
+    """Return the defects as text, and the exit code: 1 if there are any."""
     if options.file is not None:
         name, defects = str(options.file), _defects_of_file(options.file)
         note = ''
@@ -47,7 +47,7 @@ def _defects_of(world: World) -> list[StartDefect]:
     try:
         simulation = Simulation(world)
     except ModelError as error:
-        # It cannot be controlled; what it is made of may tell why.
+        # It cannot be controlled; the defects of its start may explain why.
         model = world.compile()
         data = mujoco.MjData(model)
         for joint, position in world.init_qpos().items():
@@ -74,6 +74,6 @@ def _defects_of_file(file: Path) -> list[StartDefect]:
 
 
 def _robots(model: mujoco.MjModel) -> list[str]:
-    """Return the bodies on the world that have joints below them; free bodies are objects."""
+    """Return the root bodies of trees with joints other than free ones, so not of objects."""
     jointed = model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]
     return [model.body(root).name for root in np.unique(model.body_rootid[jointed]).tolist()]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make a world of the options of a command line, through the parameters of the node."""
+"""Compose a world from the options of a command line, through the parameters of the node."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _BOOL = {'true': True, 'false': False}
 @dataclass(frozen=True)
 class Composed:
     """
-    What the options ask for.
+    What was composed from the options.
 
-    :ivar composition: the world, and where the node serves each robot
-    :ivar parameters: what the node has to be told for it
+    :ivar composition: the world, and the scope in which the node serves each robot
+    :ivar parameters: those that the node needs for it
     """
 
     composition: Composition
@@ -41,14 +41,14 @@ class Composed:
 
 def compose_from(options: argparse.Namespace) -> Composed:
     """
-    Return the world that the options ask for.
+    Return the composition that the options describe.
 
     :raises ManipSimError: if a parameter cannot be used, or the parts do not fit together
     """
     parameters = GivenParameters(_given(options))
     composition = compose_world(parameters)
     world = composition.world
-    # A world that cannot be controlled has no parts; what is wrong with it is told later.
+    # A world that cannot be controlled has no parts; it is reported later.
     with contextlib.suppress(ModelError):
         model = world.compile()
         parts = [find_parts(model, robot) for robot in world.robots]
@@ -58,7 +58,7 @@ def compose_from(options: argparse.Namespace) -> Composed:
 
 
 def arena_from(options: argparse.Namespace) -> Arena:
-    """Return the arena that the options ask for; raises as :func:`compose_from`."""
+    """Return the arena that the options describe; raises as :func:`compose_from`."""
     given = _given(options)
     parameters = GivenParameters({name: value for name, value in given.items()
                                   if name not in ('robot', 'gripper', 'base')})
@@ -67,7 +67,7 @@ def arena_from(options: argparse.Namespace) -> Arena:
 
 
 def _given(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the parameters that the node would have to be given."""
+    """Return the parameters that the node needs for the same composition."""
     if options.params_file is not None:
         return read_parameters(options.params_file)
     given = {name: getattr(options, name) for name in _PARAMETERS
@@ -76,7 +76,7 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         given['gravity_compensation'] = False
     if options.object is not None:
         given['objects'] = options.object
-    # The node puts the cube on the table unless told not to, here it is the other way round.
+    # The node puts the cube on the table by default, this command does not.
     of_arena = {'cube': False, **_arena_values(options)}
     return {**given, **{name if name == 'cube' else f'arena.{name}': value
                         for name, value in of_arena.items()}}
@@ -106,7 +106,7 @@ def arena_parameters(name: str) -> dict[str, Any]:
 
 
 def _as(default: Any, name: str, text: str) -> Any:
-    """Return what a text says, as the type of a default."""
+    """Return a text converted to the type of a default."""
     if isinstance(default, bool):
         if text.lower() not in _BOOL:
             raise ModelError(f'{name} must be true or false, got {quoted(text)}')

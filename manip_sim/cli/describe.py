@@ -15,7 +15,7 @@ from manip_sim.cli.description import describe
 from manip_sim.cli.tables import number, span, table, terminal_width
 
 Row = dict[str, Any]
-#: By section of the description: the names of the columns, and what is in the cells of a row.
+#: By section of the description: the names of the columns, and the cells of a row.
 _COLUMNS: dict[str, tuple[tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = {
     'models': (
         ('kind', 'class', 'prefix', 'mass kg', 'joints', 'actuators', 'from'),
@@ -70,7 +70,7 @@ _TITLES = {
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Return the description as text."""
+    """Return the description as text, and the exit code 0."""
     description = describe(compose_from(options))
     if options.json:
         return json.dumps(description, indent=2, allow_nan=False), 0

@@ -35,11 +35,11 @@ Row = dict[str, Any]
 
 def describe(composed: Composed) -> Row:
     """
-    Return what a world is made of; names of parts begin with the robot where there are several.
+    Return what a world consists of; of several robots, names of parts begin with the robot's.
 
     :param composed: the world, and the parameters of the node
-    :returns: of dictionaries, lists, strings and finite numbers
-    :raises ModelError: if the world cannot be simulated, or a camera is not there
+    :returns: dictionaries and lists of what JSON can hold; numbers are finite
+    :raises ModelError: if the world cannot be simulated, or a camera does not exist
     """
     world, parameters = composed.composition.world, composed.parameters
     model, simulation = world.compile(), Simulation(world)
@@ -74,7 +74,7 @@ def describe(composed: Composed) -> Row:
 
 def _of_robot(parameters: GivenParameters, simulation: Simulation, model: mujoco.MjModel,
               scope: Scope, robot: SimulatedRobot) -> dict[str, list[Row]]:
-    """Return the sections that each robot has; its parts are named with the robot."""
+    """Return the sections of one robot; names of its parts begin with its scope."""
     def modes(part: str) -> Any:
         return parameters.value(scope.parameter(f'control_mode.{part}'))
 
@@ -95,7 +95,7 @@ def _models(robot: RobotModel, model: mujoco.MjModel) -> Iterator[Row]:
     parts: list[MujocoXMLModel] = [robot, *robot.models]
     mass = {part.naming_prefix: sum(float(model.body(body).mass[0]) for body in part.bodies)
             for part in robot.models}
-    # All that is of no other part: on a mobile base the robot's root is in two bodies.
+    # All that belongs to no other part: on a mobile base the robot's root is in two bodies.
     mass[robot.naming_prefix] = (
         float(model.body(robot.root_body).subtreemass[0]) - sum(mass.values()))
     for part in parts:
@@ -118,7 +118,7 @@ def _part(part: Part, names: Mapping[str, str], mode_of: Callable[[str], Any]) -
 
 
 def _of_parts(robot: SimulatedRobot, elements: str, names: Mapping[str, str]) -> dict[str, str]:
-    """Return the part of each joint or actuator, of those that do not overlap."""
+    """Return the part of each joint or actuator; parts that consist of others are left out."""
     return {name: names[part.name] for part in robot.parts.values() if part.atomic == (part.name,)
             for name in getattr(part, elements)}
 

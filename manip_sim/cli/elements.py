@@ -24,9 +24,9 @@ Row = dict[str, Any]
 
 def actuator_rows(model: mujoco.MjModel, part_of: Mapping[str, str]) -> list[Row]:
     """
-    Tell the actuators as the files have them.
+    Return the actuators as the files define them.
 
-    :param part_of: the part of each actuator that is told
+    :param part_of: the part of each actuator that is wanted
     """
     rows = []
     for name, part in part_of.items():
@@ -57,7 +57,7 @@ def _servo_type(model: mujoco.MjModel, index: int) -> str:
 
 
 def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
-    """Tell the sensors of a robot and of all that is mounted on it."""
+    """Return the sensors of a robot and of all that is mounted on it."""
     rows = []
     for part in _parts(robot):
         for name in part.sensors:
@@ -73,7 +73,7 @@ def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
 
 
 def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) -> list[Row]:
-    """Tell the bodies of a robot, and the sites with a role, where they are in ``world``."""
+    """Return the bodies of a robot and the sites with a role, with their poses in ``world``."""
     rows = []
     below = np.zeros(model.nbody, dtype=bool)
     below[model.body(robot.root_body).id] = True
@@ -98,14 +98,14 @@ def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) ->
 
 
 def _important(part: MujocoXMLModel) -> list[str]:
-    """Return the sites of a part that have a role, and those that its sensors sit on."""
+    """Return the sites of a part that have a role, with the ``ft_frame`` of its sensors."""
     names = list(part.important_sites.values())
     frame = part.correct_naming('ft_frame')
     return [frame, *names] if frame in part.sites else names
 
 
 def camera_rows(model: mujoco.MjModel) -> list[Row]:
-    """Tell the cameras of a model."""
+    """Return the cameras of a model."""
     rows = []
     for camera in range(model.ncam):
         width, height = model.cam_resolution[camera].tolist()

@@ -19,7 +19,7 @@ _ARCHIVES = ('.mjz', '.zip')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the file or the package; tell its size, and what it cannot hold."""
+    """Write the file or the package; return its name with notes on it, and the exit code 0."""
     if options.moveit is not None:
         from manip_sim.moveit import write_package
         folder: Path = options.moveit
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _hardware(composed: Composed, name: str) -> Hardware:
-    """Return what lets ros2_control command a robot in the control modes of its parameters."""
+    """Return the ros2_control hardware of a robot, in the control modes of its parameters."""
     composition, value = composed.composition, composed.parameters.value
     robots = Simulation(composition.world).robots
     robot = robots[name]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""From where pictures are taken, so that what is shown fills them."""
+"""Place cameras so that what is shown fills the picture."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from manip_sim.errors import UnknownNameError
 if TYPE_CHECKING:
     import mujoco
 
-#: How much more is seen than what is shown.
+#: How much wider the view is than what it has to show.
 _MARGIN = 1.05
-#: Of an aim; the margins differ by less than a pixel after a few.
+#: How often an aim is corrected; after a few times the margins differ by less than a pixel.
 _CORRECTIONS = 10
 
 
 @dataclass(frozen=True)
 class View:
     """
-    From where a picture is taken; it shows all there is, as large as it can be.
+    The direction that a picture is taken in; it shows everything, as large as possible.
 
     :ivar azimuth: looking along x is 0, along y is 90 [degrees]
     :ivar elevation: looking down is negative [degrees]
-    :ivar camera: of the model, instead of these
+    :ivar camera: name of a camera of the model, used instead of the angles
     """
 
     azimuth: float = 140.0
@@ -44,8 +44,8 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
     """
     Return a camera for each view.
 
-    Those that are not the model's see all points, are as near as that allows, and as near as each
-    other: what they show has the same size.
+    Cameras that are not the model's see all points and share one distance, the least possible:
+    their pictures have the same scale.
 
     :param points: in the world, (n, 3) [m]
     :param aspect: width by height of each picture
@@ -73,7 +73,7 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
 
 
 def _axes(view: View) -> Any:
-    """Return the directions aside, up and away of a camera, as rows."""
+    """Return the right, up and forward directions of a camera, as rows."""
     import numpy as np
     turn, tilt = np.radians(view.azimuth), np.radians(view.elevation)
     away = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
@@ -82,17 +82,17 @@ def _axes(view: View) -> Any:
 
 
 def _nearest(seen: Any, tangents: Any) -> float:
-    """Return the least distance from which a camera sees all points, wherever it is aimed."""
+    """Return the least distance from which a well aimed camera sees all points [m]."""
     reach = seen[:, 2:] * tangents
     spread = (seen[:, :2] - reach).max(axis=0) - (seen[:, :2] + reach).min(axis=0)
     return float((spread / tangents / 2.0).max())
 
 
 def _aim(seen: Any, distance: float) -> Any:
-    """Return what has to be in the middle, so that all margins are equal, along the axes [m]."""
+    """Return where to aim so that opposite margins are equal, along the camera's axes [m]."""
     import numpy as np
     aim = np.zeros(3)
-    for _ in range(_CORRECTIONS):  # What is near moves more than what is far.
+    for _ in range(_CORRECTIONS):  # Near points shift more than far ones.
         at = (seen - aim)[:, :2] / (seen[:, 2:] + distance)
         aim[:2] += distance * (at.min(axis=0) + at.max(axis=0)) / 2.0
     return aim

@@ -27,12 +27,12 @@ from manip_sim.quoting import one_line
 from manip_sim.resources import PACKAGE, share_directory
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: What is told of one thing, by the name of the column; also ``error`` where it cannot be created.
+#: The cells of one part by column; also ``error`` where it cannot be created.
 Row = dict[str, Any]
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Return tables of all kinds or one, or JSON, and 1 if a part cannot be created."""
+    """Return tables of all kinds or one, or JSON, and 1 if a part cannot be created, else 0."""
     kinds = KINDS if options.kind is None else (options.kind,)
     found = {title: rows for kind in kinds for title, rows in _SECTIONS[kind]().items()}
     failed = any('error' in row for rows in found.values() for row in rows)
@@ -70,7 +70,7 @@ def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
 
     :param kind: such as ``robots``
     :returns: ``manip_sim``, the entry point and distribution, the package, or the folder that
-        declares it; and the file, below the folder of the package's own assets where it is there
+        declares it; and the file, relative to the share folder of ``manip_sim`` if it is in there
     """
     package = type(part).__module__.partition('.')[0]
     share = share_directory()
@@ -87,7 +87,7 @@ def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
 
 def _parts(kind: str, names: list[str], create: Callable[[str], Any],
            tell: Callable[[str, Any], Row]) -> dict[str, list[Row]]:
-    """Tell the parts of a kind; for one that cannot be created, the reason."""
+    """Return a row for each part of a kind; for one that cannot be created, with the reason."""
     def row(name: str) -> Row:
         try:
             part = create(name)
@@ -127,7 +127,7 @@ def _arenas() -> dict[str, list[Row]]:
 
 
 def _objects() -> dict[str, list[Row]]:
-    """Tell the shapes of objects, and the free bodies of arenas, also those behind a switch."""
+    """Return the shapes of objects, and the free bodies of arenas, also the optional ones."""
     return {'shapes of objects': [{'name': shape, 'size m': size}
                                   for shape, (_, size) in SIZES.items()],
             'objects': list(_free_bodies_of_arenas())}

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Entry point of ``manip_sim``: which command, its exit code, and errors in one line.
+Entry point of ``manip_sim``: dispatch to a command, exit codes, and errors in one line.
 
 It imports little: a command imports what it needs when it runs.
 """
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _choose_renderer(command: str) -> None:
-    # MuJoCo looks at this when it is imported.
+    # MuJoCo reads this variable when it is imported.
     if command == 'render':
         if sys.platform == 'linux':
             os.environ.setdefault('MUJOCO_GL', 'egl')
@@ -72,7 +72,7 @@ def _choose_renderer(command: str) -> None:
 
 
 def _tell(text: str = '') -> int:
-    """Print a text and all before it; return an exit code other than zero if that fails."""
+    """Print a text and flush the output; return an exit code other than zero if that fails."""
     if sys.stdout is None:
         return 0
     try:
@@ -81,9 +81,9 @@ def _tell(text: str = '') -> int:
             print(text.encode(encoding, 'backslashreplace').decode(encoding))
         sys.stdout.flush()
     except OSError as error:
-        # Python flushes once more at the end, into nothing then.
+        # Python flushes once more when it exits, then to the null device.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):  # Else who reads has seen enough.
+        if not isinstance(error, BrokenPipeError):  # Otherwise the reader has ended.
             return _fail(f'cannot write the output: {error.strerror}')
     return 0
 

@@ -17,7 +17,7 @@ def check_folder(file: Path) -> None:
     """
     Check that there is a folder for a file.
 
-    :raises ManipSimError: if there is none
+    :raises ManipSimError: if there is none, or the file itself is a folder
     """
     if file.is_dir():
         raise ManipSimError(f'{file} is a folder, give the name of a file')
@@ -30,10 +30,10 @@ def write_whole(file: Path, write: Callable[[Path], object]) -> None:
     Let a function write a file, and put it into place when it is complete.
 
     :param file: overwritten if it is there
-    :param write: takes the path to write to, of the same ending
+    :param write: takes the path to write to, which has the same suffix
     """
     check_folder(file)
-    # Made by mkstemp nobody else could read it.
+    # A file made by mkstemp is readable by its owner alone.
     mask = os.umask(0)
     os.umask(mask)
     descriptor, name = tempfile.mkstemp(prefix=f'.{file.stem}_', suffix=file.suffix,

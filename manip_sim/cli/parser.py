@@ -18,14 +18,14 @@ COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'id
                'position', 'orientation', 'timestep', 'no_gravity_compensation', 'cameras',
                'params_file')
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
-#: Of a picture: the least and the greatest edge [pixels].
+#: The least and the greatest edge of a picture [pixels].
 SMALLEST, LARGEST = 16, 8192
 _EXIT_CODES = ('Exit codes: 0 all right; 1 something is wrong, or cannot be done; 2 wrong command '
                'line')
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that tells an error in one line."""
+    """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f'manip_sim: {message}; see {self.prog} --help\n')
@@ -58,7 +58,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _conflict(options: argparse.Namespace) -> str | None:
-    """Say which options do not go together."""
+    """Return which options do not go together, or None."""
     given = [name for name in COMPOSITION if getattr(options, name, None) is not None]
     if options.command == 'check' and options.file is not None and given:
         return 'check either a FILE or a composition, not both'

@@ -22,7 +22,7 @@ _ENDINGS = ('.png', '.jpg', '.jpeg')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Write the picture."""
+    """Write the picture; return the name of its file, and the exit code 0."""
     file: Path = options.file
     if file.suffix.lower() not in _ENDINGS:
         raise ManipSimError(f'{file}: the name must end with .png or .jpg')
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     check_pillow()
     try:
         import mujoco  # noqa: F401
-    except Exception as error:  # What MUJOCO_GL asks for is looked up at the import.
+    except Exception as error:  # MuJoCo loads what MUJOCO_GL selects.
         raise cannot_render(error) from error
     picture = _picture(options)
     write_whole(file, picture.save)

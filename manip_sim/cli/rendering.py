@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from manip_sim.models import World
     from manip_sim.models.mjcf import MujocoXMLModel
 
-#: Where the lowest shape of a part that is shown alone is above the floor [m].
+#: Height above the floor of the lowest shape of a part that is shown alone [m].
 _ABOVE_FLOOR = 0.01
-#: How long coupled joints may take to find their start [s].
+#: How long couplings are simulated to bring their joints to the start [s].
 _SETTLE_S = 0.5
-#: What of an arena without furniture is shown: the corners of a part of its floor [m].
+#: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
 
 
 def check_pillow() -> None:
     """
-    Check that pillow is there.
+    Check that pillow is installed.
 
-    :raises ManipSimError: with what installs it
+    :raises ManipSimError: if it is not, with the command that installs it
     """
     try:
         import PIL  # noqa: F401
@@ -47,7 +47,7 @@ def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] 
     Render a world at its start.
 
     :param size: width and height of the picture; views stand side by side in it [pixels]
-    :param views: from where
+    :param views: directions of view, from left to right
     :param in_studio: before a backdrop of one colour instead of the arena's floor and sky
     :raises UnknownNameError: if there is no such camera
     :raises ManipSimError: if nothing can be rendered
@@ -76,7 +76,7 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
         frame['quat'] = [0.0, 1.0, 0.0, 0.0]
         if part.init_qpos is not None:
             by_joint = dict(zip(part.joints, np.asarray(part.init_qpos, dtype=float).tolist()))
-    for _ in range(2):  # Where the floor has to be is known when the part has been looked at.
+    for _ in range(2):  # The height follows from the shapes of the first pass.
         spec = create_arena('empty').compose()
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         part.attach_to(spec, spec.worldbody.add_frame(pos=[0.0, 0.0, height], **frame))
@@ -119,13 +119,13 @@ def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
                     studio.light(renderer.scene, views[index].azimuth)
                 view = Image.fromarray(renderer.render())
                 picture.paste(view, (index * size[0] // len(views), 0))
-    except Exception as error:  # Each way to render has exceptions of its own.
+    except Exception as error:  # Each OpenGL backend has exceptions of its own.
         raise cannot_render(error) from error
     return picture
 
 
 def _start_of(world: World) -> tuple[Any, Any]:
-    """Return model and data of a world at its start, also of one that cannot be controlled."""
+    """Return model and data of a world at its start, even if it cannot be controlled."""
     from manip_sim.simulation import Simulation
     if world.robots:
         with contextlib.suppress(ModelError):
@@ -153,7 +153,7 @@ def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:
 
 
 def _visible_corners(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-    """Return the corners of the boxes round all visible shapes but the ground [m], (n, 3)."""
+    """Return the corners of the bounding boxes of visible shapes but the world's [m], (n, 3)."""
     import numpy as np
     signs = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, 8).T
     corners = [np.empty((0, 3))]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A backdrop of one colour and lights that go with the camera, for pictures of parts."""
+"""A backdrop of one colour and lights that move with the camera, for pictures of parts."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _BACKDROP = (0.71, 0.76, 0.81)
 #: Narrow, so that what is near does not look larger [degrees].
 _FIELD_OF_VIEW = 20.0
 _AMBIENT = 0.42
-#: Each light: where it shines to, along the camera's right, up and forward; how bright [1]. The
-#: first throws shadows, from right above: they stay below, and walls are free of their edges.
+#: Each light: its direction along the camera's right, up and forward; its brightness [1]. The
+#: first casts shadows, straight down, so that they stay below and have no edges on walls.
 _LIGHTS = (((0.0, -1.0, 0.0), 0.18), ((0.6, -0.6, 0.6), 0.46), ((-0.8, -0.1, 0.6), 0.22))
 _SPECULAR = 0.35
-#: Edges and shadows are smooth at these [samples and pixels].
+#: For smooth edges and shadows: samples per pixel, and size of the shadow map [pixels].
 _SAMPLES, _SHADOW_SIZE = 8, 8192
 
 
 def prepare(model: mujoco.MjModel) -> None:
-    """Give ground, sky and horizon of a model one colour; it is not the same model afterwards."""
+    """Give ground, sky and horizon of a model one colour; the model is changed in place."""
     import mujoco
     import numpy as np
     ground = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0)
@@ -40,7 +40,7 @@ def prepare(model: mujoco.MjModel) -> None:
 
 def light(scene: mujoco.MjvScene, azimuth: float) -> None:
     """
-    Replace the lights of a scene, and let its ground be like the backdrop where no shadow falls.
+    Replace the lights of a scene, and match its ground to the backdrop where no shadow falls.
 
     :param azimuth: of the view [degrees]
     """
@@ -58,7 +58,7 @@ def light(scene: mujoco.MjvScene, azimuth: float) -> None:
         one.pos = -5.0 * one.dir
         one.attenuation = (1.0, 0.0, 0.0)
         one.castshadow = index == 0
-        # In a shadow there is less of all three, and at walls the shadow of a shape on itself.
+        # Its shadows, also those of a shape on its own walls, dim all three: so diffuse alone.
         one.ambient, one.diffuse, one.specular = (
             np.full(3, 0.0 if one.castshadow else _AMBIENT / (len(_LIGHTS) - 1)),
             np.full(3, brightness), np.full(3, 0.0 if one.castshadow else _SPECULAR))

@@ -13,7 +13,7 @@ import shutil
 _GAP, _INDENT = '  ', '  '
 #: No column gets narrower than this by wrapping.
 _NARROWEST = 10
-#: Where the output is no terminal, lines are as long as they are, for grep and the like.
+#: Where the output is no terminal, lines are not wrapped, for grep and the like.
 _ENDLESS = 1_000_000
 _NUMERIC = re.compile(r'-?\d[\d.e+-]*|-')
 _NUMERIC_OR_SPAN = re.compile(rf'({_NUMERIC.pattern})( to {_NUMERIC.pattern})?')
@@ -64,7 +64,7 @@ def _all_match(pattern: re.Pattern[str], column: Sequence[str]) -> bool:
 
 
 def _fitted(widths: Sequence[int], room: int, shrinks: Sequence[bool]) -> list[int]:
-    """Return widths of columns that fit into a room, the widest of those that may shrink less."""
+    """Return widths that fit into a room if they can: the widest that may shrink do so first."""
     fitted = list(widths)
     while sum(fitted) > room:
         widest = max((w for w, may in zip(fitted, shrinks) if may), default=0)
@@ -89,10 +89,10 @@ def _wrapped(cell: str, width: int) -> list[str]:
 
 
 def number(value: float | None) -> str:
-    """Return a number with four digits, and nothing below a millionth; ``-`` for None."""
+    """Return a number rounded to a millionth, with four digits at most; ``-`` for None."""
     return '-' if value is None else f'{round(value, 6) + 0.0:.4g}'
 
 
 def span(limits: Sequence[float] | None) -> str:
-    """Return a lowest and a highest value; ``-`` for None."""
+    """Return a lowest and a highest value as text; ``-`` for None."""
     return '-' if limits is None else ' to '.join(map(number, limits))

@@ -20,11 +20,11 @@ from typing import Any
 from manip_sim.errors import ManipSimError
 
 _VARIABLE = 'MUJOCO_GL'
-#: How nice rendering is to the physics: on few processors it takes what is left.
+#: Niceness of rendering: on few processors it takes what the physics leaves.
 _NICENESS = 10
 _OFF = ('disable', 'disabled', 'off', 'false', '0')
 _DEFAULT = ('', 'enable', 'enabled', 'on', 'true', '1')
-#: The modules of MuJoCo that make contexts, by what ``MUJOCO_GL`` may be on a platform.
+#: The modules of MuJoCo that create contexts, by platform and value of ``MUJOCO_GL``.
 _MODULES = {
     'linux': {'egl': 'egl', 'osmesa': 'osmesa', 'glfw': 'glfw', 'glx': 'glfw'},
     'darwin': {'cgl': 'cgl', 'glfw': 'glfw'},
@@ -39,10 +39,10 @@ def cannot_render(error: object) -> ManipSimError:
 
 def choose_gl() -> str:
     """
-    Return the way to render that ``MUJOCO_GL`` says, and let MuJoCo's library know it.
+    Return the OpenGL backend that ``MUJOCO_GL`` selects, and write it there for MuJoCo.
 
-    By default it is EGL on Linux, which needs no screen. To be called before threads start: it
-    sets the environment variable.
+    By default it is EGL on Linux, which needs no screen. Call this before threads start: it sets
+    the environment variable.
 
     :raises ManipSimError: if rendering is switched off or the value is none of MuJoCo's
     """
@@ -67,14 +67,14 @@ def create_context(way: str, width: int, height: int) -> Any:
 
     :param way: as :func:`choose_gl` returns it
     :param width: of the largest image [pixels], as ``height``
-    :raises ManipSimError: with what is missing
+    :raises ManipSimError: if it cannot be created, with what is missing
     """
     module = _MODULES.get(sys.platform, {}).get(way, way)
     made: Future[Any] = Future()
 
     def make() -> None:
         try:
-            if sys.platform == 'linux':  # There each thread has a niceness, and hands it on.
+            if sys.platform == 'linux':  # There niceness is per thread, and inherited.
                 os.nice(_NICENESS)
             made.set_result(importlib.import_module(f'mujoco.{module}').GLContext(width, height))
         except BaseException as error:  # The thread that waits has to learn of it.
@@ -83,6 +83,6 @@ def create_context(way: str, width: int, height: int) -> Any:
     try:
         context = made.result()
         context.make_current()
-    except Exception as error:  # Each way has exceptions of its own.
+    except Exception as error:  # Each backend has exceptions of its own.
         raise cannot_render(error) from error
     return context

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a camera of a model puts a point in its image."""
+"""The intrinsics of the cameras of a model: where an image shows a point."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def intrinsics_of(model: mujoco.MjModel, camera: str, width: int, height: int) -
     if getattr(frustum, 'orthographic', 0):
         raise ModelError(f"camera '{camera}' is orthographic: no camera_info can describe it")
     top, tall = frustum.frustum_top, frustum.frustum_top - frustum.frustum_bottom
-    # MuJoCo's width is half of it, and zero where pixels are square.
+    # MuJoCo's frustum_width is half the width, and zero where pixels are square.
     half = frustum.frustum_width or 0.5 * tall * width / height
     near = frustum.frustum_near
     return Intrinsics(

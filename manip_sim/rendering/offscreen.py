@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Render what cameras of a model see: colour and metric depth of one rendering."""
+"""Render what cameras of a model see: colour and metric depth from one rendering."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from manip_sim.rendering.intrinsics import fixed_camera
 
 _Flag = mujoco.mjtRndFlag
-#: They take most of the time where there is no graphics card.
+#: Effects that take most of the time where there is no graphics card.
 _LEFT_OUT = (_Flag.mjRND_SHADOW, _Flag.mjRND_REFLECTION, _Flag.mjRND_HAZE)
-#: Shapes of a scene: those of the model, and room for what MuJoCo adds, such as skins.
+#: Room in a scene for what MuJoCo adds to the shapes of a model, such as skins.
 _MORE_SHAPES = 1000
 
 
@@ -36,11 +36,11 @@ class Picture:
 
 class OffscreenRenderer:
     """
-    Renders a model without shadows, reflections and multisampling, in the thread that made it.
+    A renderer without shadows, reflections and multisampling, for the thread that creates it.
 
     An OpenGL context must be current in that thread.
 
-    :param model: the ``mujoco.MjModel``; sizes of its offscreen buffer are changed
+    :param model: the ``mujoco.MjModel``; the settings of its offscreen buffer are changed
     :param width: of the largest image [pixels], as ``height``
     """
 
@@ -93,5 +93,5 @@ class OffscreenRenderer:
         return metres
 
     def close(self) -> None:
-        """Free what OpenGL has of the model; the context must be current."""
+        """Free the OpenGL resources of the model; the context must be current."""
         self._context.free()

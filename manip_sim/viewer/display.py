@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether there is a screen."""
+"""Check whether there is a screen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY')
 
 def check_display() -> None:
     """
-    Look for a screen.
+    Check that there is a screen.
 
     :raises ManipSimError: if there is none
     """

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from manip_sim.viewer.page.commands import Commands, Events
 
-#: An image is shown anew after so long [s].
+#: Least time between two images of a camera [s].
 _PERIOD_S = 0.1
 _QUALITY = 80
 
@@ -23,8 +23,8 @@ class CameraPanel:
 
     :param gui: ``viser.ViserServer.gui``
     :param cameras: names
-    :param commands: begins and ends to listen
-    :param events: hands it to the thread that acts
+    :param commands: starts and stops listening to images
+    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, cameras: Iterable[str], commands: Commands, events: Events
@@ -51,10 +51,10 @@ class CameraPanel:
 
     def show(self, now_s: float, images: dict[str, NDArray[Any]], wanted: bool) -> None:
         """
-        Show images, each at most ten times a second, and take them away; wall time [s].
+        Show images, each at most ten times a second; ``now_s`` is wall time [s].
 
-        :param images: by camera, shape (h, w, 3)
-        :param wanted: whether anybody looks at the page
+        :param images: by camera, shape (h, w, 3); those that are due are removed
+        :param wanted: whether any browser shows the page
         """
         for name in list(images):
             if now_s < self._shown_s.get(name, 0.0) + _PERIOD_S:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the page asks of whoever is connected to the node, and a queue between the threads."""
+"""The commands that people give on the page, and a queue between the threads."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from manip_sim.arrays import FloatArray
 
 
 class Commands(Protocol):
-    """Does what people ask for; called in one thread."""
+    """A receiver of the commands that people give on the page; called in one thread."""
 
     def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
         """
         Command joints.
 
-        :param space: of the robot's topics
+        :param space: namespace of the robot's topics, such as ``/left/``
         :param part: that the joints belong to
         :param mode: its control mode
         :param goals: by joint [rad or m, rad/s or m/s, N m or N]
@@ -32,35 +32,35 @@ class Commands(Protocol):
         """Send a velocity of a mobile base along its x and y and about z [m/s, m/s, rad/s]."""
 
     def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
-        """Send a goal of a hand in ``world`` [m]."""
+        """Send a target pose of a hand in ``world``; the position in [m]."""
 
     def pause(self, paused: bool) -> None:
-        """Let the simulation pause or go on."""
+        """Pause the simulation, or let it go on."""
 
     def step(self) -> None:
-        """Let a paused simulation make one control period."""
+        """Advance a paused simulation by one control period."""
 
     def reset(self) -> None:
         """Bring the simulation back to its start."""
 
     def tare(self) -> None:
-        """Let the external wrenches read zero now."""
+        """Tare the external wrenches: let them read zero now."""
 
     def watch(self, camera: str, wanted: bool) -> None:
-        """Begin or end to listen to the images of a camera."""
+        """Start or stop listening to the images of a camera."""
 
 
 class Events:
-    """What people do arrives in threads of the server; this hands it to the one that acts."""
+    """A queue of calls, from threads of the server to the thread that updates the page."""
 
     def __init__(self) -> None:
         self._waiting: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
     def add(self, event: Callable[[], None]) -> None:
-        """Let something be done by the next :meth:`run`."""
+        """Queue a call for the next :meth:`run`."""
         self._waiting.put(event)
 
     def run(self) -> None:
-        """Do what waits, in the order in which it came."""
+        """Make the queued calls, in the order in which they came."""
         for _ in range(self._waiting.qsize()):
             self._waiting.get()()

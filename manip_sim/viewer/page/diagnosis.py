@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 OK, WARN, ERROR = 0, 1, 2
 _SIGNS = {OK: '', WARN: 'Warning: ', ERROR: 'Error: '}
-#: What a command can become, as the node counts it, in words.
+#: What has become of commands: by the key of the node's count, in words.
 _OUTCOMES = {
     'dropped': 'rejected', 'clamped': 'clamped', 'slowed': 'slowed down', 'timeouts': 'timed out',
     'faults': 'failed in the gripper', 'cartesian_unreachable': 'out of reach',
@@ -26,8 +26,8 @@ class Status:
 
     :ivar level: 0 is all right, 1 is a warning, more is an error
     :ivar name: what it is about, without the name of the node
-    :ivar message: in words
-    :ivar values: as they came
+    :ivar message: a summary in words
+    :ivar values: by key, as in the message
     """
 
     level: int
@@ -43,7 +43,7 @@ def control_modes(statuses: Iterable[Status]) -> dict[str, str]:
 
 
 def in_words(statuses: Iterable[Status]) -> str:
-    """Return the statuses as Markdown, those that tell of trouble first."""
+    """Return the statuses as Markdown, the most severe first."""
     ranked = sorted(statuses, key=lambda status: -status.level)
     lines = [f'**{_SIGNS[min(status.level, ERROR)]}{status.name}**: {_words(status)}'
              for status in ranked if status.values or status.level]

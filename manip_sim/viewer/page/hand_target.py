@@ -15,7 +15,7 @@ from manip_sim.viewer.page.commands import Commands
 from manip_sim.viewer.page.following import Following
 
 _SCALE = 0.18
-#: A hand that is moved less between two calls [m] is still.
+#: A hand that moves less between two calls [m] is still.
 _STILL_M = 2e-4
 _SAME = 1e-4
 
@@ -25,9 +25,9 @@ class HandTarget:
     The target of one hand.
 
     :param scene: ``viser.ViserServer.scene``
-    :param space: of the robot's topics
+    :param space: namespace of the robot's topics, such as ``/left/``
     :param arm: whose hand it is
-    :param commands: takes what people ask for
+    :param commands: receives what people command
     """
 
     def __init__(self, scene: Any, space: str, arm: str, commands: Commands) -> None:
@@ -47,11 +47,11 @@ class HandTarget:
             self._asked = True
 
     def show(self, shown: bool) -> None:
-        """Show it, or not."""
+        """Show or hide it."""
         self._control.visible = shown
 
     def send(self) -> None:
-        """Send where it has been dragged since the last time."""
+        """Send its pose if it has been dragged since the last call."""
         if self._asked:
             self._asked = False
             self._commands.reach(self._space, self._arm, np.array(self._control.position),
@@ -60,12 +60,12 @@ class HandTarget:
     def follow(self, now_s: float, position: FloatArray, quat_wxyz: FloatArray,
                paused: bool) -> None:
         """
-        Go where the hand is, unless it is on the way to where somebody wants it.
+        Move the target to the hand, unless the hand is on its way to the target.
 
         :param now_s: wall time [s]
         :param position: of the hand in ``world`` [m]
         :param quat_wxyz: of the hand
-        :param paused: nothing can move
+        :param paused: whether the simulation is paused, so that nothing can move
         """
         moving = paused or self._dragged or np.linalg.norm(position - self._last) > _STILL_M
         self._last = position
@@ -77,5 +77,5 @@ class HandTarget:
             self._control.wxyz = quat_wxyz
 
     def remove(self) -> None:
-        """Take it away."""
+        """Remove it from the scene."""
         self._control.remove()

@@ -15,9 +15,9 @@ from manip_sim.viewer.page.robots import Joint, Part, Robot
 
 #: Steps of a slider.
 _STEPS = 500
-#: What is slower than so many steps per second is still.
+#: A joint that is slower is still [steps of the slider per second].
 _STILL = 2.0
-#: Velocities are commanded anew so often while they are not zero [s]; the node's time-outs are
+#: Time after which velocities that are not zero are sent again [s]; the node's time-outs are
 #: longer.
 _REPEAT_S = 0.1
 
@@ -27,13 +27,13 @@ class JointPanel:
     A folder with a slider for each joint of a part.
 
     :param gui: ``viser.ViserServer.gui``
-    :param robot: that has the part
-    :param part: with its joints
+    :param robot: the robot that has the part
+    :param part: the part, with its joints
     :param mode: its control mode
-    :param commands: takes what people ask for
-    :param events: hands it to the thread that acts
+    :param commands: receives what people command
+    :param events: queue to the thread that updates the page
     :param folded: whether it begins folded up
-    :param order: among the folders
+    :param order: place among the folders
     :ivar mode: its control mode
     """
 
@@ -83,7 +83,7 @@ class JointPanel:
         self._sliders[joint.name], self._following[joint.name] = slider, Following()
 
         def moved(event: Any) -> None:
-            if event.client_id is not None:  # Otherwise it is us who have changed it.
+            if event.client_id is not None:  # Otherwise this program changed it.
                 self._following[joint.name].asked(time.monotonic())
                 self._events.add(lambda: self._ask(joint.name))
         slider.on_update(moved)
@@ -98,7 +98,7 @@ class JointPanel:
             self._asked[name] = 0.0
 
     def send(self, now_s: float) -> None:
-        """Send what people have requested since the last time; wall time [s]."""
+        """Send what people have requested since the last call; wall time [s]."""
         asked, self._asked = self._asked, {}
         if self.mode == 'velocity' and now_s > self._repeat_s + _REPEAT_S:
             asked = {**{name: float(slider.value) for name, slider in self._sliders.items()
@@ -115,7 +115,7 @@ class JointPanel:
         :param now_s: wall time [s]
         :param positions: by joint [rad or m]
         :param velocities: by joint [rad/s or m/s]
-        :param paused: nothing can move
+        :param paused: whether the simulation is paused, so that nothing can move
         """
         if self.mode != 'position':
             return
@@ -130,7 +130,7 @@ class JointPanel:
                 slider.value = round(value / slider.step) * slider.step
 
     def remove(self) -> None:
-        """Take the folder away."""
+        """Remove the folder."""
         self.folder.remove()
 
 
@@ -139,9 +139,9 @@ class DrivePanel:
     Sliders for the velocity of a mobile base in its own frame.
 
     :param gui: ``viser.ViserServer.gui``
-    :param robot: that has the base
-    :param commands: takes what people ask for
-    :param events: hands it to the thread that acts
+    :param robot: the robot that has the base
+    :param commands: receives what people command
+    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, robot: Robot, commands: Commands, events: Events) -> None:
@@ -167,7 +167,7 @@ class DrivePanel:
             slider.value = 0.0
 
     def send(self, now_s: float) -> None:
-        """Send the velocity as long as it is not zero, and zero once; wall time [s]."""
+        """Send the velocity again while it is not zero, and zero once; wall time [s]."""
         x, y, yaw = (float(slider.value) for slider in self._sliders)
         still = x == y == yaw == 0.0
         if still and self._stopped or not still and now_s < self._sent_s + _REPEAT_S:
@@ -176,5 +176,5 @@ class DrivePanel:
         self._commands.drive(self._robot.space, (x, y, yaw))
 
     def remove(self) -> None:
-        """Take the folder away."""
+        """Remove the folder."""
         self.folder.remove()

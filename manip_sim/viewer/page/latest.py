@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What has last come from the node, in plain numbers."""
+"""The newest states of the node, as plain numbers."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ class Pose:
 @dataclass
 class Latest:
     """
-    The newest of each kind.
+    The newest state of each kind.
 
-    :ivar joints: by the space of the robot's topics
-    :ivar hands: by space and arm
-    :ivar wrenches: what the world does to a tool, force and torque [N, N m], shape (6,), by space
-        and arm
+    :ivar joints: by namespace of the robot's topics
+    :ivar hands: by namespace and arm
+    :ivar wrenches: the external wrench, force and torque [N, N m], shape (6,), by namespace and
+        arm
     :ivar objects: by name
     :ivar contacts: where bodies touch, in ``world`` [m], shape (n, 3)
-    :ivar arrows: by what they are: from and to, in ``world`` [m], shape (n, 2, 3)
-    :ivar images: by camera, shape (h, w, 3); taken away when they are shown
+    :ivar arrows: by what they show: from and to, in ``world`` [m], shape (n, 2, 3)
+    :ivar images: by camera, shape (h, w, 3); removed when they are shown
     :ivar diagnostics: the statuses of the node
     :ivar joints_s: wall time of the newest joint states [s]
     """

@@ -16,7 +16,7 @@ _NOTHING = np.zeros((0, 3))
 _POINT = (255, 140, 0)
 _COLORS = {'contact_forces': (255, 200, 20), 'force': (230, 40, 40), 'torque': (70, 120, 255)}
 _SHAFT_M, _HEAD_M, _HEAD_LENGTH_M = 0.004, 0.01, 0.02
-#: What differs less is not sent again [m].
+#: Smaller changes are not sent [m].
 _SAME = 2e-4
 
 
@@ -34,17 +34,17 @@ class Overlays:
 
     def show(self, points: FloatArray, arrows: Mapping[str, FloatArray]) -> None:
         """
-        Show points and arrows, and nothing of what was there before.
+        Show these points and arrows in place of the former ones.
 
         :param points: where bodies touch, in ``world`` [m], shape (n, 3)
-        :param arrows: by what they are, from and to in ``world`` [m], shape (n, 2, 3)
+        :param arrows: by what they show, from and to in ``world`` [m], shape (n, 2, 3)
         """
         self._show_points(points)
         for what, color in _COLORS.items():
             self._show_arrows(what, color, arrows.get(what, np.zeros((0, 2, 3))))
 
     def clear(self) -> None:
-        """Show nothing."""
+        """Remove all points and arrows."""
         self.show(_NOTHING, {})
 
     def _show_points(self, points: FloatArray) -> None:

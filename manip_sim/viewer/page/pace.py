@@ -17,7 +17,7 @@ class Pace:
         self._seen: deque[tuple[float, float]] = deque()
 
     def add(self, wall_s: float, time_s: float) -> None:
-        """Take a pair of wall time and simulation time [s]."""
+        """Add a pair of wall time and simulation time [s]."""
         if self._seen and time_s < self._seen[-1][1]:
             self._seen.clear()
         self._seen.append((wall_s, time_s))
@@ -26,7 +26,7 @@ class Pace:
 
     @property
     def factor(self) -> float | None:
-        """Simulation time by wall time; None before there is enough of it."""
+        """Simulation time per wall time; None before the pairs span a second of wall time."""
         if not self._seen or self._seen[-1][0] < self._seen[0][0] + 0.5 * _WINDOW_S:
             return None
         (first_wall, first), (last_wall, last) = self._seen[0], self._seen[-1]

@@ -30,24 +30,24 @@ from manip_sim.viewer.page.view_panel import ViewPanel
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
 _MANY_JOINTS, _UNFOLDED = 8, 2
 _POSITION = 'position'
-#: Sliders follow the robot so often at most [s].
+#: Least time between two updates of the sliders [s].
 _SLIDERS_S = 0.1
-#: What the panel covers of a window, and windows that have it below.
+#: Width of the panel, and of the widest window that has it below.
 _PANEL_PIXELS, _PHONE_PIXELS = 340, 576
-#: What the panel of a phone covers of its height, when it is open.
+#: Share of its height that the open panel of a phone covers.
 _SHEET = 0.55
-#: A browser that has come is aimed again after so long [s].
+#: Time after which the camera of a new browser is aimed again [s].
 _AIM_S = 1.0
-#: Of the first view where no client has told the shape of its window.
+#: Width by height of the first view where no browser has sent that of its window.
 _ASPECT = 1.4
 
 
 class Page:
     """
-    What is on the page.
+    The content of the page.
 
     :param server: the ``viser.ViserServer``
-    :param commands: takes what people ask for
+    :param commands: receives what people command
     :param dark: whether it begins dark
     """
 
@@ -104,7 +104,7 @@ class Page:
 
     def _welcome(self, client: Any) -> None:
         self._aim(client)
-        # The view that the server gives to all who come may arrive after this one.
+        # The view that the server gives to all new browsers may arrive after this one.
         self._arrived[client.client_id] = time.monotonic()
 
     def _aim_again(self, now_s: float) -> None:
@@ -114,7 +114,7 @@ class Page:
                 self._aim(client)
 
     def _aim(self, client: Any) -> None:
-        """Let the camera of a browser that has just come see everything."""
+        """Aim the camera of a new browser so that it sees everything."""
         if self._posture is not None:
             width, height = client.camera.image_width, max(1, client.camera.image_height)
             # On a phone the panel is below the picture.
@@ -127,7 +127,7 @@ class Page:
             client.camera.look_at = target
 
     def show_robots(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
-        """Put panels for robots and cameras in the place of those that were there."""
+        """Replace the panels by those for other robots and cameras."""
         self._server.gui.reset()
         for target in self._targets.values():
             target.remove()
@@ -135,10 +135,10 @@ class Page:
 
     def show_model(self, model: mujoco.MjModel, latest: Latest) -> None:
         """
-        Put a model into the scene in the place of the one that was there.
+        Replace the model in the scene.
 
         :param model: the ``mujoco.MjModel``
-        :param latest: where its joints and objects are
+        :param latest: has the positions of its joints and objects
         """
         first = self._posture is None
         if self._scene is not None:
@@ -155,16 +155,16 @@ class Page:
                 self._welcome(client)
 
     def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
-        """Show how the simulation is; as :meth:`SimulationPanel.show`."""
+        """Show the state of the simulation, as :meth:`SimulationPanel.show` does."""
         self._simulation.show(state, text, paused)
 
     def show_trouble(self, text: str) -> None:
-        """Tell everybody who looks of something that could not be done."""
+        """Notify all browsers of something that could not be done."""
         for client in self._server.get_clients().values():
             client.add_notification('Not done', text, color='orange', auto_close_seconds=8.0)
 
     def show_diagnostics(self, statuses: Sequence[Status]) -> None:
-        """Show the diagnostics, and sliders for the control modes that they tell."""
+        """Show the diagnostics, and take the control modes of the sliders from them."""
         self._health.content = in_words(statuses)
         self._modes = control_modes(statuses)
 

@@ -17,13 +17,13 @@ from manip_sim.viewer.page.robots import Part, Robot
 
 #: How long the plots look back in simulation time [s].
 WINDOW_S = 10.0
-#: Most instants in a plot.
+#: Number of instants in a plot at most.
 _POINTS = 200
-#: So often plots are drawn anew [s].
+#: Time between two drawings of the plots [s].
 _PERIOD_S = 0.25
 _COLORS = ('#2e7bd6', '#e8590c', '#2f9e44', '#c2255c', '#7048e8', '#0c8599', '#f08c00', '#868e96')
 _HEIGHT = 170
-#: The scale of a plot shows as much at least, in its unit.
+#: The scale of a plot reaches so far either way at least, in its unit.
 _SMALL = 0.05
 _WRENCH = 'wrench'
 
@@ -35,8 +35,8 @@ class History:
         self._rows: deque[tuple[float, FloatArray]] = deque()
 
     def add(self, time_s: float, row: FloatArray) -> None:
-        """Take the numbers of an instant, unless it follows the last one too closely."""
-        if self._rows and time_s < self._rows[-1][0]:  # The simulation began anew.
+        """Add the numbers of an instant, unless it follows the last one too closely."""
+        if self._rows and time_s < self._rows[-1][0]:  # Simulation time began again.
             self._rows.clear()
         if self._rows and time_s < self._rows[-1][0] + WINDOW_S / _POINTS:
             return
@@ -77,7 +77,7 @@ class PlotPanel:
         self._shown = ''
 
     def show(self, now_s: float, latest: Latest) -> None:
-        """Draw what was chosen anew, if it is time; wall time [s]."""
+        """Record what was chosen, and draw it if it is due; ``now_s`` is wall time [s]."""
         found = self._choices.get(self._choice.value)
         if found is None or not self._live.value:
             return

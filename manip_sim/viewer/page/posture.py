@@ -41,9 +41,9 @@ class Posture:
 
     def set_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
         """
-        Take the positions of scalar joints.
+        Set the positions of scalar joints.
 
-        :param names: those that the model does not have are left out
+        :param names: those that the model does not have are ignored
         :param positions: [rad or m]
         """
         key = tuple(names)
@@ -54,7 +54,7 @@ class Posture:
         self.data.qpos[addresses] = np.asarray(positions, dtype=float)[rows]
 
     def place(self, body: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
-        """Take the pose of a free body in ``world`` [m]; others are left out."""
+        """Set the pose of a free body in ``world`` [m]; other bodies are ignored."""
         address = self._free.get(body)
         if address is not None:
             self.data.qpos[address:address + 3] = position

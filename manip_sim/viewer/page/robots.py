@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the page has to know of the robots of a node; nothing here moves."""
+"""What the page has to know of the robots of a node, without their states."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 
 import mujoco
 
-#: A joint that turns without an end, and one that slides without, have sliders that go so far
+#: How far the sliders of a hinge and of a slide joint without a range go either way
 #: [rad, m].
 _TURN, _WAY_M = math.pi, 2.0
-#: Where nothing is declared [rad/s or m/s, N m or N].
+#: Limits where none are declared [rad/s or m/s, N m or N].
 _SPEED, _EFFORT = 1.0, 10.0
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -28,8 +28,8 @@ class Joint:
     A joint that can be commanded.
 
     :ivar name: in messages
-    :ivar label: short, for people
-    :ivar slides: in metres and newtons, not in radians
+    :ivar label: a short name for people
+    :ivar slides: whether it is a slide joint, in metres and newtons
     :ivar ranges: of goals by control mode: position [rad or m], velocity [rad/s or m/s] and
         effort [N m or N], each lowest and highest
     """
@@ -59,7 +59,7 @@ class Part:
 
     @property
     def is_gripper(self) -> bool:
-        """Whether it takes actions of which +1 closes."""
+        """Whether it takes actions, of which +1 closes."""
         return self.name.endswith('/gripper')
 
 
@@ -69,7 +69,7 @@ class Robot:
     A robot of the node.
 
     :ivar space: what the names of its topics begin with, such as ``/left/``
-    :ivar title: for people; empty for the only robot
+    :ivar title: its name for people; empty for the only robot
     :ivar parts: that do not overlap
     :ivar hands: the arms that take Cartesian targets
     :ivar twist: velocities that the base takes along x and y and about z at most [m/s, m/s,
@@ -101,7 +101,7 @@ def commanded_joints(model: mujoco.MjModel, names: list[str], urdf: str, gripper
 
     :param model: the ``mujoco.MjModel``
     :param names: of the joints of a part
-    :param urdf: tells their limits
+    :param urdf: declares their limits
     :param gripper: whether the part is a gripper, whose joints take positions only where the
         actuator is a position servo
     """
@@ -130,7 +130,7 @@ def _ranges(limits: dict[str, float], slides: bool) -> dict[str, tuple[float, fl
 
 
 def short_labels(names: list[str]) -> list[str]:
-    """Return names without what all of them begin with, up to a whole word, and ``joint``."""
+    """Return names without the words that all begin with, and without ``_joint`` at the end."""
     common = os.path.commonprefix(names) if len(names) > 1 else names[0] if names else ''
     begin = common.rfind('_') + 1
     if len(names) == 1:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The robots and objects in the scene: a node for each body below that of its parent."""
+"""The robots and objects in the scene: a scene node for each body, below its parent's."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.shapes import body_meshes, planes
 
 ROOT = '/world'
-#: A pose that differs less [m, and of quaternions] is not sent again.
+#: Smaller changes of positions [m] and quaternions are not sent.
 _SAME = 2e-5
 _AXES_M, _AXES_RADIUS_M = 0.12, 0.003
 _COLLISION = (255, 140, 40)
 _GRID = {'cell_color': (150, 150, 150), 'section_color': (120, 120, 120)}
 _FADE_M = 12.0
-#: Of the first view, upwards and downwards together [rad].
+#: Vertical field of view at first [rad].
 FIELD_OF_VIEW = math.radians(40.0)
-#: It is from the front and the right of the robot, and a little farther away than need be.
+#: First view: from the front right of the robot, and so many times as far as need be.
 _FROM = np.array([0.78, -0.82, 0.42])
 _ROOM = 1.4
 
@@ -34,7 +34,7 @@ class Scene:
 
     :param server: the ``viser.ViserServer``
     :param model: the ``mujoco.MjModel``
-    :param data: where its bodies are at first
+    :param data: the ``mujoco.MjData``: where its bodies are at first
     """
 
     def __init__(self, server: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -84,7 +84,7 @@ class Scene:
 
     def update(self, data: mujoco.MjData) -> None:
         """
-        Show where the bodies are; only those that have moved in their parent are sent.
+        Show where the bodies are; only those that moved in their parent are sent.
 
         :param data: the ``mujoco.MjData``
         """
@@ -99,7 +99,7 @@ class Scene:
                 self._frames[body].wxyz = quats[body]
 
     def show_frames(self, shown: bool) -> None:
-        """Show the axes of the bodies that have joints, and of the hands."""
+        """Show or hide the axes of bodies that have joints, ``ft_frame`` and ``grip_site``."""
         jointed = set(self._model.jnt_bodyid.tolist())
         for body, frame in enumerate(self._frames):
             frame.show_axes = shown and body in jointed
@@ -107,12 +107,12 @@ class Scene:
             site.show_axes = shown
 
     def show_collision(self, shown: bool) -> None:
-        """Show the shapes that collide."""
+        """Show or hide the shapes that collide."""
         for handle in self._collision:
             handle.visible = shown
 
     def show_names(self, shown: bool) -> None:
-        """Show the names of the bodies that have joints."""
+        """Show or hide the names of the bodies that have joints."""
         for label in self._labels:
             label.remove()
         self._labels = []
@@ -122,7 +122,7 @@ class Scene:
                 font_screen_scale=0.8) for body in sorted(set(self._model.jnt_bodyid.tolist()))]
 
     def remove(self) -> None:
-        """Take all of it out of the scene."""
+        """Remove all of it from the scene."""
         self._server.scene.remove_by_name(ROOT)
 
 
@@ -157,7 +157,7 @@ def local_poses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[FloatArray,
 def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covered: float = 0.0,
                below: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """
-    Return where to look from, and where to, so that robots and objects are seen.
+    Return where to look from and to, so that robots and objects are seen.
 
     :param aspect: width by height of the picture
     :param covered: how much of its width something covers on the right, from 0 to 1

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The server of the page: where it listens and what the page looks like before all else."""
+"""The server of the page: where it listens, and the theme of the page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from manip_sim.errors import ManipSimError
 
 _LAST_PORT = 65535
-#: Of the whole page, in buttons and sliders.
+#: Colour of buttons and sliders.
 _BRAND = (40, 110, 180)
 
 
@@ -37,19 +37,19 @@ def open_server(host: str, port: int) -> Any:
 
 
 def close_server(server: Any) -> None:
-    """End the server and the connections to it."""
+    """Stop the server and close the connections to it."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def set_theme(server: Any, dark: bool) -> None:
-    """Let the page be dark or light."""
+    """Make the page dark or light."""
     server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False,
                                brand_color=_BRAND)
 
 
 def _check_free(host: str, port: int) -> None:
-    """Try to listen, as the server would take the next port without a word."""
+    """Try to listen, because the server would silently take the next port."""
     if not 0 <= port <= _LAST_PORT:
         raise ManipSimError(f'there is no port {port}: choose one from 0 to {_LAST_PORT} with '
                             '--port')

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The shapes of a model as triangles, one mesh for all of a body that looks the same."""
+"""The shapes of a model as triangles: one mesh for all of a body that look the same."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _PLANE, _MESH = int(_TYPE.mjGEOM_PLANE), int(_TYPE.mjGEOM_MESH)
 _BOX, _CAPSULE = int(_TYPE.mjGEOM_BOX), int(_TYPE.mjGEOM_CAPSULE)
 _CYLINDER = int(_TYPE.mjGEOM_CYLINDER)
 _ROUND = (int(_TYPE.mjGEOM_SPHERE), int(_TYPE.mjGEOM_ELLIPSOID))
-#: Shapes of this group and above are there to collide, and others are there to be seen.
+#: Shapes of this group and above are collision shapes, the others are visual.
 COLLISION_GROUP = 3
-#: The colour that MuJoCo gives to a geom without one; its material counts then.
+#: The colour that MuJoCo gives to a geom without one; then that of its material is used.
 _NO_RGBA = (0.5, 0.5, 0.5, 1.0)
 _RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 #: Meshes of more faces are shown as they are, without sharp edges.
@@ -38,9 +38,9 @@ class BodyMesh:
 
     :ivar body: its id
     :ivar rgba: in [0, 1]
-    :ivar collides: whether they are there to collide
+    :ivar collides: whether they are collision shapes
     :ivar vertices: in the frame of the body [m], shape (n, 3)
-    :ivar faces: rows of vertices, shape (n_faces, 3)
+    :ivar faces: indices of vertices, shape (n_faces, 3)
     """
 
     body: int
@@ -52,7 +52,7 @@ class BodyMesh:
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """
-    Return all shapes of a model but for planes and height fields.
+    Return all shapes of a model except transparent ones, planes and height fields.
 
     :param model: the ``mujoco.MjModel``
     """
@@ -74,7 +74,7 @@ def planes(model: mujoco.MjModel) -> Iterator[int]:
 
 
 def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
-    """Return the colour of a geom, that of its material or the mean one of its texture."""
+    """Return the colour of a geom or its material, times the mean one of its texture."""
     rgba = np.array(model.geom_rgba[geom], dtype=float)
     material = int(model.geom_matid[geom])
     if material >= 0:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The top of the page: how the simulation is, and the buttons that pause, step and reset it."""
+"""The top of the page: the state of the simulation, and buttons to pause, step and reset it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class SimulationPanel:
     A line of state and the buttons of the whole simulation.
 
     :param gui: ``viser.ViserServer.gui``
-    :param commands: takes what people ask for
-    :param events: hands it to the thread that acts
+    :param commands: receives what people command
+    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, commands: Commands, events: Events) -> None:
@@ -49,11 +49,11 @@ class SimulationPanel:
 
     def show(self, state: str, text: str, paused: bool | None = None) -> None:
         """
-        Show how the simulation is.
+        Show the state of the simulation.
 
         :param state: ``running``, ``paused``, ``trouble``, ``waiting`` or ``gone``
-        :param text: more of it
-        :param paused: whether the button lets it go on; None where nobody is there
+        :param text: the details
+        :param paused: whether it is paused, so that the button resumes it; None if not known
         """
         shown = (f'{_STYLE}<div style="padding:0 0.7em 0.5em;font-size:0.9em" role="status">'
                  f'<span style="color:{_COLORS[state]}">●</span> {html.escape(text)}</div>')

@@ -21,12 +21,12 @@ _WRENCHES = ('force', 'torque')
 
 class ViewPanel:
     """
-    Boxes to tick.
+    Check boxes for what is shown.
 
     :param gui: ``viser.ViserServer.gui``
     :param dark: whether the page is dark
-    :param targets: of hands, by title
-    :param set_dark: makes it dark or light
+    :param targets: those of the hands, by title
+    :param set_dark: makes the page dark or light
     """
 
     def __init__(self, gui: Any, dark: bool, targets: Mapping[str, HandTarget],
@@ -48,7 +48,7 @@ class ViewPanel:
         dark_box.on_update(lambda _: set_dark(bool(dark_box.value)))
 
     def attach(self, scene: Scene) -> None:
-        """Let the boxes act on a scene from now on."""
+        """Let the boxes act on this scene from now on."""
         self._scene = scene
         self._apply()
 
@@ -64,7 +64,7 @@ class ViewPanel:
         return bool(self._contacts.value or self._wrenches.value)
 
     def chosen(self, latest: Latest) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Return the points and arrows that are to be shown."""
+        """Return the points and arrows to be shown: those whose boxes are ticked."""
         points = latest.contacts if self._contacts.value else np.zeros((0, 3))
         shown = ((_FORCES,) if self._contacts.value else ()) + (
             _WRENCHES if self._wrenches.value else ())

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Send what people ask for on the page to the node."""
+"""Send the commands that people give on the page to the node."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench':
 
 class CommandSender:
     """
-    Publishers and clients, made when they are first needed.
+    The publishers and service clients for commands.
 
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
-    :param frames: in which the node tells the poses of hands, by space and arm
-    :param tell: tells people what could not be done
-    :ivar cameras: whose images are wanted
-    :ivar paused: is called when the simulation has been paused or goes on
+    :param frames: those in which the node gives the poses of hands, by namespace and arm
+    :param tell: called with what could not be done, for people
+    :ivar cameras: those whose images are wanted
+    :ivar paused: called when the simulation has been paused or goes on
     """
 
     def __init__(self, node: Node, simulation: str, frames: Mapping[tuple[str, str], str],
@@ -50,7 +50,7 @@ class CommandSender:
 
     def prepare(self, topics: Mapping[str, Any]) -> None:
         """
-        Make publishers before they are needed: who is not discovered yet misses a message.
+        Create publishers and clients early: a message sent before discovery is lost.
 
         :param topics: their types by name
         """
@@ -73,12 +73,12 @@ class CommandSender:
             self._waiting[topic] = message
 
     def send_waiting(self) -> None:
-        """Publish what was sent before the node had been discovered: the last of each topic."""
+        """Publish what waits for the node to be discovered: the last message of each topic."""
         for topic in list(self._waiting):
             self._publish(topic, self._waiting.pop(topic))
 
     def forget_waiting(self) -> None:
-        """Drop what was sent to a node that is gone."""
+        """Drop the messages that wait for a node that is gone."""
         self._waiting.clear()
 
     def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
@@ -101,7 +101,7 @@ class CommandSender:
         self._publish(f'{space}base/cmd_vel', message)
 
     def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
-        """Publish a goal of a hand."""
+        """Publish a target pose of a hand."""
         message = PoseStamped()
         message.header.frame_id = self._frames.get((space, arm), 'world')
         at, turn = message.pose.position, message.pose.orientation
@@ -110,7 +110,7 @@ class CommandSender:
         self._publish(f'{space}{arm}/target_pose', message)
 
     def pause(self, paused: bool) -> None:
-        """Call the service that pauses."""
+        """Call the service that pauses or resumes."""
         self._call('pause', SetBool.Request(data=paused), lambda: self.paused(paused))
 
     def step(self) -> None:
@@ -126,7 +126,7 @@ class CommandSender:
         self._call('tare_wrench', Trigger.Request())
 
     def watch(self, camera: str, wanted: bool) -> None:
-        """Add a camera to those that are wanted, or take it away."""
+        """Add a camera to those that are wanted, or remove it."""
         (self.cameras.add if wanted else self.cameras.discard)(camera)
 
     def _call(self, name: str, request: Any, done: Callable[[], None] = lambda: None) -> None:

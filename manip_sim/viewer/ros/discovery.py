@@ -19,20 +19,20 @@ from manip_sim.viewer.page.robots import commanded_joints, declared_limits, Part
 from manip_sim.viewer.ros.layout import Layout, layout_of, RobotTopics
 
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-#: What the base does at most where nothing is declared [m/s, m/s, rad/s].
+#: Velocity limits of the base where none are declared [m/s, m/s, rad/s].
 _TWIST = (0.5, 0.5, 1.0)
 _BASE = 'base'
 
 
 class Discovery:
     """
-    What is known of the node.
+    What is known about the node.
 
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
     :ivar base: namespace of the node, with a slash at its end
     :ivar model: its ``mujoco.MjModel``, or None
-    :ivar layout: of its topics, as far as the names of all joints are known; or None
+    :ivar layout: what it offers, when the names of all its joints are known; else None
     :ivar models: how many models have come
     """
 
@@ -59,7 +59,7 @@ class Discovery:
         self.models += 1
 
     def look(self) -> None:
-        """Look which topics there are; to be called from time to time."""
+        """Look which topics the node has; to be called from time to time."""
         if not self.is_there:
             self.forget()
             return
@@ -69,7 +69,7 @@ class Discovery:
                 [topic for topic, _ in found(name, namespace or '/')]
                 for found in (self._node.get_publisher_names_and_types_by_node,
                               self._node.get_subscriber_names_and_types_by_node))
-        except RuntimeError:  # Its topics are known, but not yet whose they are.
+        except RuntimeError:  # Its topics are discovered before the node.
             return
         seen = layout_of(self.base, published, subscribed)
         # Names arrive one by one: what has not changed between two looks is complete.

@@ -18,8 +18,8 @@ class RobotTopics:
     """
     The topics of one robot.
 
-    :ivar space: what their names begin with
-    :ivar parts: that take joint commands and do not overlap
+    :ivar space: what their names begin with, such as ``/left/``
+    :ivar parts: those that take joint commands and do not overlap
     :ivar hands: the arms that take Cartesian targets
     :ivar drives: whether its base takes a twist
     """
@@ -35,7 +35,7 @@ class Layout:
     """
     What a node offers.
 
-    :ivar robots: at least one, unless not all is known yet
+    :ivar robots: none as long as none is known
     :ivar objects: names of free bodies
     :ivar cameras: names
     """

@@ -23,7 +23,7 @@ from manip_sim.viewer.page.server import close_server, open_server
 from manip_sim.viewer.ros.polling import PolledExecutor
 from manip_sim.viewer.ros.session import Session
 
-#: Changes go to the browser so often at most [s].
+#: Least time between two updates of the browser [s].
 _PERIOD_S = 1.0 / 30.0
 
 
@@ -57,7 +57,7 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 
 
 def _start_ros(arguments: Sequence[str]) -> Node:
-    # What rcl says of bad arguments is said once, by us.
+    # Bad arguments are reported once, by our error and not by rcl too.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -79,7 +79,7 @@ def _serve(node: Node, simulation: str, executor: PolledExecutor, options: argpa
         while not ended.is_set():
             executor.run_ready()
             session.update(time.monotonic())
-            # A round that took long is not made up for.
+            # The delay of a slow round is not made up for.
             due_s = max(due_s + _PERIOD_S, time.monotonic())
             ended.wait(due_s - time.monotonic())
     finally:

@@ -24,7 +24,7 @@ from manip_sim.viewer.ros.states import States
 
 _PERIOD_S = 1.0 / 60.0
 _LOOK_S = 0.5
-#: Width by height of the picture that is sure to be seen between the panels of the window.
+#: Width by height of the part of the picture that the panels of the window never cover.
 _ASPECT = 0.6
 #: How long a window may take to close [s].
 _CLOSING_S = 5.0
@@ -33,12 +33,12 @@ _CLOSING_S = 5.0
 def show_native(node: Node, simulation: str, run_ready: Callable[[], None],
                 ended: threading.Event) -> None:
     """
-    Show a node until the window is closed or the process shall end.
+    Show a node until the window is closed or the process is to end.
 
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
-    :param run_ready: runs callbacks
-    :param ended: is set when the process shall end
+    :param run_ready: runs the callbacks that are ready
+    :param ended: is set when the process is to end
     """
     discovery = Discovery(node, simulation)
     states = States(node, simulation, discovery.base)
@@ -103,7 +103,7 @@ def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray
 
 def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
                     ended: threading.Event) -> int | None:
-    """Return the number of the newest model when there is one; None if the process shall end."""
+    """Return the number of the newest model when there is one; None if the process is to end."""
     while discovery.model is None:
         if ended.wait(_LOOK_S / 5.0):
             return None

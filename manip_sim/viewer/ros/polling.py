@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An executor that does what waits and returns; the page asks for the newest, not for each."""
+"""An executor that is polled: the page wants the newest states, not to be woken by each."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutEx
 
 
 class PolledExecutor(SingleThreadedExecutor):
-    """Runs callbacks when it is asked to, not when messages come."""
+    """An executor that runs callbacks when it is polled, not when messages come."""
 
     def run_ready(self) -> None:
-        """Run the callbacks of all that waits, once each, without waiting for more."""
+        """Run callbacks until none is ready, without waiting for more."""
         try:
             while True:
                 task, _, _ = self.wait_for_ready_callbacks(timeout_sec=0.0)

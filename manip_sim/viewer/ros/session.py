@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Connects the page with the node, again and again in one thread."""
+"""Connect the page to the node, and keep the page up to date; all in one thread."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from manip_sim.viewer.ros.commands import CommandSender
 from manip_sim.viewer.ros.discovery import Discovery
 from manip_sim.viewer.ros.states import States
 
-#: So often the node is looked for, and its state is told [s].
+#: Time between two looks for the node, and between two reports of its state [s].
 _LOOK_S, _TELL_S = 0.5, 0.5
-#: Without states for so long there is something to tell [s].
+#: Time without states after which the page says so [s].
 _SILENT_S = 2.0
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Take the states of a node: the newest of each kind, as plain numbers."""
+"""Receive the states of a node: the newest of each kind, as plain numbers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class States:
     :param simulation: full name of the node that is seen, without the first slash
     :param base: its namespace, with a slash at its end
     :ivar latest: what has come
-    :ivar frames: the frame of the poses of hands, by space and arm
+    :ivar frames: the frame of the poses of hands, by namespace and arm
     """
 
     def __init__(self, node: Node, simulation: str, base: str) -> None:
@@ -48,14 +48,14 @@ class States:
         node.create_subscription(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
 
     def forget(self) -> None:
-        """End to listen to states, and forget them."""
+        """Stop listening to states, and forget them."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions = {}
         self.latest = Latest()
 
     def listen(self, layout: Layout) -> None:
-        """Listen to the robots and objects of a node, and no more to those that are gone."""
+        """Listen to the robots and objects of a layout, and no longer to others."""
         wanted: dict[str, tuple[Any, Any]] = {}
         for robot in layout.robots:
             wanted[f'{robot.space}joint_states'] = JointState, partial(
@@ -90,7 +90,7 @@ class States:
             self._node.destroy_subscription(self._subscriptions.pop(topic))
 
     def want_markers(self, wanted: bool) -> None:
-        """Begin or end to listen to contacts and wrenches as markers."""
+        """Start or stop listening to contacts and wrenches as markers."""
         topic = f'/{self._name}/markers'
         if wanted:
             self._subscribe(topic, MarkerArray, self._take_markers)
@@ -139,7 +139,7 @@ class States:
             if marker.ns == _CONTACTS:
                 points = _points(marker)
             elif marker.type == Marker.ARROW and len(marker.points) == 2:
-                # Those of wrenches are called <arm>/external_force and so on.
+                # Namespaces of wrenches are <arm>/external_force and <arm>/external_torque.
                 arrows.setdefault(marker.ns.rpartition('external_')[2], []).append(
                     _points(marker))
         self.latest.contacts = points
@@ -170,5 +170,5 @@ def _points(marker: Marker) -> FloatArray:
 
 
 def _level(level: bytes | int) -> int:
-    # A byte of a message is an object of bytes in Python.
+    # rclpy gives a field of type byte as a bytes object.
     return level[0] if isinstance(level, bytes) else int(level)
