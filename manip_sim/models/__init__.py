@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Models say what exists: MuJoCo and numpy only, no ROS and no stepping."""
+"""What exists in a world: robots, grippers, bases, arenas and objects; nothing needs ROS."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OF_FILES = ('load_arena', 'load_base', 'load_gripper', 'load_robot')
 
 
 def __getattr__(name: str) -> object:
-    # What reads descriptions is imported when it is needed: pydantic takes a while.
+    # Imported on first use, because importing pydantic takes a while.
     if name in _OF_FILES:
         from manip_sim.models import files
         return getattr(files, name)

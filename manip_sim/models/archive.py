@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pack a spec and the files that it refers to into a zip, which loads on any machine."""
+"""Pack a spec and the files that it refers to into a zip archive that loads on any machine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from manip_sim.models.asset_files import MAX_ASSET_BYTES
 from manip_sim.models.regular_files import read_file
 from manip_sim.quoting import quoted
 
-#: What MuJoCo looks for in an archive.
+#: The model file that MuJoCo looks for in an archive.
 _MODEL = 'model.xml'
 _FOLDER = 'assets'
 _NAMES_A_FILE = re.compile(r'file(right|left|up|down|front|back)?')
@@ -30,11 +30,11 @@ def pack(spec: mujoco.MjSpec) -> bytes:
     """
     Return a zip of the spec's XML, ``model.xml``, and its files, in the folder ``assets``.
 
-    Files of equal content are there once; those of equal name and other content get a number.
-    The same spec gives the same bytes.
+    Files of equal content and suffix are packed once; those of equal name and different content
+    get a number. The same spec gives the same bytes.
 
-    :param spec: one that names its files by absolute paths, or has them in ``spec.assets``
-    :raises ModelError: if a file cannot be read, or it does not compile
+    :param spec: compiled; it names its files by absolute paths, or has them in ``spec.assets``
+    :raises ModelError: if a file cannot be read, or is neither in the assets nor an absolute path
     """
     root = ElementTree.fromstring(spec.to_xml())
     files = _Files(spec.assets or {})
@@ -79,7 +79,7 @@ class _Files:
         return self._name_of_content[key]
 
     def _free_name(self, stem: str, suffix: str) -> str:
-        # Not every file system, nor MuJoCo's, tells upper from lower case.
+        # Some file systems, and MuJoCo's virtual one, do not distinguish upper and lower case.
         taken = {name.lower() for name in self.contents}
         name, number = f'{_FOLDER}/{stem}{suffix}', 1
         while name.lower() in taken:
@@ -92,7 +92,7 @@ def _zip(contents: Mapping[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, 'w', zipfile.ZIP_DEFLATED) as archive:
         for name, content in contents.items():
-            info = zipfile.ZipInfo(name)  # Without the time of day.
+            info = zipfile.ZipInfo(name)  # Without the time of writing.
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
             archive.writestr(info, content)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What can be set of an arena: by name, with unit, limits and a description."""
+"""Parameters of an arena: name, default, unit, limits and description."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Value = Union[bool, float]
 @dataclass(frozen=True)
 class ArenaParameter:
     """
-    A number or a choice of yes and no.
+    A number or a flag that an arena can be created with.
 
     :ivar name: such as ``table_length``
     :ivar default: of the type of the parameter, bool or float
-    :ivar description: a sentence part
-    :ivar unit: such as ``m``, empty where there is none
+    :ivar description: a phrase, without a full stop
+    :ivar unit: such as ``m``, empty if there is none
     :ivar low: the least value of a number
     :ivar high: the greatest value of a number
-    :ivar keyword: of the arena's constructor, where it is not the name
+    :ivar keyword: of the arena's constructor, if it is not the name
     """
 
     name: str

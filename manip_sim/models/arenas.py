@@ -26,23 +26,23 @@ from manip_sim.resources import asset_path
 
 CUBE_EDGE_M = 0.05
 CUBE_MASS_KG = 0.1
-#: From the edges of a table to the middle of its legs [m].
+#: Distance from the edges of a table to the middle of its legs [m].
 _LEG_INSET_M = 0.1
-#: Of the bins' floors in their file [m].
+#: Height of the bins' floors above the floor in their file [m].
 _BIN_HEIGHT_M = 0.82
-#: Of the table that the cameras look at in their file [m].
+#: Height of the table that the cameras in the file look at [m].
 _TABLE_HEIGHT_M = 0.8
 
 
 class Arena(MujocoXMLModel):
     """
-    A world without robots; its names have no prefix.
+    What is around the robots; its names have no prefix.
 
-    A subclass gives :attr:`arena_name`: its key in a robot's ``base_xpos_offset`` and the name
-    that it is created by, where it does not inherit it; and :attr:`parameters`, those of its
-    constructor.
+    A subclass declares :attr:`arena_name`, its key in a robot's ``base_xpos_offset``, and
+    :attr:`parameters`, those of its constructor. It is created by its name; one that inherits the
+    name cannot be created by it.
 
-    :param fname: path of an MJCF file; by default that of our assets that has the arena's name
+    :param fname: path of an MJCF file; by default the one in ``assets/arenas`` with that name
     """
 
     arena_name: ClassVar[str]
@@ -64,14 +64,14 @@ class Arena(MujocoXMLModel):
 
     @property
     def naming_prefix(self) -> str:
-        """Nothing."""
+        """Empty: the names of an arena have no prefix."""
         return ''
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """
-        Return where the robot stands in this arena [m], shape (3,).
+        Return the place of a robot in ``world`` [m], shape (3,).
 
-        :param robot: that stands there
+        :param robot: the robot to place
         """
         placement = robot.base_xpos_offset.get(self.arena_name, (0.0, 0.0, 0.0))
         return finite_numbers(
@@ -80,11 +80,11 @@ class Arena(MujocoXMLModel):
 
     @property
     def table_length_m(self) -> float:
-        """Edge of the table along x [m], zero where there is none."""
+        """Edge of the table along x [m], zero if there is none."""
         return 0.0
 
     def _lift_cameras(self, higher_m: float) -> None:
-        """Let the cameras look at furniture that is higher than in their file."""
+        """Raise the cameras by as much as the furniture is higher than in the file."""
         for camera in self.spec.cameras:
             camera.pos[2] += higher_m
 
@@ -101,17 +101,17 @@ ARENAS: Registry[Arena] = Registry(
 
 
 class EmptyArena(Arena):
-    """A floor."""
+    """A floor without furniture."""
 
     arena_name = 'empty'
 
 
 class TableArena(Arena):
     """
-    A table in front of the robot, its middle at the origin.
+    A table in front of the robot, with its middle at the origin.
 
     :param table_length_m: edge along x [m]
-    :param table_height_m: of the top surface above the floor [m]
+    :param table_height_m: height of the top surface above the floor [m]
     :param cube: put a free cube of 0.05 m and 0.1 kg, ``cube``, on the middle of the table
     :param table_width_m: edge along y [m]
     :param friction: sliding friction of the top
@@ -172,7 +172,7 @@ class BinsArena(Arena):
     """
     An open bin, ``bin1``, and one with four compartments, ``bin2``, side by side.
 
-    :param bin_height_m: of the bins' floors above the floor [m]
+    :param bin_height_m: height of the bins' floors above the floor [m]
     :param friction: sliding friction of floors and walls
     :raises ModelError: naming parameter and limits
     """
@@ -201,7 +201,7 @@ class BinsArena(Arena):
 
 
 def arena_names() -> list[str]:
-    """Return the names that :func:`create_arena` takes, those of the user's folders too."""
+    """Return the names that :func:`create_arena` takes, also those in the user's folders."""
     return ARENAS.all_names()
 
 
@@ -214,7 +214,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
         constructor
     :raises UnknownNameError: if there is no such arena or parameter, naming the nearest ones
     :raises ModelError: if a value is not within the limits of its parameter, a file cannot be
-        used, or the arena is one of another package and cannot be imported
+        used, or the arena of another package cannot be imported
     """
     file = ARENAS.find_file(name)
     if file is None:
@@ -225,7 +225,7 @@ def create_arena(name: str | PathLike[str], **parameters: Any) -> Arena:
 
 
 def _arguments(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters of an arena of the catalogue by the keywords of its constructor."""
+    """Return the parameters of an arena of the catalogue as keywords of its constructor."""
     kind = ARENAS.get(name)
     argument_of = {parameter.name: parameter.argument for parameter in kind.parameters}
     keywords = {name: keyword for name, keyword in inspect.signature(kind).parameters.items()

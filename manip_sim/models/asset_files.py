@@ -18,9 +18,9 @@ from manip_sim.models.regular_files import check_file, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlFacts
 from manip_sim.quoting import one_line
 
-#: Largest file; a mesh of this size takes MuJoCo half a minute and 1.5 GB.
+#: Largest file [bytes]; a mesh of this size takes MuJoCo half a minute and 1.5 GB.
 MAX_ASSET_BYTES = 50_000_000
-#: Largest image, which takes 16 bytes for each pixel of a height field, 6 of a texture.
+#: Largest image [pixels]; a pixel of a height field takes 16 bytes, one of a texture 6.
 _MAX_PIXELS = {'texture': 120_000_000, 'height field': 16_000_000}
 _PNG_SIGNATURE = b'\x89PNG\r\n\x1a\n'
 
@@ -35,18 +35,18 @@ class Reference:
 
     kind: str
     _element: Any
-    #: Of a texture of six images, which one it is.
+    #: Which of the six images of a cube texture it is; None for any other file.
     _side: int | None = None
 
     @property
     def file(self) -> str:
-        """What the element names."""
+        """The file, as the element names it."""
         if self._side is None:
             return str(self._element.file)
         return str(self._element.cubefiles[self._side])
 
     def set_file(self, file: str) -> None:
-        """Let the element name another file."""
+        """Make the element name another file."""
         if self._side is None:
             self._element.file = file
         else:
@@ -59,7 +59,7 @@ class Reference:
 
 
 def references(spec: mujoco.MjSpec) -> Iterator[Reference]:
-    """Return all files that the elements of a spec name, in its order."""
+    """Yield the files that meshes, height fields, textures and skins of a spec name."""
     for kind, elements in (('mesh', spec.meshes), ('height field', spec.hfields),
                            ('texture', spec.textures), ('skin', spec.skins)):
         for element in elements:
@@ -72,13 +72,13 @@ def references(spec: mujoco.MjSpec) -> Iterator[Reference]:
 
 def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None) -> None:
     """
-    Let a spec name its files by absolute paths, so that it can be composed and written anywhere.
+    Make a spec name its files by absolute paths, so that it can be composed and written anywhere.
 
     Files that :attr:`spec.assets` holds stay as they are.
 
-    :param file: from which the spec was loaded
-    :param facts: what its XML tells; None: the spec has been resolved before
-    :raises ModelError: if a file is missing, not regular, too large or must not be read
+    :param file: the file that the spec was loaded from
+    :param facts: what ``check_xml`` found in it; None: the spec has been resolved before
+    :raises ModelError: if a file is missing, not regular, too large or not readable
     """
     folders = [AssetFolders(file.parent, spec.meshdir, spec.texturedir)]
     if facts is not None:
@@ -99,7 +99,7 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
 
 
 def _hold_all(spec: mujoco.MjSpec) -> None:
-    # When a spec that holds files is attached, MuJoCo renames the others too, and loses them.
+    # When a spec that holds some files is attached, MuJoCo renames the others too and loses them.
     held = dict(spec.assets)
     for reference in references(spec):
         if not _is_held(spec, reference):
@@ -116,10 +116,10 @@ def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:
 
 def _find(reference: Reference, folders: list[AssetFolders], facts: XmlFacts | None,
           base_name_too: bool) -> Path:
-    """Return the first place where the file is; where it is in none, the first that there is."""
+    """Return the first place where the file exists, or the first place if it is in none."""
     name = reference.file
     if facts is not None and facts.is_urdf:
-        # Some versions of MuJoCo keep the last part only.
+        # Some versions of MuJoCo keep only the last part of the path.
         name = facts.mesh_files.get(name.rpartition('/')[2], name)
     names = [name, PurePosixPath(name).name] if base_name_too else [name]
     places = [place for folder in _own_first(reference, folders) for each in names

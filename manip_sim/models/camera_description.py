@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What may be said of a camera in YAML or a mapping: keys, units and limits."""
+"""The description of a camera in YAML or a mapping: keys, units and limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from manip_sim.models.object_descriptions import Coordinate, PlacedDescription
 from manip_sim.models.strict_descriptions import (
     Field, model_validator, Number, StrictBool, StrictInt)
 
-#: Nearer to the camera, a point does not say into which direction it lies [m].
+#: A point nearer to the camera than this gives no direction to look in [m].
 _MIN_DISTANCE_M = 1e-6
 _Pixels = Annotated[StrictInt, Field(ge=1, le=MAX_PIXELS)]
 
@@ -23,17 +23,17 @@ class CameraDescription(PlacedDescription):
     """
     A camera: its name, where it is and what it sees.
 
-    Its pose is that of a frame that looks along x, with y to the left and z up, in the frame of
+    The pose is that of a frame that looks along x, with y to the left and z up, in the frame of
     the body.
 
-    :ivar position: the origin where it is not given
-    :ivar look_at: instead of ``rpy`` and ``quat_xyzw``, a point that is seen in the middle, in the
-        frame of the body [m]; up is the body's z, or its x where the camera looks along z
-    :ivar body: that it is fixed to; None is the world
+    :ivar position: in the frame of the body [m], the origin if it is not given
+    :ivar look_at: instead of ``rpy`` and ``quat_xyzw``, the point in the middle of the image, in
+        the frame of the body [m]; up is the body's z, or its x if the camera looks along z
+    :ivar body: the body that it is fixed to; None is the world
     :ivar fovy: vertical field of view [degrees]
     :ivar width: of the images [pixels], as ``height``
     :ivar rate: images per second of simulation time [Hz]
-    :ivar depth: also publish depth
+    :ivar depth: also publish depth images
     """
 
     name: str

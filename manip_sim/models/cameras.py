@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cameras that a world gets beside those of its parts; rendering is elsewhere."""
+"""Cameras that are added to a world, besides those of its parts; rendering is elsewhere."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: From a frame that looks along x with z up to MuJoCo's camera, which looks along -z with y up.
 _TO_MUJOCO = np.array([0.5, 0.5, -0.5, -0.5])
-#: Where the sine between the view and the vertical is less, the image needs another up.
+#: Below this sine of the angle between view and vertical, up in the image cannot be z.
 _PARALLEL = 1e-6
 
 
@@ -33,12 +33,12 @@ class CameraModel:
     """
     A camera that is fixed to a body.
 
-    :ivar name: also of its topics
-    :ivar body: name in the composed world, ``world`` for none
+    :ivar name: of the camera and its topics
+    :ivar body: its name in the composed world; ``world`` if it is fixed to no body
     :ivar position: in the frame of the body [m], shape (3,)
     :ivar quat_wxyz: of MuJoCo's camera, which looks along -z with y up, shape (4,)
     :ivar fovy_deg: vertical field of view [degrees]
-    :ivar images: size and rate where the user gave them, else the defaults
+    :ivar images: size, rate and depth, as given or by default
     """
 
     name: str
@@ -52,7 +52,7 @@ class CameraModel:
         """
         Add the camera to the spec of a world.
 
-        :raises ModelError: if its name is there already, of a camera or a body
+        :raises ModelError: if a camera or a body has its name already
         :raises UnknownNameError: if there is no such body
         """
         for kind, elements in (('camera', spec.cameras), ('body', spec.bodies)):
@@ -78,7 +78,7 @@ def create_camera(description: Camera) -> CameraModel:
     """
     if isinstance(description, CameraModel):
         return description
-    # Imported late, because not all machines have what it needs.
+    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.camera_description import CameraDescription
     from manip_sim.models.strict_descriptions import checked
     name = description.get('name')
@@ -96,7 +96,7 @@ def create_camera(description: Camera) -> CameraModel:
 
 
 def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:
-    """Return the orientation of the frame that looks along x, with z up, as w, x, y, z."""
+    """Return the orientation w, x, y, z of the frame that looks along x, with z up."""
     if found.quat_xyzw is not None:
         quat = np.array(found.quat_xyzw)
         return xyzw_to_wxyz(quat / np.linalg.norm(quat))

@@ -22,7 +22,7 @@ from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.models.world import World
 from manip_sim.quoting import quoted, shown
 
-#: In place of a name: what the robot has by default, and nothing.
+#: In place of a name: the default of the robot, and none at all.
 DEFAULT, NONE = 'default', 'none'
 Robot = Union[str, PathLike[str], RobotModel]
 Gripper = Union[str, PathLike[str], GripperModel, None]
@@ -37,13 +37,13 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
 
     :param robot: a name of the catalogue, a file, or a robot that has neither base nor gripper yet
     :param gripper: a name or file, ``default`` for the robot's own, ``none`` or None for no
-        gripper, a gripper, or one of these by arm, also as for :func:`read_gripper`; an arm that
-        is not named has the robot's own
+        gripper, a gripper, a mapping of these by arm, or the text of one as for
+        :func:`read_gripper`; an arm that is not named gets the robot's own
     :param base: a name or file, ``default`` for the robot's own, ``none`` or None for the floor,
         or a base
-    :param idn: number or word in names, as in ``robot0_joint1``; also of grippers and base that
+    :param idn: number or word in names, as in ``robot0_joint1``; also for grippers and a base that
         are given by name
-    :param prefix: instead of that, the beginning of all names
+    :param prefix: what all names begin with, in place of a prefix with the idn
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
     """
@@ -59,10 +59,10 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
 
 def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
     """
-    Return the grippers by arm that a text such as ``{right: PandaGripper, left: none}`` tells.
+    Parse grippers by arm from a text such as ``{right: PandaGripper, left: none}``.
 
     :param text: YAML if it begins with a brace, else a name or file, which is returned as it is
-    :param where: what has the text, for messages
+    :param where: where the text comes from, for messages
     :raises ModelError: if it is not YAML of names by arm
     """
     if not text.lstrip().startswith('{'):
@@ -118,22 +118,22 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     Return a world with one robot.
 
     :param robot: a name of the catalogue, a file, or a robot that has neither base nor gripper yet
-    :param gripper: a name or file, ``default``, ``none``, a gripper, or one of these by arm, as
-        for :func:`compose_robot`
+    :param gripper: a name or file, ``default``, ``none``, a gripper, or a mapping of these by arm,
+        as for :func:`compose_robot`
     :param base: a name or file, ``default``, ``none``, or a base
     :param arena: a name of the catalogue, a file, or an arena
     :param idn: number or word in names, as in ``robot0_joint1``
-    :param prefix: instead of that, the beginning of all names
-    :param position: where the floor below the robot's root shall be [m], shape (3,); None: where
-        the arena has its place
+    :param prefix: what all names begin with, in place of a prefix with the idn
+    :param position: of the floor below the robot's root, in the world [m], shape (3,); None: where
+        the arena places the robot
     :param orientation: roll, pitch, yaw of the root in the world [rad], shape (3,)
-    :param timestep_s: of the physics [s], a whole number of nanoseconds
-    :param gravity_compensation: let the joints' actuators carry the weight, see :class:`World`
+    :param timestep_s: of a physics step [s], a whole number of nanoseconds
+    :param gravity_compensation: make the joints' actuators carry the weight, see :class:`World`
     :param objects: free bodies: objects, mappings, MJCF files or YAML files, see :class:`World`
-    :param initialization_noise: of the start, see :class:`World`
-    :param seed: of the noise; None is another one each time
-    :param cameras: beside those of robot and arena, see :class:`World`
-    :param arena_parameters: of an arena that is given by name, such as ``table_height``
+    :param initialization_noise: noise of the start positions, see :class:`World`
+    :param seed: of the noise; None draws one
+    :param cameras: in addition to those of robot and arena, see :class:`World`
+    :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
     """

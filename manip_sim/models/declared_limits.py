@@ -14,10 +14,10 @@ from manip_sim.arrays import FloatArray
 
 def declared_velocity(model: mujoco.MjModel, joints: ArrayLike) -> FloatArray:
     """
-    Return how fast joints may move by ``user[0]``, infinite where a model does not say.
+    Return the velocity limits of joints, from ``user[0]``, infinite where none is declared.
 
-    :param joints: numbers of joints, of any shape
-    :returns: [rad/s or m/s], in that shape
+    :param joints: ids of joints, of any shape
+    :returns: limits [rad/s or m/s], of that shape
     """
     joints = np.asarray(joints, dtype=int)
     if not model.nuser_jnt:

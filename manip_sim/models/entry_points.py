@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find the classes that other packages offer as Python entry points; importing them is apart."""
+"""Find the classes that other packages offer as Python entry points, without importing them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OUR_GROUPS = re.compile(r'^\s*\[manip_sim\.', re.MULTILINE)
 @dataclass(frozen=True)
 class Offer:
     """
-    One entry point.
+    An entry point of another package.
 
     :ivar name: of the robot, gripper, base or arena
     :ivar value: where its class is, such as ``my_robots.arms:MyArm``
@@ -39,7 +39,7 @@ class Offer:
         """
         Import the module and return what the entry point names.
 
-        :raises ModelError: if that raises anything
+        :raises ModelError: if the import raises anything
         """
         try:
             return self._entry_point.load()
@@ -54,7 +54,7 @@ class Offer:
 
 def offers(group: str) -> dict[str, Offer]:
     """
-    Return what the packages on ``sys.path`` offer, by name; of two offers the first on the path.
+    Return what the packages on ``sys.path`` offer, by name; the first on the path counts.
 
     :param group: such as ``manip_sim.robots``
     """
@@ -68,7 +68,7 @@ def offers(group: str) -> dict[str, Offer]:
 @lru_cache(maxsize=4)
 def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
     distributions = list(metadata.distributions(path=list(path)))
-    # To learn their names takes long, and of two packages of a name only the first one counts.
+    # Reading names takes long; they are needed because only the first package of a name counts.
     if not any(_offers_some(distribution) for distribution in distributions):
         return ()
     found, packages = [], set()
@@ -91,7 +91,7 @@ def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
 def _offers_some(distribution: metadata.Distribution) -> bool:
     try:
         return bool(_OUR_GROUPS.search(distribution.read_text('entry_points.txt') or ''))
-    except Exception:  # To be told with its name.
+    except Exception:  # The caller reads it again and logs the error.
         return True
 
 

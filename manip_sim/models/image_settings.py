@@ -15,11 +15,11 @@ MIN_FOVY_DEG, MAX_FOVY_DEG = 1.0, 170.0
 @dataclass(frozen=True)
 class ImageSettings:
     """
-    What the images of a camera are.
+    Size and rate of a camera's images, and whether there are depth images.
 
     :ivar width: [pixels], as ``height``
     :ivar rate_hz: images per second of simulation time [Hz]
-    :ivar depth: with depth images
+    :ivar depth: also depth images
     """
 
     width: int = 640

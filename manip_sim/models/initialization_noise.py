@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Random starts of robots that a seed reproduces."""
+"""Random start positions of robots, reproducible by a seed."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ DEFAULT_MAGNITUDE = 0.02
 
 class InitializationNoise:
     """
-    What is added to the start of a robot's own joints: robosuite's ``initialization_noise``.
+    Noise on the start positions of a robot's own joints, as robosuite's ``initialization_noise``.
 
-    Each robot gets other numbers, which do not depend on the number of robots. Robosuite draws
-    again with each reset and does not look at the joints' ranges; here a world has one start, and
-    it is within the ranges.
+    Each robot gets its own numbers, which do not depend on the number of robots. robosuite draws
+    again at each reset and ignores the joints' ranges; here a world has one start, and it is
+    within the ranges.
 
     :param settings: ``type``, ``gaussian`` or ``uniform``, and ``magnitude``: the standard
-        deviation, or the largest change either way [rad or m]; what is left out is ``gaussian``
+        deviation, or the largest change either way [rad or m]; the defaults are ``gaussian``
         and 0.02
     :param seed: whole number from 0; None draws one
     :ivar seed: the seed that gives the same start again
@@ -50,12 +50,12 @@ class InitializationNoise:
 
     def added(self, start: ArrayLike, ranges: ArrayLike, robot: int) -> FloatArray:
         """
-        Return a start with noise.
+        Return start positions with noise.
 
         :param start: of the joints [rad or m], shape (n,)
-        :param ranges: of the joints, infinite where there is none, shape (n, 2)
+        :param ranges: of the joints [rad or m], infinite where there is none, shape (n, 2)
         :param robot: number of the robot in its world
-        :returns: within the ranges, shape (n,); as the start was if the magnitude is 0
+        :returns: a copy, within the ranges, shape (n,); if the magnitude is 0, not changed at all
         """
         values = np.array(start, dtype=float)
         if not self.magnitude:

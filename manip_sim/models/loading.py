@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read, complete and compile specs, with errors that say which file and why."""
+"""Read, complete and compile specs, with errors that name the file and the cause."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 
-#: MuJoCo raises the first for what is wrong in a file; the others where memory does not suffice.
+#: MuJoCo raises the first for errors in a file, the others if there is not enough memory.
 _ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
-#: What MuJoCo takes from a file even if it is nan or inf, by the beginning of the field's name.
+#: Numbers that MuJoCo accepts from a file even if nan or inf, by the prefix of the field's name.
 _NUMBERS = {
     'body': ('mass', 'inertia', 'pos', 'quat', 'ipos'), 'geom': ('size', 'pos', 'friction'),
     'jnt': ('pos', 'axis', 'range', 'stiffness'), 'dof': ('damping', 'armature', 'frictionloss'),
@@ -29,7 +29,7 @@ _NUMBERS = {
 _MAY_BE_INFINITE = ('range', 'ctrlrange', 'forcerange')
 
 
-#: What MuJoCo warns of where a part has no prefix, which is wanted then.
+#: MuJoCo's warning of a part without a prefix, which is intended.
 _EMPTY_PREFIX = 'Attaching a spec with an empty prefix'
 
 
@@ -38,7 +38,7 @@ def _log_warning(message: str) -> None:
         logging.getLogger('manip_sim.mujoco').warning(message)
 
 
-# Without a function of its own MuJoCo appends its warnings to a file in the working directory.
+# Unless a handler is set, MuJoCo appends its warnings to a file in the working directory.
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(_log_warning)
 
@@ -48,7 +48,7 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     Compile a spec.
 
     :param name: what it is, for the message
-    :raises ModelError: with what MuJoCo says
+    :raises ModelError: with MuJoCo's message, or if a number that must be finite is not
     """
     try:
         with warnings.catch_warnings():
@@ -77,7 +77,7 @@ def load_spec(file: Path) -> mujoco.MjSpec:
     """
     Read a spec from an MJCF or URDF file; it names its asset files by absolute paths.
 
-    :raises ModelError: if a file is missing, is not MJCF or URDF, or would take the process down
+    :raises ModelError: if a file is missing, is not MJCF or URDF, or could crash the process
     """
     facts = check_xml(file)
     try:
@@ -107,7 +107,7 @@ def _one_line(error: Exception) -> str:
 
 
 def name_unnamed_elements(spec: mujoco.MjSpec) -> None:
-    """Give a name to each element of a spec that has none, by kind and number."""
+    """Name unnamed bodies, joints, sites, cameras, actuators, sensors and geoms by a number."""
     for kind, elements in (
             ('body', spec.bodies), ('joint', spec.joints), ('site', spec.sites),
             ('camera', spec.cameras), ('actuator', spec.actuators), ('sensor', spec.sensors)):

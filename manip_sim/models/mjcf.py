@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One part: load its MJCF file, compile it, attach it; composing parts is elsewhere."""
+"""One part of a world: load its MJCF file, compile it, attach it; composing is elsewhere."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MujocoXMLModel(NamedElements):
 
     :param fname: path of an MJCF file
     :param idn: number or word that tells this part from others of its kind; part of the prefix
-    :raises ModelError: if the file is missing or is not MJCF
+    :raises ModelError: if the file is missing, is not MJCF or does not compile
     """
 
     _horizontal_radius: float = 0.0
@@ -47,17 +47,17 @@ class MujocoXMLModel(NamedElements):
         self._record()
 
     def _read(self) -> mujoco.MjSpec:
-        """Return the spec of the file; for parts that are not written for this package."""
+        """Return the spec of the file; overridden by parts from files of other people."""
         return load_spec(self.file)
 
     def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
-        """Complete the spec that was just loaded; for subclasses with a standard to fill in."""
+        """Complete the spec that was just loaded; for subclasses that add standard elements."""
 
     def refresh(self) -> None:
         """
-        Record again what the lists and figures tell, after edits of :attr:`spec`.
+        Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
 
-        :raises ModelError: if it does not compile any more, or something that is needed is missing
+        :raises ModelError: if it no longer compiles, or an element that is needed is missing
         """
         name_unnamed_elements(self._spec)
         self._record()
@@ -66,8 +66,8 @@ class MujocoXMLModel(NamedElements):
         self._record_elements(self._compile_alone())
 
     def _compile_alone(self) -> mujoco.MjModel:
-        # Parts without mass, such as a virtual base, are only usable below something that has it.
-        # The spec itself is compiled: a copy has lost what refers to something that is not there.
+        # A part without mass, such as a virtual base, only works below something that has mass.
+        # The spec itself is compiled: a copy would have lost references to missing elements.
         compiler = self._spec.compiler
         bounds = compiler.boundmass, compiler.boundinertia
         compiler.boundmass, compiler.boundinertia = _MIN_MASS_KG, _MIN_INERTIA
@@ -81,18 +81,17 @@ class MujocoXMLModel(NamedElements):
         """
         This part's own ``mujoco.MjSpec``, with the names of its file, without prefix.
 
-        Edits are seen by every later :meth:`compile`, also of a robot that this part is mounted
-        on or of a world. What this part tells of itself (:attr:`joints` and the other lists,
-        ranges in ``format_action``, offsets) is recorded: after an edit call :meth:`refresh`;
-        compiling, composing and mounting do so too. Parts that are mounted on this one are not
-        in the spec.
+        Edits take effect in every later :meth:`compile`, also in that of a robot that this part
+        is mounted on or of a world. :attr:`joints` and the other lists, the ranges in
+        ``format_action`` and the offsets are recorded: call :meth:`refresh` after an edit;
+        compiling and mounting do so too. Parts that are mounted on this one are not in the spec.
         """
         return self._spec
 
     @property
     def root_body(self) -> str:
         """
-        The one body that everything else hangs on.
+        Prefixed name of the one body that all other bodies are below.
 
         :raises ModelError: if the file has none or several
         """
@@ -113,12 +112,12 @@ class MujocoXMLModel(NamedElements):
 
     @property
     def bottom_offset(self) -> FloatArray:
-        """Where what the part stands on is, as its root body is placed [m], shape (3,), a copy."""
+        """Position of what the part stands on: the root's by default [m], shape (3,), a copy."""
         return self.base_offset
 
     @property
     def top_offset(self) -> FloatArray:
-        """Where what stands on the part begins [m], shape (3,), a copy: zeros unless declared."""
+        """Position of what stands on the part [m], shape (3,), a copy: zeros unless declared."""
         return np.zeros(3)
 
     @property
@@ -133,7 +132,7 @@ class MujocoXMLModel(NamedElements):
         Options, keyframes and visual settings of the file are left behind.
 
         :param spec: the spec to add to
-        :param frame: the frame of that spec to hang the part on
+        :param frame: the frame of that spec to attach the part to
         :raises ModelError: if the spec has one of the names already
         """
         self.refresh()
@@ -164,7 +163,7 @@ class MujocoXMLModel(NamedElements):
         """
         Compile this part and all that is mounted on it.
 
-        :raises ModelError: with what MuJoCo says
+        :raises ModelError: with MuJoCo's message
         """
         return compile_spec(self.compose(), self.name)
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is in a part, with the names that it has in a compiled model."""
+"""The elements of a part, by the names that they have in a compiled model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from manip_sim.models.naming import check_prefix
 
 class NamedElements:
     """
-    The elements of a part by kind, their names with the part's prefix, in the compiled order.
+    Names of the elements of a part by kind, with its prefix, in the order of the compiled model.
 
     :param file: where they come from, for messages
     :param idn: number or word that tells this part from others of its kind; part of the prefix
@@ -75,7 +75,7 @@ class NamedElements:
 
     @property
     def naming_prefix(self) -> str:
-        """What stands before each name of this part in the compiled model."""
+        """What each name of this part begins with in the compiled model."""
         return self._given_prefix or self._prefix_of_idn
 
     @property
@@ -85,11 +85,11 @@ class NamedElements:
 
     def set_naming_prefix(self, prefix: str) -> None:
         """
-        Let the names of this part begin with a prefix of one's own, without a number.
+        Replace the prefix that the idn gives by another one.
 
         :param prefix: a letter, then at most 63 letters, digits and underscores, such as
             ``left_``; empty: the prefix that the idn gives
-        :raises ModelError: if it is no such prefix, or the class overrides :attr:`naming_prefix`
+        :raises ModelError: if it is none of these, or the class overrides :attr:`naming_prefix`
         """
         if prefix:
             check_prefix(prefix)
@@ -140,7 +140,7 @@ class NamedElements:
 
     @property
     def joint_ranges(self) -> dict[str, FloatArray]:
-        """The range of each joint [rad or m], shape (2,), infinite where there is none."""
+        """Range by name of the joint [rad or m], shape (2,), infinite where there is none."""
         found = {raw: self._own_model.joint(raw) for raw in self._joints}
         return {self.correct_naming(raw): np.array(
                     joint.range if joint.limited[0] else (-np.inf, np.inf))
@@ -148,7 +148,7 @@ class NamedElements:
 
     @property
     def control_ranges(self) -> dict[str, FloatArray]:
-        """The range of each actuator's control, in its unit, shape (2,), zeros where none is."""
+        """Control range by name of the actuator, in its unit, shape (2,), zeros if it has none."""
         return {self.correct_naming(raw): np.array(self._own_model.actuator(raw).ctrlrange)
                 for raw in self._actuators}
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names of parts in a composition: what a prefix may be, and that no name is there twice."""
+"""Check names of parts in a composition: that prefixes are valid and no name occurs twice."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def check_prefix(prefix: str) -> None:
 def check_names_are_free(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str,
                          part: str) -> None:
     """
-    Reject to attach a spec to another that has one of its names already.
+    Reject attaching a spec to another that has one of its names already.
 
-    MuJoCo would compile neither, or write an XML that it cannot read again.
+    MuJoCo would not compile the result, or would write XML that it cannot read again.
 
     :param spec: the spec to attach to
     :param own: the spec to be attached

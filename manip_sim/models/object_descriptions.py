@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What may be said of an object in YAML or a mapping: keys, units and limits."""
+"""The description of an object in YAML or a mapping: keys, units and limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number)
 from manip_sim.quoting import counted, shown
 
-#: What is farther from the origin is lost [m].
+#: Greatest distance of an object or camera from the origin along an axis [m].
 _MAX_DISTANCE_M = 1e4
 _MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
 #: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
@@ -26,7 +26,7 @@ DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
 
 
 def _listed(value: object) -> object:
-    """Take a number as a list of one."""
+    """Return a number as a list of one, anything else as it is."""
     return [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
@@ -49,12 +49,12 @@ _Density = Annotated[Number, Field(gt=0.0, le=1e5, allow_inf_nan=False)]
 
 class PlacedDescription(BaseModel):
     """
-    A name and a place in the world.
+    A name and a pose in the world.
 
-    :ivar name: letters, digits and underscores; also of topics and of the body
+    :ivar name: letters, digits and underscores; also the name of the body, and in those of topics
     :ivar position: of the body's frame in ``world`` [m]
     :ivar rpy: roll, pitch, yaw of the body in ``world`` [rad]
-    :ivar quat_xyzw: instead of them, a quaternion of length 1
+    :ivar quat_xyzw: instead of ``rpy``, a quaternion x, y, z, w of length 1
     """
 
     model_config = ConfigDict(extra='forbid', frozen=True)
@@ -81,9 +81,9 @@ class FileDescription(PlacedDescription):
     """
     An object in an MJCF file.
 
-    Its place is that of the file where none is given, its name that of the file's body.
+    Its pose and its name are those of the body in the file, unless given here.
 
-    :ivar file: relative to the folder of the YAML file, or to the working directory
+    :ivar file: path, relative to the folder of the YAML file, or to the working directory
     """
 
     file: str
@@ -91,16 +91,16 @@ class FileDescription(PlacedDescription):
 
 class ShapeDescription(PlacedDescription):
     """
-    A free body of one shape, whose frame is in its middle; the axis of a cylinder or capsule is z.
+    A free body of one shape, with its frame in the middle; the axis of a cylinder or capsule is z.
 
     :ivar shape: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``ellipsoid``
     :ivar size: full extents [x, y, z] of a box, radius of a sphere, [radius, length] of a cylinder
         and of a capsule without its caps, radii [x, y, z] of an ellipsoid [m]
     :ivar mass: [kg]
-    :ivar density: in place of the mass [kg/m^3], 1000 where neither is given
-    :ivar friction: sliding, or also torsional [m] and rolling [m]
-    :ivar rgba: colour, each from 0 to 1; opaque where the fourth is left out
-    :ivar condim: MuJoCo's dimension of contacts, 4 and 6 with torsional and rolling friction
+    :ivar density: instead of the mass [kg/m^3], 1000 if neither is given
+    :ivar friction: sliding, optionally followed by torsional [m] and rolling [m]
+    :ivar rgba: colour, each from 0 to 1; opaque if the fourth is left out
+    :ivar condim: MuJoCo's dimension of contacts: 4 adds torsional, 6 also rolling friction
     """
 
     name: str
@@ -141,14 +141,14 @@ class ShapeDescription(PlacedDescription):
 
     @property
     def mass_kg(self) -> float:
-        """Mass, given or of the density [kg]."""
+        """Mass, as given or from the density [kg]."""
         if self.mass is not None:
             return self.mass
         return (self.density or _DEFAULT_DENSITY) * self.volume_m3
 
     @property
     def mujoco_size(self) -> list[float]:
-        """What MuJoCo calls the size: half extents, radii and half lengths [m]."""
+        """The ``size`` of MuJoCo's geom: half extents, radii and half lengths [m]."""
         if self.shape == 'box':
             return [extent / 2.0 for extent in self.size]
         if self.shape in ('cylinder', 'capsule'):
@@ -158,7 +158,7 @@ class ShapeDescription(PlacedDescription):
 
 def kind_of(values: Any) -> type[FileDescription] | type[ShapeDescription]:
     """
-    Return which kind of description some values are meant to be.
+    Return the kind of description that some values are meant to be.
 
     :raises ValueError: if they have both a file and a shape
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A free body that robots handle: its name, its place and how it comes into a world."""
+"""A free body that robots handle: its name, its start pose and how it is added to a world."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SIZES = {
 SHAPE_GEOM = 'shape'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: What an object cannot have: MuJoCo's size of it, and what it is.
+#: What an object cannot have, by the field of ``mujoco.MjModel`` that counts it.
 _NOT_IN_OBJECTS = {
     'nu': 'actuators, which nothing would command', 'nflex': 'flexible bodies',
     'nskin': 'skins', 'nhfield': 'height fields', 'nplugin': 'plugins', 'nmocap': 'mocap bodies',
@@ -55,15 +55,15 @@ def check_object_name(name: str, where: str,
 
 class ObjectModel:
     """
-    A free body, whose root has the name of the object.
+    A free body with the name of the object.
 
-    In the world the names of all else begin with ``<name>_``, but for the geom of a shape, which
-    is called as the object is. A free joint that has no name is ``<name>_joint``.
+    In a world the geom of a shape has that name too; all other names begin with ``<name>_``. A
+    free joint without a name is called ``<name>_joint``.
 
     :param name: a letter, then at most 63 letters, digits and underscores
-    :param spec: a ``mujoco.MjSpec`` with one root body, which becomes the object's
+    :param spec: a ``mujoco.MjSpec`` with one root body; not copied, and changed in place
     :param origin: where it comes from, for messages
-    :raises ModelError: if the name or what the spec holds cannot be an object's
+    :raises ModelError: if an object cannot have the name or what the spec holds
     """
 
     def __init__(self, name: str, spec: mujoco.MjSpec, origin: str = '') -> None:
@@ -108,7 +108,7 @@ class ObjectModel:
                              f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')
 
     def _resolve_pose(self) -> None:
-        # Placing sets position and quaternion, so nothing else may turn or move the root.
+        # :meth:`place` sets position and quaternion; nothing else may turn or move the root.
         root, compiled = self._root, self._own_model.body(self._root.name)
         root.pos, root.quat = compiled.pos, compiled.quat
         root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
@@ -124,17 +124,17 @@ class ObjectModel:
 
     @property
     def spec(self) -> Any:
-        """The object's own ``mujoco.MjSpec``, without prefix; later edits of it are attached."""
+        """The object's own ``mujoco.MjSpec``, without prefix; :meth:`attach` uses later edits."""
         return self._spec
 
     @property
     def root_body(self) -> str:
-        """The body that is the object; its name."""
+        """Name of the object's root body in a world."""
         return self.name
 
     @property
     def free_joint(self) -> str:
-        """The joint by which the object moves."""
+        """Name of the object's free joint in a world."""
         return self._prefix + str(self._root.joints[0].name)
 
     @property
@@ -144,20 +144,20 @@ class ObjectModel:
 
     @property
     def position(self) -> FloatArray:
-        """Where the object starts in ``world`` [m], shape (3,), a copy."""
+        """Start position in ``world`` [m], shape (3,), a copy."""
         return np.array(self._root.pos)
 
     @property
     def quat_wxyz(self) -> FloatArray:
-        """How the object is turned at its start, shape (4,), a copy."""
+        """Start orientation in ``world``, w, x, y, z, shape (4,), a copy."""
         return np.array(self._root.quat)
 
     def place(self, position: ArrayLike | None = None, quat_wxyz: ArrayLike | None = None) -> None:
         """
-        Let the object start elsewhere, in worlds that are composed from now on.
+        Change the start pose, in worlds that are composed from now on.
 
-        :param position: in ``world`` [m], shape (3,); None leaves it
-        :param quat_wxyz: of unit length, shape (4,); None leaves it
+        :param position: in ``world`` [m], shape (3,); None keeps it
+        :param quat_wxyz: of unit length, shape (4,); None keeps it
         """
         if position is not None:
             self._root.pos = np.asarray(position, dtype=float)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Objects from shapes, MJCF files and lists in YAML."""
+"""Create objects from shapes, MJCF files and lists in YAML."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def create_object(description: Description) -> ObjectModel:
 
 def object_from_xml(name: str, xml: str) -> ObjectModel:
     """
-    Create an object from the text of an MJCF file, such as a service gets.
+    Create an object from the text of an MJCF file, as a service receives it.
 
-    MuJoCo reads the files that the text names: relative ones from the working directory.
+    MuJoCo reads the files that the text names; relative paths start from the working directory.
 
     :raises ModelError: if it is not the text of an object
     """
@@ -76,7 +76,7 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
     Create objects; a YAML file stands for all that it lists.
 
     :param descriptions: as for :func:`create_object`
-    :raises ModelError: as :func:`create_object`, and if two have one name
+    :raises ModelError: as :func:`create_object`, and if two have the same name
     """
     objects: list[ObjectModel] = []
     for description in descriptions:
@@ -90,9 +90,9 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
 
 def check_object_names(objects: Iterable[ObjectModel]) -> None:
     """
-    Reject objects of one name.
+    Reject two objects with the same name.
 
-    :raises ModelError: naming it
+    :raises ModelError: naming it and both origins
     """
     by_name: dict[str, ObjectModel] = {}
     for item in objects:
@@ -129,7 +129,7 @@ def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
                  unnamed: str = 'object without a name') -> ObjectModel:
     name = values.get('name')
     where = begin + (unnamed if name is None else f'object {quoted(name)}')
-    # Imported late, because not all machines have what it needs.
+    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.object_descriptions import kind_of, ShapeDescription
     from manip_sim.models.strict_descriptions import checked
     try:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find model classes by name: those that are defined, and those that other packages offer."""
+"""Find model classes by name: those already defined, and those that other packages offer."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from manip_sim.models.sources import find_source, names_in_folders
 
 T = TypeVar('T')
 _LOGGER = logging.getLogger('manip_sim.models')
-#: The offers of other packages that are being imported, the latest last.
+#: The offers of other packages whose import is under way, the latest last.
 _importing: list[Offer] = []
 
 
 class Registry(Generic[T]):
     """
-    Classes of one kind by name; a class that is defined is known.
+    Classes of one kind by name; a class is registered when it is defined.
 
     Other packages offer theirs as entry points of the group ``manip_sim.{kind}s``. They are
-    imported when they are requested by name, or all names are; one that cannot be used hides none
-    of the others, and replaces no class that is there already.
+    imported when they are requested by name, or when all names are listed. One that cannot be used
+    does not hide the others, and none replaces a class that is registered already.
 
     :param kind: what the classes are, for messages: ``robot``, ``gripper``, ``base``, ``arena``
     :param base: what all of them derive from
-    :param takes: the keyword arguments that a class is created with by name
-    :param key: gives the name of a class, or None for a class without one
+    :param takes: the keyword arguments with which a class is created by name
+    :param key: returns the name of a class, or None if it cannot be created by name
     """
 
     def __init__(self, kind: str, base: type[T], takes: tuple[str, ...] = ('idn',),
@@ -46,11 +46,11 @@ class Registry(Generic[T]):
         self._takes = takes
         self._key = key
         self._classes: dict[str, type[T]] = {}
-        #: By offer, the class, or why there is none.
+        #: By offer, the class, or the error of its import.
         self._loaded: dict[Offer, type[T] | ModelError] = {}
 
     def register(self, cls: type[T]) -> None:
-        """Make a class known under its name; a later class of that name replaces it."""
+        """Register a class; it replaces one of that name, unless another package offers it."""
         name = self._key(cls)
         if name is None:
             return
@@ -78,12 +78,12 @@ class Registry(Generic[T]):
                       if self._is_public(name, cls) and not self._missing_arguments(cls))
 
     def all_names(self) -> list[str]:
-        """Return the names of all that can be created, from files in the user's folders too."""
+        """Return the names of all that can be created, also from files in the user's folders."""
         return sorted({*self.names(), *names_in_folders(self._folder)})
 
     def find_file(self, name: str | PathLike[str]) -> Path | None:
         """
-        Return the file or folder that a name stands for; None if a class has the name, or nothing.
+        Return the file or folder that a name stands for; None if it is a class or unknown.
 
         Nothing is imported.
 
@@ -98,9 +98,9 @@ class Registry(Generic[T]):
         """
         Return the class of a name.
 
-        :raises UnknownNameError: naming the nearest ones
-        :raises ModelError: if it is a class that cannot be created by name, or another package
-            offers it and it cannot be imported
+        :raises UnknownNameError: if there is none, naming the nearest ones
+        :raises ModelError: if the class cannot be created by name, or another package offers it
+            and it cannot be imported
         """
         if name not in self._classes:
             offer = offers(self._group).get(name)
@@ -115,7 +115,7 @@ class Registry(Generic[T]):
         return cls
 
     def create(self, name: str, /, **arguments: Any) -> T:
-        """Create an instance of the class of a name; raises what :meth:`get` does."""
+        """Create an instance of the class of a name; raises as :meth:`get` does."""
         create: Callable[..., T] = self.get(name)
         return create(**arguments)
 
@@ -144,7 +144,7 @@ class Registry(Generic[T]):
 
     def _load(self, name: str, offer: Offer) -> type[T]:
         if offer not in self._loaded:
-            # Of an offer whose module asks for names while it is imported.
+            # What a module gets that requests its own name while it is imported.
             self._loaded[offer] = ModelError(f'{self.kind} {offer} is being imported')
             try:
                 self._loaded[offer] = self._import(name, offer)
@@ -178,7 +178,7 @@ class Registry(Generic[T]):
         return not (name.startswith('_') or inspect.isabstract(cls))
 
     def _missing_arguments(self, cls: type[T]) -> str:
-        """Say why a class cannot be created by name; empty where it can."""
+        """Return why a class cannot be created by name; empty if it can."""
         takes = ', '.join(self._takes) or 'no argument'
         try:
             inspect.signature(cls).bind(**dict.fromkeys(self._takes))
@@ -198,7 +198,7 @@ def _importing_from(offer: Offer) -> Iterator[None]:
 
 def import_submodules(package: str, path: list[str]) -> None:
     """
-    Import every module of a package, so that the classes in it are registered.
+    Import every module of a package, which registers its classes.
 
     :param package: the package's name
     :param path: the package's ``__path__``

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Open files that others have named: no devices, pipes or folders, and none that is too large."""
+"""Read files that users name: no devices, pipes or folders, and none that is too large."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from manip_sim.quoting import one_line
 
 def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
     """
-    Return what is in a file.
+    Return the content of a file.
 
     :param kind: what it is, for the message, such as ``MJCF file``
-    :raises ModelError: if it is missing, no regular file, too large or must not be read
+    :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     check_file(file, kind, max_bytes)
     with _told(file, kind):
@@ -28,10 +28,10 @@ def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
 
 def check_file(file: Path, kind: str, max_bytes: int) -> None:
     """
-    Look whether a file can be read, without reading it.
+    Check that a file can be read, without reading it.
 
     :param kind: what it is, for the message, such as ``mesh file``
-    :raises ModelError: if it is missing, no regular file, too large or must not be read
+    :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     with _told(file, kind):
         status = file.stat()
@@ -51,6 +51,6 @@ def _told(file: Path, kind: str) -> Iterator[None]:
         yield
     except FileNotFoundError as error:
         raise ModelError(f'no such {kind}: {one_line(str(file))}') from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character.
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path.
         reason = getattr(error, 'strerror', None) or str(error)
         raise ModelError(f'cannot read {kind} {one_line(str(file))}: {reason}') from error

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where models come from that are no classes: paths, folders of a user, Menagerie, robosuite."""
+"""Find models that are not classes: paths, user's folders, Menagerie's and robosuite's."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from typing import Any
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
 
-#: Names folders that join the catalogue, separated as in PATH.
+#: Environment variable of the folders to add to the catalogue, separated as in PATH.
 PATH_VARIABLE = 'MANIP_SIM_PATH'
-#: Names a checkout of google-deepmind/mujoco_menagerie.
+#: Environment variable of the path of a checkout of google-deepmind/mujoco_menagerie.
 MENAGERIE_VARIABLE = 'MENAGERIE_ROOT'
 KINDS = ('robots', 'grippers', 'bases', 'arenas')
 _YAML = ('.yaml', '.yml')
@@ -31,14 +31,14 @@ _model_path: list[Path] = []
 
 def set_model_path(folders: Iterable[str | os.PathLike[str]]) -> None:
     """
-    Let folders join the catalogue, before those of ``MANIP_SIM_PATH``.
+    Add the models in folders to the catalogue, before those of ``MANIP_SIM_PATH``.
 
     In a folder, ``robots/NAME.yaml``, ``robots/NAME.xml``, ``robots/NAME.urdf`` or a folder
     ``robots/NAME`` with such a file or ``robot.yaml`` is the robot ``NAME``; likewise
     ``grippers``, ``bases`` and ``arenas``.
 
-    :param folders: in place of those of the last call
-    :raises ModelError: if one is no folder
+    :param folders: they replace those of the last call
+    :raises ModelError: if one is not a folder
     """
     found = [Path(folder).expanduser() for folder in folders]
     for folder in found:
@@ -49,9 +49,9 @@ def set_model_path(folders: Iterable[str | os.PathLike[str]]) -> None:
 
 def model_path() -> list[Path]:
     """
-    Return the folders that are in the catalogue.
+    Return the folders whose models are in the catalogue.
 
-    :raises ModelError: if one of ``MANIP_SIM_PATH`` is no folder
+    :raises ModelError: if one of ``MANIP_SIM_PATH`` is not a folder
     """
     of_environment = [Path(folder).expanduser() for folder in
                       os.environ.get(PATH_VARIABLE, '').split(os.pathsep) if folder]
@@ -63,7 +63,7 @@ def model_path() -> list[Path]:
 
 def names_in_folders(kind: str) -> dict[str, Path]:
     """
-    Return the models of the user's folders by name, those of the first folders first.
+    Return the models of the user's folders by name; of equal names that of the first folder.
 
     :param kind: ``robots``, ``grippers``, ``bases`` or ``arenas``
     """
@@ -80,7 +80,7 @@ def names_in_folders(kind: str) -> dict[str, Path]:
 
 
 def _rank(entry: Path) -> tuple[int, str]:
-    """Sort descriptions before the models that they describe."""
+    """Return a key that sorts descriptions before the models that they describe."""
     is_suffix = entry.suffix in _SUFFIXES
     return (_SUFFIXES.index(entry.suffix) if is_suffix else len(_SUFFIXES), entry.name)
 
@@ -93,13 +93,13 @@ def _of_folder(folder: Path, kind: str) -> Path | None:
 
 def find_source(name: str | os.PathLike[str], kind: str) -> Path | None:
     """
-    Return the file or folder that a name stands for; None if it is no path and in no folder.
+    Return the file or folder that a name stands for; None if it is none of the following.
 
     :param name: a path (a string with a slash, or ending as models and descriptions do),
         ``menagerie:NAME``, ``menagerie:NAME/FILE.xml``, ``robosuite:NAME``, or a name of the
         user's folders
     :param kind: ``robots``, ``grippers``, ``bases`` or ``arenas``
-    :raises ModelError: if it stands for something that is not there
+    :raises ModelError: if a package or a folder that it needs is missing, or it is ambiguous
     :raises UnknownNameError: if Menagerie or robosuite has no such model, naming the nearest
     """
     if not isinstance(name, str):
@@ -154,7 +154,7 @@ def _of_menagerie_package(model: str, file: str) -> tuple[Path, str]:
 
 
 def _main_file(folder: Path) -> Path:
-    """Return the model of a folder of Menagerie: what its scene includes, or the only one."""
+    """Return the model of a Menagerie folder: that of its scene, the only one, or its namesake."""
     models = sorted(file.name for file in folder.glob('*.xml')
                     if not file.stem.startswith('scene'))
     scene = folder / 'scene.xml'
@@ -174,7 +174,7 @@ def _main_file(folder: Path) -> Path:
 def _of_robosuite(name: str, kind: str) -> Path:
     found: dict[str, Path] = {}
     for package, assets in (('robosuite', 'models/assets'), ('robosuite_models', 'assets')):
-        # Importing them would load their simulator too.
+        # Importing them would load their simulator as well.
         spec = importlib.util.find_spec(package)
         for place in (spec.submodule_search_locations or []) if spec is not None else []:
             folder = Path(place) / assets / kind
@@ -190,7 +190,7 @@ def _of_robosuite(name: str, kind: str) -> Path:
 
 
 def _letters(name: str) -> str:
-    """Return a name as it is the same in ``PandaGripper`` and ``panda_gripper``."""
+    """Return a name in a form that is the same for ``PandaGripper`` and ``panda_gripper``."""
     return ''.join(character for character in name.lower() if character.isalnum())
 
 
@@ -202,7 +202,7 @@ def is_path(name: str) -> bool:
 
 def check_no_parameters(name: object, parameters: Any) -> None:
     """
-    Reject parameters for what a file declares.
+    Reject parameters for a model from a file.
 
     :raises ModelError: if there are any
     """

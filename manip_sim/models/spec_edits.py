@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Edits of a ``mujoco.MjSpec`` that it has no call for."""
+"""Edits of a ``mujoco.MjSpec`` for which MuJoCo has no function."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 's
 
 def rename_body(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
     """
-    Rename a body, also where other elements refer to it.
+    Rename a body, and the references to it in other elements.
 
     :param spec: the spec that has the body
     :param body: the body
@@ -54,7 +54,7 @@ def _references_to_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[Any, str]]:
 
 
 def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Return a new spec with nothing in it, and the options, visual settings and sizes of one."""
+    """Return an empty spec with the options, visual settings, statistics and sizes of another."""
     new = mujoco.MjSpec()
     for settings in ('option', 'visual', 'stat', *_SIZES):
         setattr(new, settings, getattr(spec, settings))
@@ -63,12 +63,12 @@ def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame) -> None:
     """
-    Attach a spec to another without a warning; its global settings are left behind.
+    Attach a spec to another without MuJoCo's warnings; its global settings are left behind.
 
     :param spec: the spec to attach to
-    :param own: the spec to be attached, which is of no use afterwards
+    :param own: the spec to be attached, not to be used afterwards
     :param prefix: what its names will begin with
-    :param frame: the frame to hang it on
+    :param frame: the frame to attach it to
     """
     _yield_globals(own, spec)
     if not prefix and spec.assets and not own.assets:
@@ -78,10 +78,10 @@ def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.M
 
 def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
     """
-    Let a spec have the global settings of the one that it will be attached to.
+    Give a spec the global settings of the one that it will be attached to.
 
-    MuJoCo would keep those of the other too, but warn of each that differs. Memory becomes the
-    larger one; how many ``user`` numbers elements have is counted when they are compiled.
+    MuJoCo would keep the latter's anyway, but would warn of each that differs. Both get the larger
+    sizes of memory and user data; the numbers of ``user`` values are left to the compiler.
     """
     own.option, own.visual, own.stat = spec.option, spec.visual, spec.stat
     for size in _SIZES:
@@ -94,15 +94,15 @@ def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
 
 
 def _signed(size: int) -> int:
-    # Some versions of MuJoCo give the -1 of a size that is not set as a number without sign.
+    # Some versions of MuJoCo return the -1 of a size that is not set as an unsigned number.
     return size if size < 2**63 else size - 2**64
 
 
 def name_main_default(own: mujoco.MjSpec) -> None:
     """
-    Give the default class ``main`` of a spec another name.
+    Rename the default class ``main`` of a spec.
 
-    Where a spec is attached without a prefix, there would be two of that name.
+    After attaching a spec without a prefix there would be two of that name.
     """
     name = 'arena'
     while own.find_default(name) is not None:
@@ -112,7 +112,7 @@ def name_main_default(own: mujoco.MjSpec) -> None:
 
 def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
     """
-    Delete elements that are no bodies, and the sensors that look at them.
+    Delete elements other than bodies, and the sensors that refer to them.
 
     :param spec: the ``mujoco.MjSpec`` that has them
     """
@@ -125,16 +125,16 @@ def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
 
 def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
     """
-    Let the first of some consecutive actuators of a spec come last.
+    Move the first of some consecutive actuators of a spec behind the others.
 
-    Elements of a spec cannot move, so their contents do.
+    Elements of a spec cannot be moved, so their contents are.
 
-    :param actuators: the actuators
+    :param actuators: the consecutive actuators
     :param count: how many of them go to the end
     """
     contents = [_content(actuator) for actuator in actuators]
     for actuator in actuators:
-        actuator.name = ''  # A name may be there only once at any time.
+        actuator.name = ''  # No name may occur twice at any time.
     for actuator, content in zip(actuators, contents[count:] + contents[:count]):
         for field, value in content.items():
             setattr(actuator, field, value)

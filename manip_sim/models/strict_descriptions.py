@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Check values by pydantic models, with errors of one line; the one import of pydantic."""
+"""Check values with pydantic models, with one-line errors; the only import of pydantic."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _is_exponent(value: object) -> bool:
         return False
 
 
-#: A number that is not given as a text or truth value; combine with ``pydantic.Field``.
+#: A number, not given as a text or a bool; combine with ``pydantic.Field``.
 Number = Annotated[float, BeforeValidator(_number)]
 
 
@@ -53,12 +53,12 @@ def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
     :param kind: the model, which forbids extra keys
     :param values: by key
     :param where: file and object that have the values, for the message
-    :raises ModelError: of one line, naming the key that is unknown, missing or has a bad value
+    :raises ModelError: on one line, naming the key that is unknown, missing or has a bad value
     """
     try:
         return kind.model_validate(dict(values))
     except ValidationError as errors:
-        # A misspelt key is also a missing one; what is said first is what was written.
+        # A misspelt key also makes the right one missing; the error is about what was written.
         first = min(errors.errors(), key=lambda e: e['type'] != 'extra_forbidden')
         raise ModelError(f'{where}: {_told(first, kind.model_fields)}') from None
 

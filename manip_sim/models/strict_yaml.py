@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read YAML that somebody else wrote: plain values only, errors of one line."""
+"""Read YAML from users: plain values only, with one-line errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_BYTES = 1_000_000
 
 
 class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
-    """PyYAML's safe loader, without what makes a small file large, and without equal keys."""
+    """PyYAML's safe loader without duplicate keys, and aliases, which make a small file huge."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Reject anchors and aliases."""
@@ -29,7 +29,7 @@ class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        """Reject keys that are no text, or that are there already."""
+        """Reject keys that are not strings or occur twice."""
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
@@ -48,9 +48,9 @@ def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictL
     """
     Return the mapping that a YAML file holds.
 
-    :param loader: says what plain scalars are
-    :raises ModelError: if the file cannot be read, is larger than 1 MB, or holds something else:
-        tags of objects, anchors, keys that are there twice
+    :param loader: decides the types of plain scalars
+    :raises ModelError: if the file cannot be read, is larger than 1 MB, holds no mapping, or has
+        tags of objects, anchors, or keys that are not strings or occur twice
     """
     path = Path(file)
     try:
@@ -69,7 +69,7 @@ def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = St
     Return the mapping that a text holds.
 
     :param where: what it is, for messages
-    :param loader: says what plain scalars are
+    :param loader: decides the types of plain scalars
     :raises ModelError: as :func:`read_yaml` does
     """
     if len(content) > _MAX_BYTES:

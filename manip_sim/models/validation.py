@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Check numbers that come from outside, with one wording; what they are for is the caller's."""
+"""Check numbers from users, with uniform messages; the caller says what they are for."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelE
     Return numbers as an array of their own shape, always a copy.
 
     :param what: what they are, for the message
-    :param error: what to raise
-    :raises ManipSimError: the error, if they are no numbers
+    :param error: the exception to raise
+    :raises ManipSimError: that exception, if they are not numbers
     """
     try:
         given = np.asarray(values)
@@ -40,8 +40,8 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     Return numbers as an array of shape (length,), always a copy.
 
     :param what: what they are, for the message
-    :param error: what to raise
-    :raises ManipSimError: the error, if they are no numbers, not as many, or one is not finite
+    :param error: the exception to raise
+    :raises ManipSimError: that exception, if they are not ``length`` finite numbers
     """
     numbers = as_numbers(values, what, error)
     if numbers.shape != (length,):
@@ -58,10 +58,10 @@ def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
     Return a quaternion with unit norm, shape (4,), a copy.
 
     :param what: what it is, for the message
-    :raises ModelError: if it has not four finite numbers, all are zero, or its norm is infinite
+    :raises ModelError: if it is not four finite numbers, all are zero, or its norm is infinite
     """
     quat = finite_numbers(values, 4, what)
-    norm = math.hypot(*quat)  # That of numpy warns of an overflow.
+    norm = math.hypot(*quat)  # The norm of numpy warns of an overflow.
     if not norm > 0.0:
         raise ModelError(f'{what} must not be zero')
     if not norm < math.inf:
@@ -71,11 +71,11 @@ def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
 
 def start_by_joint(part: str, joints: list[str], qpos: Any) -> dict[str, float]:
     """
-    Return where joints start, by name [rad or m].
+    Return the start positions of joints, by name [rad or m].
 
     :param part: whose joints they are, for the message
     :param qpos: one number for each joint, or None for no start
-    :raises ModelError: if there are not as many finite numbers
+    :raises ModelError: if there is not one finite number for each joint
     """
     if qpos is None:
         return {}
@@ -85,9 +85,9 @@ def start_by_joint(part: str, joints: list[str], qpos: Any) -> dict[str, float]:
 
 def whole_nanoseconds(timestep_s: float) -> float:
     """
-    Return a timestep; stamps count in nanoseconds, and would drift from the physics otherwise.
+    Return a timestep if stamps, which count nanoseconds, do not drift from it.
 
-    :raises ModelError: naming the nearest timestep that can be used
+    :raises ModelError: if it is not a positive whole number of nanoseconds, naming the nearest
     """
     if not 1e-9 <= timestep_s < math.inf:
         raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')

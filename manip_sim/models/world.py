@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An arena with robots in it: one ``mujoco.MjModel`` and where each joint starts in it."""
+"""An arena with robots and objects: one ``mujoco.MjModel`` and the start of its joints."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.spec_edits import begin_like
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 
-#: Friction cones and their stiffness: what lets a grasp hold without creeping
+#: Ratio of frictional to normal constraint impedance, so that grasped objects do not creep
 #: (mujoco.readthedocs.io, modeling, "Preventing slip").
 _IMPRATIO = 10.0
-#: MuJoCo 3.17; 3.15 and those before do not compile a composed world without visual shapes.
+#: MuJoCo 3.17; versions up to 3.15 do not compile a composed world without visual shapes.
 _DISCARDS_VISUALS = 3017000
 
 
@@ -34,20 +34,20 @@ class World:
     """
     Robots in an arena.
 
-    :param robots: robots with all that is mounted on them; one that was not
-        placed by ``set_base_xpos`` is placed by its ``base_xpos_offset`` for the arena
+    :param robots: robots with all that is mounted on them; the arena places one that was not
+        placed by ``set_base_xpos``
     :param arena: the arena, :class:`EmptyArena` by default
-    :param timestep_s: of the physics [s], a whole number of nanoseconds
-    :param gravity_compensation: let the joints' actuators carry the weight of all links and
-        grippers, as the controller of a real arm does; it counts as actuator force. A robot
-        whose root has a free joint falls and stands by its own weight and has none in the model;
-        :class:`Simulation` lets its arms, torso and head carry what hangs on them
+    :param timestep_s: of a physics step [s], a whole number of nanoseconds
+    :param gravity_compensation: make the joints' actuators carry the weight of all links and
+        grippers, as the controller of a real arm does; it counts as actuator force. The model has
+        none for a robot whose root has a free joint, which falls and stands by its weight;
+        :class:`Simulation` makes its arms, torso and head carry what hangs on them
     :param objects: free bodies, as for :func:`create_objects`; they come after those of the arena
     :param initialization_noise: added to the start of the robots' own joints, see
         :class:`InitializationNoise`; None for none
     :param seed: of that noise; None draws one
-    :param cameras: beside those of robots and arena, as for :func:`create_camera`
-    :ivar cameras: those
+    :param cameras: in addition to those of robots and arena, as for :func:`create_camera`
+    :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
     """
@@ -73,12 +73,12 @@ class World:
 
     @property
     def name(self) -> str:
-        """The names of the robots, for messages."""
+        """Names of the robots, for messages."""
         return ' and '.join(robot.name for robot in self.robots)
 
     @property
     def gripper_actuators(self) -> list[str]:
-        """The actuators of all grippers."""
+        """Names of the actuators of all grippers."""
         return [actuator for robot in self.robots if isinstance(robot, ManipulatorModel)
                 for gripper in robot.grippers.values() for actuator in gripper.actuators]
 
@@ -87,12 +87,10 @@ class World:
         Return a new spec of the whole world: the robots, then what is in the arena.
 
         The root of the first robot is the first body, and the addresses of the robots' joints do
-        not depend on the arena.
-
-        Objects are last, so that no address of a robot depends on them.
+        not depend on the arena. Objects are last, so that no address of a robot depends on them.
 
         :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
-            a step costs less and gives the same states
+            a step takes less time and gives the same states
         :param objects: with :attr:`objects`
         :raises ModelError: if two parts have a name in common, or a camera cannot be added
         """
@@ -121,13 +119,13 @@ class World:
             item.attach(spec)
 
     def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
-        # All that is mounted on a robot hangs below its root, also the bodies of no part's file.
+        # All that is mounted on a robot is below its root, also bodies that were added in composing.
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         for robot in self.robots:
             root = spec.body(robot.root_body)
             bodies = [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]
             if any(int(joint.type) == free for body in bodies for joint in body.joints):
-                # MuJoCo would carry the weight at the free joint too, and the robot would float.
+                # MuJoCo would compensate at the free joint too, and the robot would float.
                 continue
             for body in bodies:
                 body.gravcomp = 1.0
@@ -138,7 +136,7 @@ class World:
         """
         Return a world that differs in its objects; robots, arena and cameras are shared.
 
-        :param objects: in place of the present ones
+        :param objects: the objects of the new world
         """
         other: World = copy.copy(self)
         other.objects = list(objects)
@@ -149,7 +147,7 @@ class World:
         Compile the world.
 
         :param visual: as for :meth:`compose`
-        :raises ModelError: with what MuJoCo says
+        :raises ModelError: with MuJoCo's message
         """
         return compile_spec(self.compose(visual), self.name)
 
@@ -157,10 +155,10 @@ class World:
         """
         Return the MJCF of the world; the root of the first robot is its first body.
 
-        Where there are mesh or texture files, it names them by absolute paths: it loads on this
-        machine only, and :meth:`to_archive` on any.
+        It names mesh and texture files by absolute paths, so with such files it loads only on
+        this machine; :meth:`to_archive` loads on any.
 
-        :raises ModelError: with what MuJoCo says
+        :raises ModelError: with MuJoCo's message
         """
         xml: str = self._compose_to_write().to_xml()
         return xml
@@ -169,11 +167,11 @@ class World:
         """
         Return the world with its mesh and texture files, as a zip that loads on any machine.
 
-        It loads by ``mujoco.MjSpec.from_zip(io.BytesIO(archive)).compile()``; unpacked, its
-        ``model.xml`` by ``mujoco.MjModel.from_xml_path``; as a file ``world.mjz``, by
+        Load it with ``mujoco.MjSpec.from_zip(io.BytesIO(archive)).compile()``; unpacked, its
+        ``model.xml`` with ``mujoco.MjModel.from_xml_path``; as a file ``world.mjz``, with
         ``mujoco.MjSpec.from_file`` of newer versions of MuJoCo.
 
-        :raises ModelError: with what MuJoCo says, or if a file cannot be read
+        :raises ModelError: with MuJoCo's message, or if a file cannot be read
         """
         return pack(self._compose_to_write())
 
@@ -183,21 +181,21 @@ class World:
 
         :param robot: what its names begin with, without the underscore that follows, such as
             ``robot0``; None for the only one
-        :raises ModelError: if there are several robots and none is named, or with what MuJoCo says
+        :raises ModelError: if there are several robots and none is named, or with MuJoCo's message
         :raises UnknownNameError: if there is no such robot
         """
-        from manip_sim.models.urdf_writer import urdf_of  # It needs this module.
+        from manip_sim.models.urdf_writer import urdf_of  # It imports this module.
         return urdf_of(self, robot).xml
 
     def _compose_to_write(self) -> mujoco.MjSpec:
         spec = self.compose()
-        # Each part may have its own rules for masses that no file gives; the XML has one.
+        # Parts may differ in compiler settings for masses that no file gives; the XML has one set.
         spec.compiler.saveinertial = True
         compile_spec(spec, self.name)
         return spec
 
     def init_qpos(self) -> dict[str, float]:
-        """Return where each scalar joint of robots, bases and grippers starts [rad or m]."""
+        """Return start positions by name of the joint of robots, bases and grippers [rad or m]."""
         start: dict[str, float] = {}
         for robot in self.robots:
             starts: list[tuple[MujocoXMLModel, Any]] = [(robot, robot.init_qpos)]

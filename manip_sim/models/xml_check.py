@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Look at a model's XML files before MuJoCo does, which cannot be interrupted.
+Check a model's XML files before MuJoCo reads them, which cannot be interrupted.
 
-A model that is loaded into itself, or a line that makes a billion geoms, would take the process
-or all of the memory.
+A model that is loaded into itself, or a line that makes a billion geoms, would crash the process
+or exhaust the memory.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import read_file
 from manip_sim.quoting import one_line, quoted
 
-#: Of all XML files of a model together [bytes].
+#: Size of all XML files of a model together [bytes].
 _MAX_BYTES = 50_000_000
-#: From how many files a model is loaded; one that is used twice counts twice.
+#: Number of files that a model is loaded from; one that is used twice counts twice.
 _MAX_FILES = 1000
-#: How many bodies, geoms and so on are made by elements that make several.
+#: Number of bodies, geoms and so on that ``replicate``, ``composite`` and the like make.
 _MAX_MADE = 20_000
 _MAX_USER = 1000
-#: By element and attributes, how large the product of their numbers may be.
+#: Largest product of the numbers in attributes, by element and attributes.
 _MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
     ('hfield', ('nrow', 'ncol')): 4000**2,
     ('numeric', ('size',)): 1e6,
@@ -37,21 +37,21 @@ _MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
     ('size', ('nuserdata',)): 1e7,
     **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
         'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
-#: More than these take many seconds and gigabytes.
+#: Larger textures and meshes take many seconds and gigabytes.
 _MAX_PIXELS = 120_000_000
 _MAX_MESH_PARAMETER = 500
-#: How deep files may include each other.
+#: Depth to which files may load each other.
 _MAX_DEPTH = 50
 
 
 @dataclass
 class AssetFolders:
     """
-    Where the asset files of a model are, relative ones at least.
+    The folders in which a model looks for asset files with relative names.
 
     :ivar folder: of the model's file
-    :ivar meshdir: and ``texturedir``: of its compiler settings
-    :ivar prefix: of the elements that an ``attach`` element brings, else empty
+    :ivar meshdir: of its compiler settings, as ``texturedir``
+    :ivar prefix: of its elements, if an ``attach`` element adds them, else empty
     """
 
     folder: Path
@@ -63,11 +63,11 @@ class AssetFolders:
 @dataclass
 class XmlFacts:
     """
-    What the XML files of a model tell.
+    What MuJoCo does not keep of the XML files of a model.
 
-    :ivar is_urdf: it is no MJCF
+    :ivar is_urdf: whether it is URDF, not MJCF
     :ivar folders: of the model, then of the models that are attached to it
-    :ivar mesh_files: how a URDF names the files of meshes, by the last part of the name
+    :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
     """
 
     is_urdf: bool = False
@@ -77,7 +77,7 @@ class XmlFacts:
 
 def check_xml(file: Path) -> XmlFacts:
     """
-    Read all XML files of a model, and reject what could take the process down.
+    Read all XML files of a model, and reject what could crash the process.
 
     :param file: MJCF or URDF
     :raises ModelError: naming file and line
@@ -88,7 +88,7 @@ def check_xml(file: Path) -> XmlFacts:
 
 @dataclass
 class _Budget:
-    """What all files of a model may take together."""
+    """What all files of a model together may still use."""
 
     bytes: int = _MAX_BYTES
     files: int = _MAX_FILES
@@ -105,11 +105,11 @@ class _Model:
         self.folders = [AssetFolders(file.parent)]
         self._file = file
         self._budget = budget
-        #: What led here: files of models that are loaded, the outermost first, then the file that
-        #: is read and those that include it.
+        #: How the current file is reached: the files of models that are being loaded, the
+        #: outermost first, then those that include each other, down to the current one.
         self._chain = list(loaded_by)
         self._parsers: list[expat.XMLParserType] = []
-        #: How many times each open element is made.
+        #: Number of copies that are made of each open element.
         self._times = [1]
         self._models: dict[str, _Model] = {}
         self._attached: list[tuple[str, str, int]] = []
@@ -218,7 +218,7 @@ class _Model:
     def _count_attached(self, name: str, prefix: str, times: int) -> None:
         model = self._models.get(name)
         if model is None:
-            return  # MuJoCo says so.
+            return  # MuJoCo reports it.
         self.elements += times * model.elements
         self._make((times - 1) * model.elements)
         self.folders += [AssetFolders(f.folder, f.meshdir, f.texturedir, prefix + f.prefix)
@@ -236,7 +236,7 @@ def _numbers(attributes: dict[str, str], name: str) -> list[float]:
     try:
         return [float(word) for word in attributes.get(name, '').split()]
     except ValueError:
-        return []  # MuJoCo says so.
+        return []  # MuJoCo reports it.
 
 
 def _product(attributes: dict[str, str], *names: str) -> int:
