@@ -119,7 +119,7 @@ class World:
             item.attach(spec)
 
     def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
-        # All that is mounted on a robot is below its root, also bodies that were added in composing.
+        # All that is mounted on a robot is below its root, also bodies that composing added.
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         for robot in self.robots:
             root = spec.body(robot.root_body)

@@ -63,7 +63,7 @@ class AssetFolders:
 @dataclass
 class XmlFacts:
     """
-    What MuJoCo does not keep of the XML files of a model.
+    What the XML files of a model say of its asset files.
 
     :ivar is_urdf: whether it is URDF, not MJCF
     :ivar folders: of the model, then of the models that are attached to it

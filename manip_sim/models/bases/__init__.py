@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bases: what an arm stands on. Every module of this folder is imported and its bases known."""
+"""Bases: what a robot stands on. Every module here is imported, which registers its bases."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ import_submodules(__name__, __path__)
 
 
 def base_names() -> list[str]:
-    """Return the names that :func:`create_base` takes, those of the user's folders too."""
+    """Return the names that :func:`create_base` takes, also those in the user's folders."""
     return BASES.all_names()
 
 
@@ -32,9 +32,8 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
 
     :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param idn: number or word in the prefix
-    :raises UnknownNameError: naming the nearest ones
-    :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
-        imported
+    :raises UnknownNameError: if there is no such base, naming the nearest ones
+    :raises ModelError: if a file cannot be used, or the base of another package cannot be imported
     """
     file = BASES.find_file(name)
     if file is None:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joints in the plane without a vehicle around them."""
+"""A mobile base without a vehicle: joints in the plane."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from manip_sim.resources import asset_path
 
 class NullMobileBase(MobileBaseModel):
     """
-    Forward, side and yaw below the robot; it has no mass, so the robot's root must.
+    Forward, side and yaw joints without mass, so the robot's root must have mass.
 
     :param idn: number or word in names
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A mount that is not there, for robots that stand on the floor."""
+"""A mount without a body of its own, for robots that stand on the floor."""
 
 from __future__ import annotations
 

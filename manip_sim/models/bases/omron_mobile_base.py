@@ -11,7 +11,7 @@ from manip_sim.resources import asset_path
 
 class OmronMobileBase(MobileBaseModel):
     """
-    Drives forward, sideways and about, and lifts the robot from 0.7 m to 1.04 m.
+    Vehicle that drives forward and sideways, turns, and lifts the robot from 0.7 m to 1.04 m.
 
     :param idn: number or word in names
     """

@@ -18,11 +18,11 @@ class RobotBaseModel(MujocoXMLModel):
     """
     What a robot stands on; a subclass of one of the kinds below declares its offsets.
 
-    :attr:`bottom_offset` is the position that the file gives the root body: the floor, seen from
-    the robot's root when :attr:`top_offset` is zero.
+    :attr:`bottom_offset` is the position of the root body in the file: that of the floor in the
+    frame of the robot's root if :attr:`top_offset` is zero.
     """
 
-    #: What joints belong to whose names tell nothing.
+    #: The subsystem of joints whose names tell none.
     subsystem_of_others = 'arm'
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -42,7 +42,7 @@ BASES: Registry[RobotBaseModel] = Registry('base', RobotBaseModel)
 
 class MountModel(RobotBaseModel, registered=False):
     """
-    A mount without joints; it hangs below the robot's root body.
+    A mount without joints; it is attached below the robot's root body.
 
     Prefix ``fixed_mount{idn}_``.
     """

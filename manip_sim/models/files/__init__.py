@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Robots, grippers, bases and arenas from files of other people, with what a YAML file says."""
+"""Load robots, grippers, bases and arenas from files of other people, with a YAML description."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
 
     :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
     :param idn: number or word in names, as in ``robot0_joint1``
-    :returns: a ``ManipulatorModel`` if the robot has arms; its ``inferred`` says what the file
-        and the YAML did not say
+    :returns: a ``ManipulatorModel`` if the robot has arms; its ``inferred`` says what was inferred
+        or left out
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
@@ -52,7 +52,7 @@ def load_base(path: str | PathLike[str], idn: int | str = 0) -> FileBase:
     Load a base from a file.
 
     :param path: an MJCF or URDF file, the YAML file that describes it, or their folder
-    :param idn: number or word in names, as in ``mount0_base``
+    :param idn: number or word in names, as in ``fixed_mount0_base``
     :returns: a ``MountModel``, or a ``MobileBaseModel`` if it has joints
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make one actuator for each joint of a robot out of what other people's files have."""
+"""Reduce the actuators in other people's files to one for each joint of a robot."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from manip_sim.models.files.tree import BodyTree
 
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
-#: Lag of a servo that is added [s]: damping over stiffness.
+#: Lag of an added servo [s]: damping over stiffness.
 _LAG_S = 0.013
-#: What no motor of a robot does to its own joint [rad/s^2 or m/s^2].
+#: Acceleration that no robot's motor gives its own joint [rad/s^2 or m/s^2].
 _ABSURD_ACCELERATION = 5000.0
 #: A servo is stable at its force limit if its inertia over the damping is more than this [s].
 _DAMPED_S = 0.002 / 1.5
-#: It is not worth while to change what is less far from that.
+#: Joints are not changed unless they are too light by more than this factor.
 _MUCH_TOO_LIGHT = 4.0
-#: Rotor inertia of a servo that is added [kg m^2 or kg]: so much per force, within limits.
+#: Rotor inertia of an added servo [kg m^2 or kg]: this much per force, within limits.
 _ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
 
 
 def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[int],
                    start: Mapping[str, float]) -> tuple[set[str], list[str]]:
     """
-    See to it that each joint has at most one actuator, a motor or a servo.
+    Leave each joint at most one actuator, a motor or a servo.
 
-    An actuator of a fixed tendon over joints that equality constraints tie drives one of these
-    joints instead. Of several on one joint the position servo stays. What is neither motor nor
-    servo of a joint stays and holds still.
+    An actuator of a fixed tendon over joints that equality constraints couple drives one of these
+    joints instead. Of several on one joint a position servo is kept. An actuator that is neither
+    motor nor servo of a joint is kept and holds still. Too light joints get rotor inertia.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param tree: of the same, compiled
-    :param actuators: those that count, not those of hands
+    :param actuators: ids of the actuators, without those of hands
     :param start: where joints start, by name [rad or m]
-    :returns: the names of actuators that hold still, and a sentence for each change
+    :returns: names of the actuators that hold still, and a sentence for each change
     """
     model, told = tree.model, []
     still: set[str] = set()
@@ -70,13 +70,13 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
 
 def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int, int]
                  ) -> list[str]:
-    """Give rotor inertia to joints without that are too light for their motor or servo."""
+    """Give rotor inertia to joints that have none and are too light for their motor or servo."""
     light = []
     for joint, actuator in owner.items():
         dof = int(model.jnt_dofadr[joint])
         bias, gear = model.actuator_biasprm[actuator, :3], model.actuator_gear[actuator, 0]
         if bias.any():
-            # Otherwise such a servo has to be softened, so that it is stable at its force limit.
+            # Otherwise such a servo would have to be softened to be stable at its force limit.
             needed, times = _DAMPED_S * max(-bias[2], 0.0) * gear**2, _MUCH_TOO_LIGHT
         else:
             needed = _greatest_force(model, joint, actuator) / _ABSURD_ACCELERATION
@@ -120,7 +120,7 @@ def _driven_joint(tree: BodyTree, actuator: int) -> int | None:
 
 
 def _drive_leader(spec: mujoco.MjSpec, tree: BodyTree, actuator: int) -> int | None:
-    """Let an actuator drive a joint that determines its tendon's length; return the joint."""
+    """Make an actuator drive a joint that determines its tendon's length; return the joint."""
     model = tree.model
     tendon = int(model.actuator_trnid[actuator, 0])
     first = int(model.tendon_adr[tendon])
@@ -142,7 +142,7 @@ def _drive_leader(spec: mujoco.MjSpec, tree: BodyTree, actuator: int) -> int | N
 
 
 def _ratios(model: mujoco.MjModel, leader: int) -> dict[int, float]:
-    """Return how fast joints move that are tied to one by constant ratios, itself included."""
+    """Return the velocity ratios of joints that are coupled to one linearly, itself included."""
     ratios, waiting = {leader: 1.0}, [leader]
     ties = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
     while waiting:
@@ -162,7 +162,7 @@ def _ratios(model: mujoco.MjModel, leader: int) -> dict[int, float]:
 
 def _hold(spec: mujoco.MjSpec, model: mujoco.MjModel, actuator: int, start: Mapping[str, float]
           ) -> None:
-    """Let a servo that nobody commands rest where the robot starts."""
+    """Make a servo that is not commanded hold the start position."""
     if int(model.actuator_biastype[actuator]) != _AFFINE:
         return
     data = mujoco.MjData(model)
@@ -177,8 +177,8 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     """
     Add position servos to the joints of a model that has no actuators.
 
-    Their force limits are the joints' own. A joint that a constraint ties to another one gets
-    none.
+    Their force limits are those of the joints. A joint that an equality constraint couples to
+    another one gets no servo.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param tree: of the same, compiled

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A world from a file."""
+"""An arena from a file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from manip_sim.models.robots.robot_model import RobotModel
 
 class FileArena(Arena, registered=False):
     """
-    A world without robots; keyframes of the file are left out.
+    What is around the robots; keyframes of the file are left out.
 
     :param file: MJCF
-    :param description: what the file does not say
+    :param description: what the YAML file says
     :ivar inferred: what was left out, in sentences
     """
 
@@ -48,9 +48,9 @@ class FileArena(Arena, registered=False):
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """
-        Return where the robot stands in this arena [m], shape (3,).
+        Return the place of a robot in ``world`` [m], shape (3,).
 
-        :param robot: that stands there
+        :param robot: the robot to place
         """
         declared = robot.base_xpos_offset.get(self.arena_name)
         if declared is not None and not callable(declared):

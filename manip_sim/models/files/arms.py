@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find where the arms of a robot end: by names, or by what is last in the tree of bodies."""
+"""Find where the arms of a robot end: by names, or as the last body of a chain."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from manip_sim.models.files.tree import BodyTree, side_of, words_of
 from manip_sim.quoting import quoted_names
 
 _END_WORDS = {'tool', 'flange', 'tcp', 'ee', 'eef', 'hand', 'gripper', 'attachment', 'pinch'}
-#: A chain of fewer joints than this part of the longest one is no arm.
+#: A chain of at most this fraction of the joints of the longest one is not an arm.
 _ARM_SHARE = 0.5
 
 
@@ -24,8 +24,8 @@ class FoundArm:
     Where an arm ends.
 
     :ivar kind: ``body`` or ``site``
-    :ivar name: of it
-    :ivar hand: the hand that it carries in the same file, or None
+    :ivar name: of that body or site
+    :ivar hand: the hand that the arm carries in the same file, or None
     :ivar why: how it was found, for messages
     """
 
@@ -40,8 +40,8 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     """
     Return the arms by ``right`` and ``left``; a single one is ``right``.
 
-    :param subsystems: by joint
-    :raises ModelError: if there are several whose sides cannot be told
+    :param subsystems: by id of the joint
+    :raises ModelError: if there are several chains whose sides are not clear
     """
     of_hands = {joint for hand in hands for joint in hand.joints}
     joints = {j for j, part in subsystems.items()
@@ -63,7 +63,7 @@ def _longest_chains(tree: BodyTree, tips: Iterable[int], joints: Collection[int]
 
 def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
                     ) -> FoundHand | None:
-    """Return the hand whose fingers are chains at the end of one that is longer."""
+    """Return the hand whose fingers the chains are, if they branch off a longer chain."""
     if len(tips) < 2:
         return None
     carrier = tree.common(tips)
@@ -72,7 +72,7 @@ def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
 
 
 def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[str, int]:
-    """Return the end of the longest chain by side, named as an end if two are; one is right."""
+    """Return the tip of the longest chain by side, of equals one named as an end; one is right."""
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
     found: dict[str | None, list[int]] = {}
@@ -93,7 +93,7 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[s
 
 
 def _length(tree: BodyTree, body: int, joints: Collection[int]) -> int:
-    """Return how many of some joints move a body."""
+    """Return how many of the given joints move a body."""
     return len(set(tree.joints(tree.path(body))) & set(joints))
 
 

@@ -20,7 +20,7 @@ from manip_sim.models.files.reading import (
     compile_alone, ModelFile, read_model, shape_heights)
 from manip_sim.models.files.tree import BodyTree
 
-#: A base whose lowest point is nearer to the origin than this stands on it [m].
+#: A base whose lowest point is at most so far from z = 0 stands on the floor [m].
 _ON_FLOOR_M = 0.02
 
 
@@ -29,7 +29,7 @@ class FileBase(RobotBaseModel, registered=False):
     What a robot stands on.
 
     :param model_file: what was read
-    :param top: where the robot stands, seen from the root body [m], shape (3,)
+    :param top: where the robot stands, in the frame of the root body [m], shape (3,)
     :param idn: number or word in names
     :ivar inferred: what was inferred or left out, in sentences
     """
@@ -69,7 +69,7 @@ class FileMobileBase(FileBase, MobileBaseModel, registered=False):
 def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
                  ) -> FileBase:
     """
-    Read a base.
+    Create a base from a file and its description.
 
     :param where: the file that the description was read from, for messages
     :raises ModelError: if the file cannot be used
@@ -97,7 +97,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
 
 
 def _top(model_file: ModelFile, model: mujoco.MjModel, description: BaseDescription) -> FloatArray:
-    """Return where the robot stands: what is said, or the highest point of what is on a floor."""
+    """Return where the robot stands: as declared, or on top of a base that is on a floor."""
     if description.top is not None:
         return np.array(description.top)
     low, high = _extent(model)

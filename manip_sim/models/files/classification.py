@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tell what belongs to arm, base, torso, head and legs by the names of other people's models."""
+"""Sort the joints of other people's models into arm, base, torso, head and legs, by names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import re
 from manip_sim.models.files.tree import BodyTree, words_of
 from manip_sim.models.robots.subsystems import classify
 
-#: Words that tell the subsystem beside those of ``classify``, in the order of asking.
+#: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
 _WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
     'head': {'neck', 'eye', 'camera', 'cam'},
@@ -19,20 +19,20 @@ _WORDS = {
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'hx', 'hy', 'kn', 'haa', 'hfe',
              'kfe', 'ffe', 'faa', 'hr'},
     'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
-#: Joints of a free-moving root are named for an axis: x, y, theta.
+#: Joints of a root that moves in the plane are named after an axis: x, y, theta.
 _AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
 
 
 def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collection[int]
                     ) -> dict[int, str]:
     """
-    Return the subsystem of each joint that is not free.
+    Return the subsystems of joints by id, without free joints.
 
-    What a word of :data:`_WORDS` calls torso is of the arm if it moves nothing but one limb, as
-    the waist of an arm on a table does.
+    A joint that is torso by a word of :data:`_WORDS` is arm if it moves at most one limb, as the
+    waist of an arm on a table does.
 
-    :param declared: subsystems by name of the joint, which count first
-    :param fingers: joints of hands
+    :param declared: subsystems by name of the joint, which take precedence
+    :param fingers: ids of the joints of hands
     """
     model = tree.model
     found: dict[int, str] = {}
@@ -55,7 +55,7 @@ def _by_name(name: str) -> str:
 
 
 def _correct_base(tree: BodyTree, found: dict[int, str], declared: Mapping[str, str]) -> None:
-    """Count the joints of a root that moves along x and y and turns as base."""
+    """Assign the joints of a root to the base if all are named after the axes of a plane."""
     model = tree.model
     for root in (body for body in range(1, model.nbody) if tree.parent(body) == 0):
         axes = [(joint, _AXIS.search(str(model.joint(joint).name)))

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a YAML file beside a model may say, strictly read; its names are looked up elsewhere."""
+"""The description of a model in a YAML file: its keys; names in it are looked up elsewhere."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Rotation = Annotated[list[Number], Field(min_length=3, max_length=4), AfterValid
 
 
 class Description(BaseModel):
-    """What all files may say; :attr:`file` is set after reading."""
+    """Keys of all descriptions."""
 
     model_config = ConfigDict(extra='forbid')
 
@@ -43,7 +43,7 @@ class Description(BaseModel):
 
 
 class Frame(BaseModel):
-    """A place in a body or at a site."""
+    """A pose in the frame of a body or site."""
 
     model_config = ConfigDict(extra='forbid')
 
@@ -54,13 +54,13 @@ class Frame(BaseModel):
 
 
 class HandDescription(BaseModel):
-    """What a hand's file, or the hand in a robot's file, does not say."""
+    """What the file of a hand, or of a robot with a hand, does not say of the hand."""
 
     model_config = ConfigDict(extra='forbid')
 
-    #: Where it grasps.
+    #: The grasp frame.
     grasp_point: Frame | None = None
-    #: Opening and closing control by actuator.
+    #: Opening and closing control, in that order, by actuator.
     closing: dict[Name, Range] = {}
     #: Whether an action has one number for each actuator or one for all.
     action: Literal['each', 'together'] = 'each'
@@ -70,34 +70,34 @@ class HandDescription(BaseModel):
 
     @property
     def geoms_by_role(self) -> dict[str, list[str]]:
-        """The lists of geoms of the fingers."""
+        """Lists of the fingers' geoms by role, copies."""
         return {str(role): list(geoms) for role, geoms in self.fingers.items()}
 
 
 class OwnHandDescription(HandDescription):
     """The hand in a robot's file."""
 
-    #: The body that all of it hangs on.
+    #: The body that carries all of it.
     body: Name | None = None
 
 
 class GripperDescription(Description, HandDescription):
     """A hand in a file of its own."""
 
-    #: Where its root body is in the end effector body of an arm.
+    #: Pose of its root body in the end effector body of an arm.
     mount: Frame | None = None
     #: A keyframe, or positions by joint [rad or m].
     start: Union[Name, dict[Name, Number], None] = None
 
 
 class ArmDescription(BaseModel):
-    """Where an arm ends and what is there by default."""
+    """Where an arm ends, and its hand or default gripper."""
 
     model_config = ConfigDict(extra='forbid')
 
-    #: The body or site that a gripper is mounted at, and a pose in it.
+    #: The body or site that a gripper is mounted on, or a pose in it.
     mount: Union[Name, Frame, None] = None
-    #: The file's own hand: the body that it hangs on; ``none``: there is none.
+    #: The file's own hand, or the body that carries it; ``none``: there is none.
     hand: Union[Name, OwnHandDescription, None] = None
     gripper: Name | None = None
     controller: Name | None = None
@@ -114,31 +114,31 @@ class RobotDescription(Description):
     base: Name | None = None
     #: Controller settings by subsystem.
     controllers: dict[Name, Name] = {}
-    #: Where the floor below the robot is, by arena [m].
+    #: Position of the floor below the robot in ``world``, by arena [m].
     placement: dict[Name, Vector] = {}
-    #: Where the robot stands on a base or the floor, seen from its root body [m].
+    #: Point that stands on a base or the floor, in the frame of the root body [m].
     foot: Vector | None = None
     #: By joint [rad/s or m/s].
     velocity_limits: dict[Name, Annotated[Number, Field(gt=0.0)]] = {}
 
     def arm(self, side: str) -> ArmDescription | None:
-        """Return what is said of an arm, or None."""
+        """Return the description of an arm, or None."""
         return next((arm for name, arm in self.arms.items() if name == side), None)
 
 
 class BaseDescription(Description):
     """What a robot stands on."""
 
-    #: Where the robot stands, seen from the root body [m].
+    #: Where the robot stands, in the frame of the root body [m].
     top: Vector | None = None
-    #: Body of a base with joints that carries the robot.
+    #: Body that carries the robot, of a base with joints.
     support: Name | None = None
 
 
 class ArenaDescription(Description):
-    """A world without robots."""
+    """What is around the robots."""
 
-    #: Where the floor below a robot is [m].
+    #: Position of the floor below a robot in ``world`` [m].
     robot_position: Vector = [0.0, 0.0, 0.0]
 
 
@@ -147,16 +147,16 @@ DescriptionT = TypeVar('DescriptionT', bound=Description)
 
 def read_description(file: Path, kind: type[DescriptionT]) -> DescriptionT:
     """
-    Read a YAML file.
+    Read a description from a YAML file.
 
-    :param kind: what it describes
+    :param kind: the type of the description
     :raises ModelError: if it cannot be read or a value is of the wrong kind
     :raises UnknownNameError: if it has an unknown key, naming the nearest ones
     """
     try:
         return kind.model_validate(read_yaml(file))
     except ValidationError as error:
-        # Of a value that may be one of several kinds, what fits best got farthest.
+        # A union has errors of all its members; those of the best fitting one are the deepest.
         deepest = max(error.errors(), key=lambda found: len(found['loc']))
         raise _told(file, kind, deepest) from error
 
@@ -176,7 +176,7 @@ def _told(file: Path, kind: type[BaseModel], error: Any) -> ModelError:
 
 
 def _is_of_union(part: Any) -> bool:
-    """Tell whether a part of a place is not of the file but names a member of a union."""
+    """Tell whether a part of a location is the name of a union member, not a key in the file."""
     return isinstance(part, str) and ('[' in part or part in _UNION_MEMBERS)
 
 
@@ -184,7 +184,7 @@ _UNION_MEMBERS = {'str', 'Frame', 'OwnHandDescription', 'constrained-str'}
 
 
 def _keys_at(kind: type[BaseModel], place: list[str]) -> list[str]:
-    """Return the keys that a mapping at some place of a file may have."""
+    """Return the keys that a mapping at some location in a file may have."""
     if not place:
         return list(kind.model_fields)
     known: dict[str, type[BaseModel]] = {

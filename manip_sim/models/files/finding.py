@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which model and which description belong together."""
+"""Find the model and the description that belong together."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ MODELS = ('.xml', '.mjcf', '.urdf')
 
 def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, DescriptionT, str]:
     """
-    Return the model's file, what is said of it, and what says that.
+    Return the file of a model, its description, and the file that the latter was read from.
 
-    Beside a model ``panda.xml`` count ``panda.yaml`` and, in a folder of one model, the file of a
-    fixed name such as ``robot.yaml``.
+    A model ``panda.xml`` is described by ``panda.yaml`` beside it, or by a file of a fixed name,
+    such as ``robot.yaml``, that names it or has no other model beside it.
 
     :param path: a model, a YAML file, or a folder
-    :param kind: what is described
-    :param stem: the name of a YAML file that counts for its folder, such as ``robot``
-    :raises ModelError: if a file is missing, or more than one could be meant
+    :param kind: the type of the description
+    :param stem: the fixed name of a YAML file, without its suffix, such as ``robot``
+    :raises ModelError: if a file is missing, or it is not clear which one is meant
     """
     try:
         return _find(path.expanduser(), kind, stem)
@@ -59,7 +59,7 @@ def _find(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, Descri
 
 
 def _described(file: Path, kind: type[DescriptionT]) -> DescriptionT:
-    """Read a description; what it names as other files is relative to it."""
+    """Read a description; relative paths of other files in it start from its folder."""
     description = read_description(file, kind)
     if isinstance(description, RobotDescription):
         for part in (*description.arms.values(), description):

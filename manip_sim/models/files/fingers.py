@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find out about a hand what its file does not say: where it grasps and which way it closes."""
+"""Infer what the file of a hand does not say: where it grasps and which way it closes."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree, words_of
 
-#: Words in the names of sites between fingertips, the best first.
+#: Words in the names of sites between the fingertips, the most specific first.
 _GRASP_WORDS = ('pinch', 'grasp', 'grip', 'tcp')
-#: How long a finger is given to move, with which step of the physics [s].
+#: Duration and physics step of a trial in which a finger moves [s].
 _TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
-#: A motion that brings the fingers together by less than this part tells nothing.
+#: A relative change of the distance of the fingers up to this one decides nothing.
 _TELLING = 0.02
-#: A fingertip that moves less than this part of the one that moves most stands still.
+#: A fingertip that moves at most this fraction of the greatest motion counts as still.
 _STILL = 0.1
-#: A control range may exceed what the joint can reach by this part.
+#: A control range may exceed what the joint can reach by this fraction of the joint's range.
 _BEYOND = 0.5
-#: Time constant of the fingers while that is found out [s].
+#: Time constant of the fingers in a trial [s].
 _SLOWNESS_S = 0.01
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def _apart(points: FloatArray) -> float:
-    """Return the mean distance of points from each other."""
+    """Return the mean distance between points, of the same unit."""
     if len(points) < 2:
         return 0.0
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
@@ -46,7 +46,7 @@ def _relative(low: float, high: float) -> float:
 
 @contextlib.contextmanager
 def _without_warnings() -> Iterator[None]:
-    """Keep MuJoCo from warning of a trial that fails."""
+    """Suppress MuJoCo's warnings of a trial that fails."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
@@ -57,14 +57,14 @@ def _without_warnings() -> Iterator[None]:
 
 def control_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float] | None:
     """
-    Return the range of an actuator's control, and of a servo no more than its joint can reach.
+    Return the control range of an actuator; that of a servo is cut if far beyond the joint's.
 
-    :returns: lowest and highest control; None if nothing limits it
+    :returns: lowest and highest control; None if nothing limits it or the range is empty
     """
     reach = _reach(model, actuator)
     if model.actuator_ctrllimited[actuator]:
         low, high = model.actuator_ctrlrange[actuator]
-        # An end that is a little beyond the joint's presses.
+        # A target that is a little beyond the joint's range makes the servo press.
         beyond = _BEYOND * (reach[1] - reach[0]) if reach else 0.0
         if reach and (low < reach[0] - beyond or high > reach[1] + beyond):
             low, high = max(low, reach[0]), min(high, reach[1])
@@ -100,8 +100,8 @@ class Fingers:
     """
     The moving parts of a hand.
 
-    :param tree: of a model that the hand is in
-    :param hand: which one
+    :param tree: of a model with the hand
+    :param hand: the hand
     :param start: where joints start, by name [rad or m]
     """
 
@@ -120,9 +120,9 @@ class Fingers:
         self._tips = [self._farthest_geom(body) for body in ends]
 
     def _farthest_geom(self, body: int) -> tuple[int, int]:
-        """Return a body and its geom that is farthest from the hand's body, or -1."""
+        """Return the id of a body and of its geom farthest from the hand's body, -1 for none."""
         model, data = self._model, self._data
-        # The last body of a finger may be a frame without shape.
+        # The last body of a finger may be a frame without a geom; then its parent counts.
         while not model.body_geomnum[body] and self._tree.parent(body) not in self._palm:
             body = self._tree.parent(body)
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
@@ -143,7 +143,7 @@ class Fingers:
         return middle
 
     def grasp_site(self) -> str | None:
-        """Return the name of a site that is between the fingertips by its name, or None."""
+        """Return a site whose name says that it is between the fingertips, or None."""
         below = self._tree.below(self._hand.body)
         sites = [str(self._model.site(i).name) for i in range(self._model.nsite)
                  if self._model.site_bodyid[i] in below]
@@ -157,8 +157,8 @@ class Fingers:
         """
         Return the mean of the fingertips in the frame of the hand's body [m], shape (3,).
 
-        A hand with one moving finger grasps between its tip and the palm; one with none, at its
-        body.
+        For a hand with one moving finger it is the mean of its tip and the palm; for one without,
+        the origin of the body.
         """
         data, body = self._data, self._hand.body
         if not self._tips:
@@ -174,11 +174,11 @@ class Fingers:
         """
         Return the opening and the closing control of actuators that have a range.
 
-        Each is driven to both ends of its range while the others hold: the end at which the
-        fingertips that it moves are nearer to each other, or nearer to the palm if that changes
-        more, closes; the upper one where nothing changes.
+        Each is driven to both ends of its range while the others hold. The closing end is that at
+        which the fingertips that it moves are nearer to each other, or nearer to the palm if that
+        changes more; the upper end if neither changes.
 
-        :returns: by actuator, opening and closing control, and whether the fingers told
+        :returns: by id, opening and closing control, and whether the trial decided
         """
         found = {}
         trial = self._trial_model() if actuators else None
@@ -196,10 +196,10 @@ class Fingers:
 
     def _change(self, low: FloatArray, high: FloatArray) -> float:
         """
-        Return how much farther apart the fingertips are at one end than at the other, as a part.
+        Return how much farther apart fingertips are at the upper end, over the greater distance.
 
-        :param low: the palm and the tips, shape (1 + number of tips, 3)
-        :param high: at the other end
+        :param low: palm and tips at the lower end [m], shape (1 + number of tips, 3)
+        :param high: the same at the upper end
         """
         if not (self._tips and np.isfinite(low).all() and np.isfinite(high).all()):
             return 0.0
@@ -218,7 +218,7 @@ class Fingers:
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= int(off.mjDSBL_CONTACT | off.mjDSBL_GRAVITY
                                       | off.mjDSBL_AUTORESET)
-        # Only where the fingers come to rest counts: what makes them slow makes them stable.
+        # Only where the fingers come to rest counts, so they may be slow, which makes them stable.
         moments = np.zeros((model.nu, model.nv))
         data = self._data
         mujoco.mju_sparse2dense(moments, data.actuator_moment.reshape(-1), data.moment_rownnz,
@@ -233,7 +233,7 @@ class Fingers:
         return model
 
     def _tips_at(self, model: mujoco.MjModel, actuator: int, control: float) -> FloatArray:
-        """Return the palm and the fingertips when an actuator has moved them, shape (n, 3)."""
+        """Return palm and fingertips after an actuator has moved them [m], shape (n, 3)."""
         data = copy.copy(self._data)
         for other in range(model.nu):
             data.ctrl[other] = self._holding_control(other)

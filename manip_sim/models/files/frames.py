@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Add bodies at places that a file or its description names."""
+"""Add bodies at bodies or sites that a file or its description names."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def quat_wxyz_of(orientation: ArrayLike) -> FloatArray:
 
 
 def free_name(taken: Collection[str], wanted: str) -> str:
-    """Return a name that is not taken: the one that is wanted, or with a number."""
+    """Return a name that is not taken: the wanted one, or that with a number."""
     name, number = wanted, 1
     while name in taken:
         name, number = f'{wanted}{number}', number + 1
@@ -42,7 +42,7 @@ def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
     """
     Return ``body`` or ``site``, and the element of that name; a body goes before a site.
 
-    :param where: what names it, for the message
+    :param where: where the name comes from, for the message
     :raises UnknownNameError: if there is none
     """
     body = spec.body(name)
@@ -61,8 +61,8 @@ def add_body_at(spec: mujoco.MjSpec, model: mujoco.MjModel, place: tuple[str, An
     Add a body without mass.
 
     :param spec: the ``mujoco.MjSpec``
-    :param model: the compiled file, which knows where its sites are
-    :param place: ``body`` or ``site`` and the element
+    :param model: the spec before edits, compiled; gives the poses of sites
+    :param place: ``body`` or ``site``, and the element
     :param position: in the body or site [m], shape (3,)
     :param orientation: in the body or site, see :func:`quat_wxyz_of`
     """

@@ -28,7 +28,7 @@ class FileGripper(HandFromFile, registered=False):
     A hand or gripper.
 
     :param file: MJCF or URDF
-    :param description: what the file does not say
+    :param description: what the YAML file says
     :param where: the file that the description was read from, for messages
     :param idn: number or word in names
     :raises ModelError: if the file or what the description says of it cannot be used
@@ -75,6 +75,6 @@ class FileGripper(HandFromFile, registered=False):
 
 
 def _whole(model: mujoco.MjModel) -> tuple[BodyTree, FoundHand]:
-    """Return all of a model as a hand that hangs on its root body."""
+    """Return a model as a tree and as a hand of all below its root body."""
     tree = BodyTree(model)
     return tree, FoundHand(1, tuple(range(model.njnt)), tuple(range(model.nu)))

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What hands from files share: a grasp frame, and actions that say how far actuators close."""
+"""What hands from files share: a grasp frame, and actions that say how far to close."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from manip_sim.models.quaternion import relative_quat_wxyz
 
 class HandFromFile(GripperModel, registered=False):
     """
-    A hand that a file and a description declare, not a class.
+    A hand that a file and a description declare.
 
-    An action says how far closed each actuator shall be: -1 is open, +1 is closed.
+    An action says how far each actuator closes: -1 is open, +1 is closed.
 
-    :ivar inferred: what was inferred about it
+    :ivar inferred: what was inferred or left out, in sentences
     """
 
     inferred: list[str]
@@ -45,9 +45,9 @@ class HandFromFile(GripperModel, registered=False):
     def _add_grasp_frame(self, spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, prefix: str
                          ) -> None:
         """
-        Add a body in the middle of the fingers, with the standard sites and sensors.
+        Add the grasp frame, declared or between the fingers, with standard sites and sensors.
 
-        :param prefix: what the names begin with
+        :param prefix: what the names of all these begin with
         """
         fingers = Fingers(tree, hand, self._start)
         point, mount = self._description.grasp_point, tree.name(hand.body)
@@ -71,9 +71,9 @@ class HandFromFile(GripperModel, registered=False):
 
     def _set_closing(self, fingers: Fingers, ids: list[int]) -> None:
         """
-        Take over from the description, or find out, which way the actuators close.
+        Set which way the actuators close, by the description or by trial.
 
-        :param ids: of :attr:`actuators` in the part's own model
+        :param ids: of :attr:`actuators`, in the model that the part is compiled in
         """
         declared, names = self._description.closing, self._actuators
         for name in declared:
@@ -105,9 +105,9 @@ class HandFromFile(GripperModel, registered=False):
 
     def format_action(self, action: ArrayLike) -> FloatArray:
         """
-        Return the commands for actuators that are open, closed or between.
+        Return the commands that open or close the actuators.
 
-        :param action: -1 open, +1 closed, shape (dof,)
+        :param action: -1 open, +1 closed, clamped to these, shape (dof,)
         :returns: commands in the order of :attr:`actuators`, in [-1, 1], shape (nu,), a copy
         :raises CommandError: if the length is wrong or a number is not finite
         """
@@ -124,13 +124,13 @@ class HandFromFile(GripperModel, registered=False):
 
     @property
     def init_qpos(self) -> FloatArray:
-        """Where the joints start [rad or m], shape (number of joints,), a copy."""
-        # A ball joint starts at the unit quaternion.
+        """Start positions of the joints [rad or m], shape (number of joints,), a copy."""
+        # A ball joint has no start: it stays at the unit quaternion, whose w is 1.
         return np.array([self._start.get(joint, 1.0) for joint in self._joints])
 
 
 def _upright(tree: BodyTree, body: int) -> FloatArray:
-    """Return the rotation that a root body needs to be turned as what it is mounted on."""
+    """Return the rotation of the mount in a root body, w, x, y, z; identity in another body."""
     if tree.parent(body) != 0:
         return np.array([1.0, 0.0, 0.0, 0.0])
     return relative_quat_wxyz(tree.model.body_quat[body], (1.0, 0.0, 0.0, 0.0))
@@ -143,11 +143,11 @@ def _rounded(position: ArrayLike) -> str:
 def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: list[int]
                         ) -> list[str]:
     """
-    Give actuators of a hand the control range that an action stands for, where they have none.
+    Set the control ranges of a hand's actuators, as :func:`control_range` returns them.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param model: the same, compiled
-    :returns: a sentence for each that no limit tells of
+    :returns: a sentence for each actuator without limits, whose range becomes [-1, 1]
     """
     told = []
     for actuator in actuators:

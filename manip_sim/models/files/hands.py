@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Find the hands that a robot's file includes: by the names of joints and actuators."""
+"""Find the hands in a robot's file by the names of joints and actuators."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from dataclasses import dataclass
 
 from manip_sim.models.files.tree import BodyTree, side_of, words_of
 
-#: Words that only parts of hands have, and words that the wrist that carries a hand may have too.
+#: Words that only parts of hands have, and words that a wrist with a hand may have too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 
-#: Groups of fingers with more than this part of the joints before them in common are one hand.
+#: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
 
 
 @dataclass(frozen=True)
 class FoundHand:
     """
-    A hand within a robot: all that hangs on a body.
+    A hand within a robot: all that is below a body.
 
-    :ivar body: the body; its own joints are not of the hand
-    :ivar joints: of the hand
-    :ivar actuators: that act on them
+    :ivar body: id of that body; its own joints are not of the hand
+    :ivar joints: ids of the joints of the hand
+    :ivar actuators: ids of the actuators that act only on these
     """
 
     body: int
@@ -34,7 +34,7 @@ class FoundHand:
 
 
 def hand_below(tree: BodyTree, body: int) -> FoundHand:
-    """Return what hangs on a body as a hand."""
+    """Return what is below a body as a hand."""
     joints = tree.joints(sorted(tree.below(body) - {body}))
     actuators = [a for a in range(tree.model.nu)
                  if tree.driven(a) and tree.driven(a) <= set(joints)]
@@ -45,8 +45,8 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     """
     Return the hands of a robot, at most one for each side.
 
-    A hand's body is the last one that all joints have in common that are called a finger's, or a
-    gripper's if no finger is, and those that are coupled to them.
+    The body of a hand is the last one that carries all joints with a finger's name, or with a
+    gripper's if none has a finger's, and the joints that are coupled to them.
     """
     fingers = {j for j in range(tree.model.njnt)
                if tree.is_scalar(j) and words_of(_name(tree, j)) & _FINGER_WORDS}
@@ -62,7 +62,7 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     for joints in (fingers, named):
         sides = _by_side(tree, joints)
         for side, of_side in sides.items():
-            # A wrist that is called a gripper's is none where there are fingers.
+            # A joint with a gripper's name may be the wrist's if there are fingers.
             if side not in by_side:
                 by_side[side] = of_side
     hands = []

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a hand of other people stands on an arm, if its file shows it lying on a floor."""
+"""Infer how a hand from a file is mounted on an arm, if its pose in the file is another."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree
 
-#: Fingers that reach less far point nowhere [m].
+#: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02
-#: A palm may reach so far behind its mount, around the flange of the arm [m].
+#: A palm may reach this far behind its mount, around the flange of the arm [m].
 _BEHIND_MOUNT_M = 0.05
 
 
 def place_root(spec: mujoco.MjSpec, position: ArrayLike, quat_wxyz: FloatArray) -> None:
-    """Give the root body of a hand another pose on the body that it is mounted on."""
+    """Set the pose of the root body of a hand in the body that it is mounted on."""
     root = spec.worldbody.bodies[0]
     root.pos, root.quat = np.asarray(position, dtype=float), quat_wxyz
     root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
@@ -35,8 +35,8 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     """
     Turn and move a hand whose root pose in the file is not that on an arm.
 
-    Fingers that point more than 45 degrees away from the mount's z axis are turned there by
-    quarter turns, and a palm that reaches farther than 50 mm behind the mount is put in front.
+    Fingers that point more than 45 degrees away from the mount's z axis are turned to it by
+    quarter turns, and a palm that reaches farther than 50 mm behind the mount is moved in front.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :returns: what was done, in sentences
@@ -60,7 +60,7 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
 
 
 def _quarter_turn(reach: FloatArray) -> FloatArray:
-    """Return the rotation that takes the axis nearest to a direction to z, w, x, y, z."""
+    """Return the rotation w, x, y, z that turns the axis nearest to a direction to z."""
     axis = np.zeros(3)
     nearest = int(np.abs(reach).argmax())
     axis[nearest] = np.sign(reach[nearest])
@@ -80,7 +80,7 @@ def _rotated(quat: FloatArray, vector: FloatArray) -> FloatArray:
 
 def _lowest(tree: BodyTree, hand: FoundHand, start: Mapping[str, float], quat: FloatArray
             ) -> float:
-    """Return the lowest point of the shapes that do not move, with the root at the origin [m]."""
+    """Return the height of the lowest shape that does not move above the root, at most 0 [m]."""
     model = tree.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The hand that a robot's file includes, as a gripper of that robot."""
+"""The hand in a robot's file, as a gripper of that robot."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 class OwnHand(HandFromFile, registered=False):
     """
-    A hand within a robot: its elements are the robot's and bear its prefix.
+    A hand within a robot: its elements are the robot's and have its prefix.
 
-    It is there with the robot and cannot be mounted elsewhere.
+    It comes with the robot and cannot be mounted elsewhere.
 
-    :param arm: that it is on
+    :param arm: the arm that carries it
     :param description: what the robot's description says of it
     :param where: the file that the description was read from, for messages
     :param start: where the robot's joints start, by name [rad or m]
@@ -52,7 +52,7 @@ class OwnHand(HandFromFile, registered=False):
         Add the grasp frame and sensors to the robot's spec.
 
         :param tree: of the robot as it was in the file
-        :param hand: where it is in the tree
+        :param hand: the hand in that tree
         """
         self.inferred += fill_control_ranges(spec, tree.model, list(hand.actuators))
         self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_')
@@ -62,7 +62,7 @@ class OwnHand(HandFromFile, registered=False):
         self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
 
     def bind(self, robot: RobotModel) -> None:
-        """Take over what the robot has recorded of its compiled model."""
+        """Record the elements of the hand in the robot's compiled model."""
         self._robot = robot
         self.file = robot.file
         model = self._own_model = robot._own_model
@@ -86,7 +86,7 @@ class OwnHand(HandFromFile, registered=False):
         self.current_action = np.zeros(self.dof)
 
     def refresh(self) -> None:
-        """Record again what the lists and figures tell, after edits of the robot's spec."""
+        """Update the recorded lists, ranges and offsets after edits of the robot's spec."""
         self.bind(self._robot)
 
     @property
@@ -96,16 +96,16 @@ class OwnHand(HandFromFile, registered=False):
 
     @property
     def name(self) -> str:
-        """Whose hand it is."""
+        """Names of the robot and the arm, for messages."""
         return f"{self._robot.name}'s {self.idn} hand"
 
     @property
     def naming_prefix(self) -> str:
-        """The robot's."""
+        """The prefix of the robot."""
         return self._robot.naming_prefix
 
     def set_naming_prefix(self, prefix: str) -> None:
-        """Change nothing: the names begin as the robot's do."""
+        """Change nothing: the prefix is that of the robot."""
 
     def _root(self) -> Any:
         return self._robot.spec.body(self._body)
@@ -121,7 +121,7 @@ class OwnHand(HandFromFile, registered=False):
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:
         """
-        Reject: the robot's file says where its hand is.
+        Reject the pose: the robot's file says where its hand is.
 
         :raises ModelError: always
         """
@@ -129,7 +129,7 @@ class OwnHand(HandFromFile, registered=False):
 
     def clone(self, idn: int | str) -> OwnHand:
         """
-        Reject: there is one such hand.
+        Reject copying: there is one such hand.
 
         :raises ModelError: always
         """

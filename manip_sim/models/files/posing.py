@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Choose a start pose for a model that has none: zero, where that is in the ranges and free."""
+"""Choose start positions for a model that has none: zero, if that is in range and free."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.tree import SCALAR
 
-#: A joint that is nearer to an end than this part of its range is at that end.
+#: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
-#: Where a joint goes that is at an end, as a part of its range.
+#: How far from the end a joint at an end is moved, as a fraction of its range.
 _INSIDE = 0.25
-#: A pose has to spare so much overlap of links to be better [m].
+#: A pose is only better if the overlap of links is less by this much [m].
 _BETTER_M = 1e-3
 
 
 def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
     """
-    Return a pose in which joints are inside their ranges and links not inside each other.
+    Return a pose with joints inside their ranges and little overlap of links.
 
-    Tried are zero with the middle of the range for joints that cannot be at zero, the same with
-    joints away from the ends of their ranges, and the middle of all ranges. The first one counts
-    unless another one has less overlap.
+    Three are tried: zero, with the middle of the range for joints that cannot be at zero; zero,
+    with joints moved away from the ends of their ranges; and the middle of all ranges. The first
+    one is taken unless another one has less overlap.
 
     :param model: a ``mujoco.MjModel``
     :returns: ``qpos``, shape (nq,), and what was done, in sentences
@@ -58,7 +58,7 @@ def _away_from_ends(value: float, low: float, high: float) -> float:
 
 def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
           ) -> tuple[FloatArray, list[str]]:
-    """Return a pose with limited joints where a function wants them, and which it moved."""
+    """Return a pose with limited joints where a function puts them, and names of those moved."""
     qpos: FloatArray = model.qpos0.copy()
     moved = []
     for joint in range(model.njnt):
@@ -73,7 +73,7 @@ def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
 
 
 def _overlap(model: mujoco.MjModel, qpos: FloatArray) -> float:
-    """Return the sum of how deep pairs of bodies are inside each other [m]."""
+    """Return the sum of the penetration depths of pairs of bodies, without the world [m]."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read a robot, hand, base or arena from a file of other people: one tree, named, with a start."""
+"""Read a robot, hand or base from a file of other people: one tree, named, with a start."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 
 _MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
-#: A free robot that starts farther below the floor was made for another floor [m].
+#: A free robot that starts farther below the floor than this is raised to it [m].
 _BELOW_FLOOR_M = 0.05
 
 
 @dataclass
 class ModelFile:
     """
-    What a file holds.
+    A robot, hand or base as read from a file.
 
     :ivar file: where it was read from
     :ivar spec: the ``mujoco.MjSpec`` with one root body and no keyframes
     :ivar tree: of the compiled model as it was in the file
     :ivar start: where scalar joints start, by name [rad or m]
-    :ivar inferred: what was inferred or left out
+    :ivar inferred: what was inferred or left out, in sentences
     """
 
     file: Path
@@ -51,12 +51,12 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     """
     Read a robot, hand or base.
 
-    :param keyframes: the first of these that exists is the start, else the only one there is,
-        else a pose near zero
-    :param wanted: the keyframe that has to be taken
+    :param keyframes: the first of these that exists is the start, else the only keyframe of the
+        file, else what :func:`choose_pose` returns
+    :param wanted: a keyframe to take instead
     :param servos: give joints position servos if the file has no actuators
-    :raises ModelError: if the file cannot be read, does not compile or has not one tree of bodies
-    :raises UnknownNameError: if it lacks the keyframe that is wanted
+    :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
+    :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
     spec, told = load_urdf(file) if is_urdf(file) else (load_spec(file), [])
     name_unnamed_elements(spec)
@@ -75,7 +75,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     if servos and not model.nu and start:
         told += add_servos(spec, BodyTree(model))
         model = compile_alone(spec, str(file))
-    # Sizes of the file's own model; composing warns where they differ from those of others.
+    # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     return ModelFile(file, spec, BodyTree(model), start, [*told, *changes])
@@ -86,7 +86,7 @@ def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:
     Compile a part that may have no mass of its own.
 
     :returns: a new ``mujoco.MjModel``
-    :raises ModelError: with what MuJoCo says
+    :raises ModelError: with MuJoCo's message
     """
     compiler = spec.compiler
     bounds = compiler.boundmass, compiler.boundinertia
@@ -111,14 +111,14 @@ def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], wanted: str | N
 
 
 def _start_of(model: mujoco.MjModel, qpos: FloatArray) -> dict[str, float]:
-    """Return where scalar joints are in a pose, by name [rad or m]."""
+    """Return the positions of scalar joints in a pose, by name [rad or m]."""
     tree = BodyTree(model)
     return {str(model.joint(joint).name): float(qpos[model.jnt_qposadr[joint]])
             for joint in range(model.njnt) if tree.is_scalar(joint)}
 
 
 def _place_root(spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: FloatArray) -> list[str]:
-    """Put free bodies where a pose has them, but not below the floor."""
+    """Put free bodies where a pose has them, raised if far below the floor."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
@@ -138,10 +138,10 @@ def _place_root(spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: FloatArray) ->
 def shape_heights(model: mujoco.MjModel, data: mujoco.MjData, which: BoolArray | None = None
                   ) -> FloatArray:
     """
-    Return the lowest and highest point of the box around each shape but planes [m].
+    Return the lowest and highest point of the bounding box of each shape but planes [m].
 
     :param data: after ``mj_kinematics``
-    :param which: shapes that count, shape (ngeom,); None is all
+    :param which: a mask of shapes, shape (ngeom,); None is all
     :returns: shape (n, 2)
     """
     upward = data.geom_xmat.reshape(-1, 9)[:, 6:9]

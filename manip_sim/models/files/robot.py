@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A robot that a file and a description declare, with arms or without."""
+"""Robots that a file and a description declare, with arms or without."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class FileRobot(RobotModel, registered=False):
     """
     A robot from a file.
 
-    :param plan: what the file and its description come to
+    :param plan: the file, completed by its description
     :param idn: number or word in names
     :ivar inferred: what was inferred or left out, in sentences
     """
@@ -59,25 +59,25 @@ class FileRobot(RobotModel, registered=False):
 
     @property
     def default_base(self) -> str | None:
-        """What the description says, else the floor."""
+        """The base that the description names; None is the floor."""
         return self._plan.description.base
 
     @property
     def default_controller_config(self) -> dict[str, str]:
-        """What the description says."""
+        """Names of controller settings in the description, by arm or subsystem."""
         arms = self._plan.description.arms.items()
         return {**self._plan.description.controllers,
                 **{side: arm.controller for side, arm in arms if arm.controller is not None}}
 
     @property
     def init_qpos(self) -> FloatArray:
-        """Where the joints start [rad or m], shape (dof,), a copy."""
-        # A ball joint starts at the unit quaternion.
+        """Start positions of the joints [rad or m], shape (dof,), a copy."""
+        # A ball joint has no start: it stays at the unit quaternion, whose w is 1.
         return np.array([self._plan.start.get(joint, 1.0) for joint in self._joints])
 
     @property
     def base_xpos_offset(self) -> dict[str, Placement]:
-        """Where to place the robot by arena [m]: what the description says, else in front."""
+        """Where to place the robot by arena [m]: as described, else in front of table or bins."""
         declared = {arena: (float(x), float(y), float(z))
                     for arena, (x, y, z) in self._plan.description.placement.items()}
         return {'bins': (-0.5, -0.1, 0.0),
@@ -88,10 +88,10 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
     """
     A robot with arms from a file.
 
-    A hand that the file includes is there from the start, in :attr:`grippers`; another gripper
-    takes its place.
+    A hand in the file is one of :attr:`grippers` from the start; mounting another gripper replaces
+    it.
 
-    :param plan: what the file and its description come to
+    :param plan: the file, completed by its description
     :param idn: number or word in names
     """
 
@@ -101,7 +101,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
 
     @property
     def arm_type(self) -> str:
-        """One arm or two."""
+        """``single`` or ``bimanual``."""
         return 'single' if len(self._plan.ends) == 1 else 'bimanual'
 
     @property
@@ -110,7 +110,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
 
     @property
     def default_gripper(self) -> dict[str, str]:
-        """What the description says, by arm."""
+        """Names of grippers in the description, by arm."""
         return {side: arm.gripper for side, arm in self._plan.description.arms.items()
                 if arm.gripper is not None}
 
@@ -123,7 +123,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         """
         Mount a gripper, in place of a hand of the robot's own file.
 
-        :param gripper: the gripper; where it goes on several arms, each gets an own copy
+        :param gripper: the gripper; if it goes on several arms, each gets a copy of its own
         :param arm_name: an arm or its end effector body; None mounts on every arm
         :raises TypeError: if it is not a gripper
         :raises UnknownNameError: if there is no such arm

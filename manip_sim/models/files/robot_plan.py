@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read a robot's file, together with its description, and complete it."""
+"""Read a robot's file and complete it by its description and by inference."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _KEYFRAMES = ('home',)
 @dataclass
 class RobotPlan:
     """
-    What a robot's file and description come to.
+    A robot's file, completed by its description and by inference.
 
     :ivar file: the model
     :ivar description: what the YAML file says
-    :ivar where: the file that says it, for messages
+    :ivar where: the file that the description was read from, for messages
     :ivar spec: the ``mujoco.MjSpec``, completed
     :ivar start: where scalar joints start, by name [rad or m]
-    :ivar subsystems: by name of the joint, without those of hands
+    :ivar subsystems: by name of the joint, without joints of hands
     :ivar ends: the end effector body by arm; empty for a robot without arms
     :ivar hands: the file's own hands by arm
-    :ivar still: actuators that nobody commands
-    :ivar inferred: what was inferred or left out
+    :ivar still: names of the actuators that hold still
+    :ivar inferred: what was inferred or left out, in sentences
     """
 
     file: Path
@@ -59,7 +59,7 @@ class RobotPlan:
 
 def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPlan:
     """
-    Read a robot.
+    Read a robot and complete it.
 
     :param file: MJCF or URDF
     :param where: the file that the description was read from, for messages
@@ -105,7 +105,7 @@ def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> 
 
 
 def _hand_description(arm: ArmDescription | None) -> OwnHandDescription | None:
-    """Return what a description says of an own hand; None if it says there is none."""
+    """Return the description of a file's own hand; None if it says that there is none."""
     if arm is None or arm.hand is None:
         return OwnHandDescription()
     if isinstance(arm.hand, str):

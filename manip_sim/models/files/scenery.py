@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make one tree of bodies of a file that also has a floor, lights, objects or several roots."""
+"""Reduce a file with a floor, lights, objects or several roots to one tree of bodies."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-#: Links that are nearer to each other touch [m].
+#: Links that are nearer to each other than this touch [m].
 _TOUCHING_M = 1e-4
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tuple[Any, list[str]]:
     """
-    Leave out what is no part of a robot or hand, and hang what remains on one root body.
+    Leave out what is not part of a robot or hand, and put the rest below one root body.
 
-    Left out are lights, cameras and grounds of the world body, its other shapes if a free root
-    cannot take them along, mocap bodies, empty bodies, and free bodies without actuators beside
-    others.
+    Left out are lights, cameras and grounds of the world body, its other shapes and sites if the
+    only root is free, mocap bodies, empty bodies, and free bodies without actuators if there are
+    other roots.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
     :param model: the same, compiled
     :param file: what it was read from, for messages
     :returns: the spec or, with a new root, another one, and a sentence for each change
-    :raises ModelError: if nothing remains, or several roots of which one is free
+    :raises ModelError: if no root remains, or one of several roots is free
     """
     told = _leave_out(spec, BodyTree(model))
     world = spec.worldbody
@@ -61,9 +61,9 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
 def exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[str, float]
                        ) -> list[str]:
     """
-    Let no links collide with what they turn on, if they touch or overlap where they start.
+    Exclude collisions of links with the fixed links they move on, if they touch at the start.
 
-    MuJoCo does so by itself, except with a link that cannot move.
+    MuJoCo excludes collisions with a parent by itself, except with one that cannot move.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param model: the same, compiled
@@ -111,7 +111,7 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
 
 
 def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
-    """Return the root bodies that are no part of what is driven."""
+    """Return the root bodies that are not part of the robot or hand, unless all are."""
     model = tree.model
     driven = set().union(*(tree.driven(actuator) for actuator in range(model.nu)))
     objects, roots = [], list(spec.worldbody.bodies)
@@ -142,7 +142,7 @@ def _wrapped(spec: mujoco.MjSpec, name: str) -> Any:
     whole.modelname = spec.modelname
     whole.option = spec.option
     with warnings.catch_warnings():
-        # MuJoCo 3.3 warns of the empty prefix; what is composed gets one later.
+        # MuJoCo 3.3 warns of the empty prefix; composing adds one later.
         warnings.simplefilter('ignore')
         whole.attach(spec, prefix='', frame=whole.worldbody.add_body(name=name).add_frame())
     return whole

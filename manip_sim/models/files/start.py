@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The start pose that a description declares."""
+"""The start positions that a description declares."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from manip_sim.models.files.reading import ModelFile
 def start_pose(model_file: ModelFile, declared: Union[str, Mapping[str, float], None],
                where: object) -> dict[str, float]:
     """
-    Return where scalar joints start, by name [rad or m].
+    Return the start positions of scalar joints, by name [rad or m].
 
-    :param declared: positions by joint, for the others the file counts; else the file's
-    :param where: what declares it, for messages
+    :param declared: positions by joint [rad or m]; without one, a joint starts as in the file
+    :param where: the file that declares them, for messages
     :raises UnknownNameError: if there is no such joint
     :raises ModelError: if a position is outside the joint's range
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Questions about the tree of bodies of a compiled model: what is below what, what drives what."""
+"""The tree of bodies of a compiled model: what is below what, and what drives what."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def words_of(name: str) -> set[str]:
 
 
 def side_of(names: Iterable[str]) -> str | None:
-    """Return ``left`` or ``right`` from the first name that has such a word, and no other."""
+    """Return ``left`` or ``right``, the side in the first name that has words of one side only."""
     for name in names:
         sides = {_SIDES[word] for word in words_of(name) if word in _SIDES}
         if len(sides) == 1:
@@ -50,11 +50,11 @@ class BodyTree:
         return str(self.model.body(body).name)
 
     def parent(self, body: int) -> int:
-        """Return what a body hangs on."""
+        """Return the parent of a body."""
         return int(self._parents[body])
 
     def path(self, body: int) -> list[int]:
-        """Return the bodies from the root to a body, both of them too."""
+        """Return the bodies from the root to a body, both included; none for the world."""
         path = []
         while body:
             path.append(body)
@@ -62,7 +62,7 @@ class BodyTree:
         return path[::-1]
 
     def below(self, body: int) -> set[int]:
-        """Return a body and all that hang on it."""
+        """Return a body and all bodies below it."""
         found = {body}
         for other in range(body + 1, self.model.nbody):
             if self.parent(other) in found:
@@ -74,12 +74,12 @@ class BodyTree:
         return [joint for body in bodies for joint in self._joints_of.get(body, [])]
 
     def ends(self, joints: Iterable[int]) -> list[int]:
-        """Return the bodies that some joints move and below which none of them moves another."""
+        """Return the bodies of some joints that have no other body of these joints below them."""
         moved = {int(self.model.jnt_bodyid[joint]) for joint in joints}
         return sorted(body for body in moved if not (self.below(body) - {body}) & moved)
 
     def common(self, bodies: Iterable[int]) -> int:
-        """Return the last body that all paths have in common."""
+        """Return the last body that the paths to some bodies share; 0 if there is none."""
         paths = [self.path(body) for body in bodies]
         last = 0
         for level in zip(*paths):
@@ -89,7 +89,7 @@ class BodyTree:
         return last
 
     def driven(self, actuator: int) -> set[int]:
-        """Return the joints that an actuator acts on by itself or by a tendon."""
+        """Return the joints that an actuator acts on, directly, by a tendon or at a site."""
         kind = int(self.model.actuator_trntype[actuator])
         target = int(self.model.actuator_trnid[actuator, 0])
         if kind in _JOINT:
@@ -109,12 +109,12 @@ class BodyTree:
         joints = {i for k, i in zip(kinds, ids) if k == int(mujoco.mjtWrap.mjWRAP_JOINT)}
         sites = [i for k, i in zip(kinds, ids) if k == int(mujoco.mjtWrap.mjWRAP_SITE)]
         bodies = [int(model.site_bodyid[site]) for site in sites]
-        # What moves one of the sites but not all of them changes the length.
+        # A joint that moves some of the sites, but not all, changes the length.
         shared = set(self.path(self.common(bodies))) if bodies else set()
         return joints.union(*(self.joints(set(self.path(body)) - shared) for body in bodies))
 
     def coupled(self, joints: Iterable[int]) -> set[int]:
-        """Return joints and those that equality constraints tie to them."""
+        """Return joints and those that equality constraints couple to them."""
         found = set(joints)
         pairs = self._tied_pairs()
         while True:

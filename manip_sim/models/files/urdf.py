@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read URDF by MuJoCo's own reader, with what that leaves to others: meshes, limits, mimics."""
+"""Read URDF with MuJoCo's reader, and add what that leaves out: meshes, limits, mimics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from manip_sim.resources import PACKAGE, share_directory
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
-#: A moving link that says nothing of its mass and has no shape [kg, kg m^2].
+#: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
 _HEAD = 4096
 
@@ -31,7 +31,7 @@ def is_urdf(file: Path) -> bool:
     """Tell whether a file is URDF: by its ending, or because its first element is ``robot``."""
     if file.suffix.lower() == '.urdf':
         return True
-    if not file.is_file():  # It may be something that never ends.
+    if not file.is_file():  # Reading a device or a pipe may never end.
         return False
     try:
         with open(file, encoding='utf-8', errors='replace') as stream:
@@ -45,11 +45,11 @@ def load_urdf(file: Path) -> tuple[Any, list[str]]:
     """
     Read a spec from a URDF file.
 
-    All links stay bodies, also those on fixed joints. The velocity limit becomes the first number
-    of a joint's ``user``, the effort limit its actuator force range; zero is no limit. A mimic
-    joint is tied by a constraint.
+    All links become bodies, also those on fixed joints. The velocity limit of a joint becomes the
+    first number of its ``user``, the effort limit its actuator force range; zero is no limit. A
+    mimic joint is coupled by an equality constraint.
 
-    :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or made up
+    :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     :raises ModelError: if it cannot be read, or a mesh is not found
     """
     check_xml(file)
@@ -84,7 +84,7 @@ def _parse(file: Path) -> ElementTree.Element:
 
 
 def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
-    """Return the settings for MuJoCo, which a URDF may have."""
+    """Return the element with settings for MuJoCo's compiler, a new one if there is none."""
     extension = robot.find('mujoco')
     if extension is None:
         extension = ElementTree.SubElement(robot, 'mujoco')
@@ -93,7 +93,7 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
 
 
 def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
-    """Make the paths of meshes absolute; leave shapes out that MuJoCo cannot read."""
+    """Make the paths of meshes absolute; remove shapes that MuJoCo cannot read."""
     extension = robot.find('mujoco/compiler')
     folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
     unread = []
@@ -115,7 +115,7 @@ def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
 
 
 def _readable(mesh: Path) -> Path | None:
-    """Return a mesh, or one of that name in a format that MuJoCo reads, or None."""
+    """Return a mesh, or one of its stem in a format that MuJoCo reads, or None."""
     if mesh.suffix.lower() in _MESHES:
         return mesh
     return next((other for suffix in _MESHES
@@ -126,7 +126,7 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
     """
     Return the path of a mesh.
 
-    :raises ModelError: if its package or it itself is not there
+    :raises ModelError: if its package or its file does not exist
     """
     where = f'mesh {quoted(name)} of link {quoted(link.get("name"))} in {file}'
     match = _PACKAGE.fullmatch(name)
@@ -175,7 +175,7 @@ def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element) -> None:
 
 
 def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
-    """Give a little mass to links that move and have neither inertia nor shape."""
+    """Give a little mass to links that move and neither have nor carry inertia or shapes."""
     without = {str(link.get('name')) for link in robot.iter('link')
                if link.find('inertial') is None}
     light = []

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Grippers and hands. Every module of this folder is imported and its grippers known."""
+"""Grippers and hands. Every module here is imported, which registers its grippers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ import_submodules(__name__, __path__)
 
 
 def gripper_names() -> list[str]:
-    """Return the names that :func:`create_gripper` takes, those of the user's folders too."""
+    """Return the names that :func:`create_gripper` takes, also those in the user's folders."""
     return GRIPPERS.all_names()
 
 
@@ -36,8 +36,8 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
 
     :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param idn: number or word in the prefix
-    :raises UnknownNameError: naming the nearest ones
-    :raises ModelError: if a file cannot be used, or it is one of another package and cannot be
+    :raises UnknownNameError: if there is no such gripper, naming the nearest ones
+    :raises ModelError: if a file cannot be used, or the gripper of another package cannot be
         imported
     """
     file = GRIPPERS.find_file(name)

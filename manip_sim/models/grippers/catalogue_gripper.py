@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A gripper of the catalogue whose actuators are commanded one by one, as a declaration."""
+"""A gripper of the catalogue, declared by folder and start, with one command per actuator."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class CatalogueGripper(GripperModel, registered=False):
     :param idn: number or word in the prefix ``gripper{idn}_``
     """
 
-    #: The folder of its file.
+    #: The folder of its file, in ``assets/grippers``.
     _folder: ClassVar[str]
-    #: Start of its joints [rad or m]; None if nothing moves.
+    #: Start positions of its joints [rad or m]; None if it has none.
     _start: ClassVar[tuple[float, ...] | None]
 
     def __init__(self, idn: int | str = 0) -> None:
@@ -42,5 +42,5 @@ class CatalogueGripper(GripperModel, registered=False):
 
     @property
     def init_qpos(self) -> FloatArray | None:
-        """Start of the joints in the order of the file [rad or m], shape (n,), or None."""
+        """Start of the joints in the order of the file [rad or m], shape (n,), a copy, or None."""
         return None if self._start is None else np.array(self._start)

@@ -26,13 +26,13 @@ def _geoms_by_role(side: str) -> dict[str, list[str]]:
 
 class FourierHand(CatalogueGripper, registered=False):
     """
-    Hand with eleven joints and six motors; the action says where each motor shall be.
+    Hand with eleven joints and six motors; the action is a position for each motor.
 
-    :cvar speed: declared by the reference, without effect: actions are positions, not steps
+    :cvar speed: as in robosuite, without effect: actions are positions, not steps
     """
 
     speed = 0.15
-    #: All fingers stretched, the thumb aside [rad].
+    #: All fingers straight, the thumb to the side [rad].
     _start = (0.0,) * 11
 
     def format_action(self, action: ArrayLike) -> FloatArray:
@@ -40,7 +40,7 @@ class FourierHand(CatalogueGripper, registered=False):
         Give both joints of a finger the command of its motor.
 
         :param action: little, ring, middle and index finger, bend of the thumb, swing of the
-            thumb; -1 is stretched, +1 is bent; not clamped; shape (6,)
+            thumb; -1 is straight, +1 is bent; not clamped; shape (6,)
         :returns: commands of the actuators, shape (11,), a copy
         :raises CommandError: if the length is wrong or a number is not finite
         """

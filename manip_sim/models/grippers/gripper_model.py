@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all grippers share: standard sites and sensors, the state of ``format_action``."""
+"""What all grippers share: standard sites and sensors, and the state of ``format_action``."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ class GripperModel(MujocoXMLModel, ABC):
     """
     A gripper or hand that is mounted on the end effector body of an arm.
 
-    The file needs a body ``eef``, the grasp frame. The standard sites and sensors that it does
-    not have are added: ``ft_frame`` with the sensors ``force_ee`` and ``torque_ee`` on the root
-    body, ``grip_site``, ``grip_site_cylinder``, ``ee``, ``ee_x``, ``ee_y`` and ``ee_z`` on
-    ``eef``. Names that a subclass declares in ``_important_geoms``, ``_important_sites`` or
+    The file needs a body ``eef``, the grasp frame. Standard sites and sensors that it lacks are
+    added: ``ft_frame`` with the sensors ``force_ee`` and ``torque_ee`` on the root body, and
+    ``grip_site``, ``grip_site_cylinder``, ``ee``, ``ee_x``, ``ee_y`` and ``ee_z`` on ``eef``.
+    Names that a subclass declares in ``_important_geoms``, ``_important_sites`` or
     ``_important_sensors`` must exist.
 
     :param fname: path of an MJCF file with one root body
     :param idn: number or word in names, as in ``gripper0_right_finger``
-    :ivar current_action: what :meth:`format_action` has come to, zeros of shape (dof,) at first
+    :ivar current_action: the state of :meth:`format_action`, at first zeros of shape (dof,)
     :raises UnknownNameError: if the file has no body ``eef`` or lacks a declared name
     """
 
-    #: How far one call of :meth:`format_action` moves the command, of a range of 2.
+    #: Change of the command in one call of :meth:`format_action`, of a range of 2.
     speed = 0.0
 
     _important_sites: Mapping[str, str] = {
@@ -68,9 +68,9 @@ class GripperModel(MujocoXMLModel, ABC):
 
     def refresh(self) -> None:
         """
-        Record again what the lists and figures tell, after edits of :attr:`spec`.
+        Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
 
-        :attr:`current_action` becomes zeros where the number of actuators changes.
+        :attr:`current_action` becomes zeros if the number of actuators changes.
         """
         actuators = len(self._actuators)
         super().refresh()
@@ -106,7 +106,7 @@ class GripperModel(MujocoXMLModel, ABC):
     @property
     @abstractmethod
     def init_qpos(self) -> ArrayLike | None:
-        """Where the joints start, in the order of :attr:`joints` [rad or m], or None for zero."""
+        """Start positions in the order of :attr:`joints` [rad or m], or None for zero."""
 
     @abstractmethod
     def format_action(self, action: ArrayLike) -> FloatArray:
@@ -114,8 +114,8 @@ class GripperModel(MujocoXMLModel, ABC):
         Map an abstract action to actuator commands; one call is one step of :attr:`speed`.
 
         :param action: +1 closes, -1 opens, shape (dof,)
-        :returns: commands that stand for the actuators' control ranges, in [-1, 1], in the order
-            of :attr:`actuators`, a copy
+        :returns: commands in [-1, 1], which are mapped to the control ranges, in the order of
+            :attr:`actuators`, shape (nu,), a copy
         :raises CommandError: if the length is wrong or a number is not finite
         """
 
@@ -124,8 +124,8 @@ class GripperModel(MujocoXMLModel, ABC):
         """
         The rotation from the mount to the body ``eef``, x, y, z, w with unit norm, shape (4,).
 
-        It is that of the compiled model. The reference multiplies the quaternions of the root
-        body and ``eef`` in the wrong order and leaves out the bodies between them, so its values
+        It is that of the compiled model. robosuite multiplies the quaternions of the root body
+        and ``eef`` in the wrong order and leaves out the bodies between them, so its values
         differ where these do not commute.
         """
         data = mujoco.MjData(self._own_model)
@@ -135,7 +135,7 @@ class GripperModel(MujocoXMLModel, ABC):
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:
         """
-        Give the root body another pose in the frame of the body that it is mounted on.
+        Set the pose of the root body in the frame of the body that it is mounted on.
 
         :param pos: position [m], shape (3,); None keeps it
         :param quat_wxyz: w, x, y, z, shape (4,); None keeps it
@@ -151,7 +151,7 @@ class GripperModel(MujocoXMLModel, ABC):
 
     def clone(self: GripperT, idn: int | str) -> GripperT:
         """
-        Return an own copy with another idn.
+        Return a copy with another idn and a spec of its own.
 
         :param idn: of the copy
         """
@@ -163,10 +163,10 @@ class GripperModel(MujocoXMLModel, ABC):
 
     def start_at(self, command: ArrayLike) -> None:
         """
-        Let :meth:`format_action` go on from an actuator command.
+        Make :meth:`format_action` continue from an actuator command.
 
-        Grippers keep :attr:`current_action` per actuator or per action; of the two, the one whose
-        idle command comes nearest is taken.
+        :attr:`current_action` has one number per actuator or per action; of the two, or zeros,
+        the state is taken in which an action of zeros gives the nearest command.
 
         :param command: commands in [-1, 1], one for each actuator
         """
@@ -200,10 +200,10 @@ GRIPPERS: Registry[GripperModel] = Registry(
 def add_standard_elements(spec: mujoco.MjSpec, mount: mujoco.MjsBody, eef: mujoco.MjsBody,
                           prefix: str = '') -> None:
     """
-    Add the standard sites and sensors that a hand does not have.
+    Add the standard sites and sensors that a hand lacks.
 
     :param spec: the ``mujoco.MjSpec`` that the hand is in
-    :param mount: its root body, which the force/torque sensor is in
+    :param mount: its root body, which gets the force/torque sensor
     :param eef: the body that is the grasp frame
     :param prefix: what the names of sites and sensors begin with
     """

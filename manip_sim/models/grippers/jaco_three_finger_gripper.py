@@ -16,7 +16,7 @@ class JacoThreeFingerGripperBase(CatalogueGripper, registered=False):
     """
     Kinova hand whose fingers are commanded one by one: thumb, index, pinky; +1 is open.
 
-    Each fingertip follows the joint at the root of its finger.
+    Each fingertip follows the proximal joint of its finger.
     """
 
     _folder = 'jaco_three_finger_gripper'

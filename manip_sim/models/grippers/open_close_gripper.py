@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the grippers share whose two actuators open and close together."""
+"""What grippers share that open and close two actuators together."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from manip_sim.models.grippers.gripper_model import GripperModel
 
 
 class OpenCloseGripper(GripperModel, registered=False):
-    """A gripper with one action for two actuators; stands before the class with the file."""
+    """A gripper with one action for two actuators; a mixin, before the class with the file."""
 
     speed = 0.2
 
-    #: The command of each actuator that closes.
+    #: The command of each actuator at which the gripper is closed.
     _closed: ClassVar[tuple[float, float]]
 
     def format_action(self, action: ArrayLike) -> FloatArray:

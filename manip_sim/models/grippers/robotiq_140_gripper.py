@@ -18,8 +18,8 @@ class Robotiq140GripperBase(CatalogueGripper, registered=False):
     """
 
     _folder = 'robotiq_140_gripper'
-    #: Open [rad]. These values of the reference miss the closed linkage by up to 0.08 rad; the
-    #: constraints of the linkage take that up in the first steps.
+    #: Open [rad]. These values of robosuite violate the closed linkage by up to 0.08 rad, which
+    #: its constraints correct in the first steps.
     _start = 0.012, 0.065, 0.065, -0.012, 0.065, 0.065
     _important_geoms = {
         'left_finger': ['left_outer_finger_collision', 'left_inner_finger_collision',

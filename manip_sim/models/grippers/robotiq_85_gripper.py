@@ -13,8 +13,8 @@ class Robotiq85GripperBase(CatalogueGripper, registered=False):
     """Robotiq 2F-85 whose outer knuckles are commanded one by one, +1 closed."""
 
     _folder = 'robotiq_85_gripper'
-    #: Open [rad]. These values of the reference lie up to 0.2 rad outside the joint ranges and
-    #: leave the pads tilted by 0.29 rad; the linkage takes them to the open pose within 0.1 s.
+    #: Open [rad]. These values of robosuite are up to 0.2 rad outside the joint ranges and
+    #: leave the pads tilted by 0.29 rad; the linkage moves them to the open pose within 0.1 s.
     _start = -0.026, -0.267, -0.2, -0.026, -0.267, -0.2
     _important_geoms = {
         f'{side}_{part}': [f'{side}_{link}_collision' for link in links]

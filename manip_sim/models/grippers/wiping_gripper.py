@@ -9,7 +9,7 @@ from manip_sim.models.grippers.catalogue_gripper import CatalogueGripper
 
 
 class WipingGripper(CatalogueGripper):
-    """Eraser with a touch sensor at each corner of its surface."""
+    """Eraser with a touch sensor at each corner of its wiping surface."""
 
     _folder = 'wiping_gripper'
     _start = None

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Robots. Every module of this folder is imported and its robots known."""
+"""Robots. Every module here is imported, which registers its robots."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ import_submodules(__name__, __path__)
 
 
 def robot_names() -> list[str]:
-    """Return the names that :func:`create_robot` takes, those of the user's folders too."""
+    """Return the names that :func:`create_robot` takes, also those in the user's folders."""
     return ROBOTS.all_names()
 
 
@@ -35,11 +35,11 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
 
     :param name: of the catalogue, or what ``manip_sim.models.sources.find_source`` takes
     :param idn: number or word in the prefix ``robot{idn}_``
-    :param prefix: instead of that, the beginning of all names of the robot and of all that is
-        mounted on it, such as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
-    :raises UnknownNameError: naming the nearest ones
+    :param prefix: what the names of the robot and of all that is mounted on it begin with instead,
+        such as ``left_`` (see :meth:`RobotModel.set_naming_prefix`)
+    :raises UnknownNameError: if there is no such robot, naming the nearest ones
     :raises ModelError: if names cannot begin with the prefix, a file cannot be used, or the robot
-        is one of another package and cannot be imported
+        of another package cannot be imported
     """
     file = ROBOTS.find_file(name)
     robot: RobotModel

@@ -29,7 +29,7 @@ class Baxter(ManipulatorModel):
 
     @property
     def arm_type(self) -> str:
-        """Two arms."""
+        """``bimanual``: two arms."""
         return 'bimanual'
 
     @property
@@ -38,17 +38,17 @@ class Baxter(ManipulatorModel):
 
     @property
     def default_base(self) -> str:
-        """Stands on Baxter's pedestal."""
+        """Baxter's pedestal."""
         return 'RethinkMinimalMount'
 
     @property
     def default_gripper(self) -> dict[str, str]:
-        """Holds a Rethink gripper in each hand."""
+        """A Rethink gripper on each arm."""
         return {'right': 'RethinkGripper', 'left': 'RethinkGripper'}
 
     @property
     def default_controller_config(self) -> dict[str, str]:
-        """Names of the reference's controller settings, by arm."""
+        """Names of robosuite's controller settings, by arm."""
         return {'right': 'osc_pose', 'left': 'osc_pose'}
 
     @property

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The humanoid GR-1 of Fourier, hung up at its pelvis."""
+"""The humanoid GR-1 of Fourier, with its pelvis fixed above the floor."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class GR1(ManipulatorModel):
 
     @property
     def arm_type(self) -> str:
-        """Two arms."""
+        """``bimanual``: two arms."""
         return 'bimanual'
 
     @property
@@ -39,17 +39,17 @@ class GR1(ManipulatorModel):
 
     @property
     def default_base(self) -> str:
-        """Does not move about."""
+        """A base that does not move."""
         return 'NoActuationBase'
 
     @property
     def default_gripper(self) -> dict[str, str]:
-        """Has Fourier's own hands."""
+        """Fourier's hand on each arm."""
         return {'right': 'FourierRightHand', 'left': 'FourierLeftHand'}
 
     @property
     def default_controller_config(self) -> dict[str, str]:
-        """Names of the reference's controller settings, by arm or subsystem."""
+        """Names of robosuite's controller settings, by arm or subsystem."""
         return {'right': 'default_gr1', 'left': 'default_gr1', 'head': 'default_gr1_head',
                 'torso': 'default_gr1_torso', 'right_leg': 'default_gr1',
                 'left_leg': 'default_gr1'}

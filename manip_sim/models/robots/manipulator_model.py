@@ -27,9 +27,9 @@ T = TypeVar('T')
 
 class ArmDict(OrderedDict[str, T]):
     """
-    An ordered dictionary by arm whose keys may also be end effector bodies.
+    An ordered dictionary by arm that can also be read by end effector body.
 
-    :param arm_of_body: tells the arm of a prefixed end effector body, or None
+    :param arm_of_body: returns the arm of a prefixed end effector body, or None
     """
 
     def __init__(self, arm_of_body: Callable[[str], str | None]) -> None:
@@ -72,11 +72,11 @@ class ManipulatorModel(RobotModel):
 
     def refresh(self) -> None:
         """
-        Record again what the lists and figures tell, after edits of :attr:`spec`.
+        Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
 
-        Also of all that is mounted on the robot.
+        Those of all that is mounted on the robot are updated too.
 
-        :raises UnknownNameError: if an end effector body is not there any more
+        :raises UnknownNameError: if an end effector body no longer exists
         """
         super().refresh()
         self._check_important('body', self._eef_name.values(), self._bodies)
@@ -89,7 +89,7 @@ class ManipulatorModel(RobotModel):
     @property
     @abstractmethod
     def default_gripper(self) -> dict[str, str]:
-        """Name of the gripper by arm that is mounted unless another is requested."""
+        """Name by arm of the gripper that is mounted unless another is requested."""
 
     @property
     def _eef_name(self) -> dict[str, str]:
@@ -98,17 +98,17 @@ class ManipulatorModel(RobotModel):
 
     @property
     def gripper_mount_pos_offset(self) -> dict[str, list[float]]:
-        """Where a gripper's root body stands in the end effector body, by arm [m]."""
+        """Position of a gripper's root body in the end effector body, by arm [m]."""
         return {}
 
     @property
     def gripper_mount_quat_offset(self) -> dict[str, list[float]]:
-        """How a gripper's root body is turned in the end effector body, by arm (w, x, y, z)."""
+        """Orientation of a gripper's root body in the end effector body, by arm (w, x, y, z)."""
         return {}
 
     @property
     def arms(self) -> tuple[str, ...]:
-        """``right``, and ``left`` where there are two."""
+        """``right``, and ``left`` if there are two."""
         return ARMS_OF_TYPE[self.arm_type]
 
     @property
@@ -167,8 +167,7 @@ class ManipulatorModel(RobotModel):
         """
         Mount a gripper.
 
-        :param gripper: the gripper; where it goes on several arms, each gets an own copy with the
-            arm added to its idn
+        :param gripper: the gripper; each of several arms gets a copy with the arm added to its idn
         :param arm_name: an arm or its end effector body; None mounts on every arm
         :raises TypeError: if it is not a gripper
         :raises UnknownNameError: if there is no such arm
@@ -211,7 +210,7 @@ class ManipulatorModel(RobotModel):
         Add a copy of the robot and of all that is mounted on it to another spec.
 
         :param spec: the spec to add to
-        :param frame: the frame of that spec to hang the robot on
+        :param frame: the frame of that spec to attach the robot to
         :param floor_xpos: as for :meth:`RobotModel.attach_to`
         """
         super().attach_to(spec, frame, floor_xpos)

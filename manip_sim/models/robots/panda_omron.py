@@ -21,17 +21,17 @@ class PandaOmron(Panda):
 
     @property
     def default_base(self) -> str:
-        """Stands on the Omron base."""
+        """The Omron base."""
         return 'OmronMobileBase'
 
     @property
     def init_torso_qpos(self) -> FloatArray:
-        """Lifted halfway [m], shape (1,)."""
+        """Start position of the column, lifted by 0.2 m [m], shape (1,)."""
         return np.array([0.2])
 
     @property
     def init_base_qpos(self) -> FloatArray | None:
-        """The torso lifted, where the base has one, the rest at zero [m or rad]."""
+        """Start positions of the base: the torso lifted, if it has one, else zero [m or rad]."""
         if self.base is None:
             return None
         lifted = dict(zip(self.torso_joints, self.init_torso_qpos))

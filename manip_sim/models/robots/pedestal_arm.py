@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the single arms share that the reference puts on the Rethink pedestal."""
+"""What single arms share that stand on the Rethink pedestal in robosuite."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from manip_sim.resources import asset_path
 
 class PedestalArm(ManipulatorModel, registered=False):
     """
-    One arm on the Rethink pedestal; a subclass declares what is its own.
+    One arm on the Rethink pedestal; a subclass declares the rest.
 
     :param idn: number or word in names
     """
@@ -25,7 +25,7 @@ class PedestalArm(ManipulatorModel, registered=False):
     _asset: ClassVar[str]
     _gripper: ClassVar[str]
     _controller_config: ClassVar[str]
-    #: Where the joints start [rad].
+    #: Start positions of the joints [rad].
     _init_qpos: ClassVar[tuple[float, ...]]
     _horizontal_radius = 0.5
     _top_offset = (0.0, 0.0, 1.0)
@@ -35,12 +35,12 @@ class PedestalArm(ManipulatorModel, registered=False):
 
     @property
     def arm_type(self) -> str:
-        """One arm."""
+        """``single``: one arm."""
         return 'single'
 
     @property
     def default_base(self) -> str:
-        """Stands on the Rethink pedestal."""
+        """The Rethink pedestal."""
         return 'RethinkMount'
 
     @property
@@ -50,7 +50,7 @@ class PedestalArm(ManipulatorModel, registered=False):
 
     @property
     def default_controller_config(self) -> dict[str, str]:
-        """Names of the reference's controller settings, by arm."""
+        """Names of robosuite's controller settings, by arm."""
         return {'right': self._controller_config}
 
     @property

@@ -33,10 +33,10 @@ Placement = Union[Position, Callable[[float], Position]]
 
 class RobotModel(Subsystems, ABC):
     """
-    A robot without hands, and the base it stands on. Prefix ``robot{idn}_``.
+    A robot without grippers, and the base that it stands on. Prefix ``robot{idn}_``.
 
-    With a prefix of its own (:meth:`set_naming_prefix`) all that is mounted on it bears it too:
-    for ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``, on two arms
+    Another prefix, set by :meth:`set_naming_prefix`, also applies to all that is mounted on the
+    robot: with ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``, or on two arms
     ``left_gripper_right_`` and ``left_gripper_left_``.
 
     :param fname: path of an MJCF file with one root body
@@ -44,8 +44,8 @@ class RobotModel(Subsystems, ABC):
     :raises ModelError: if the file has no root body or several
     """
 
-    #: What the robot stands with on a base or the floor, seen from the root [m]; None: the
-    #: file's root body hangs where it shall be above the floor.
+    #: Point that stands on a base or the floor, in the frame of the root [m]; None: it is the
+    #: origin of the file's world.
     _foot_offset: tuple[float, float, float] | None = None
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -71,11 +71,11 @@ class RobotModel(Subsystems, ABC):
 
     def set_naming_prefix(self, prefix: str) -> None:
         """
-        Let all names of the robot, and of what is and will be mounted on it, begin with a prefix.
+        Set the prefix of all names of the robot, and of what is and will be mounted on it.
 
         :param prefix: a letter, then at most 63 letters, digits and underscores, such as
             ``left_``; empty: each part has the prefix that its idn gives
-        :raises ModelError: if it is no such prefix, or the class of a part overrides
+        :raises ModelError: if it is none of these, or the class of a part overrides
             :attr:`naming_prefix`
         """
         super().set_naming_prefix(prefix)
@@ -101,21 +101,21 @@ class RobotModel(Subsystems, ABC):
     @property
     @abstractmethod
     def default_controller_config(self) -> dict[str, str]:
-        """Names of the reference's controller settings, by arm or subsystem."""
+        """Names of robosuite's controller settings, by arm or subsystem."""
 
     @property
     @abstractmethod
     def init_qpos(self) -> FloatArray:
-        """Where the joints start, in the order of :attr:`joints` [rad or m], shape (dof,)."""
+        """Start positions in the order of :attr:`joints` [rad or m], shape (dof,)."""
 
     @property
     @abstractmethod
     def base_xpos_offset(self) -> dict[str, Placement]:
-        """Where to place the robot by arena [m]; for ``table`` a function of its length [m]."""
+        """Where to place the robot by arena [m], or a function of the table's length [m]."""
 
     @property
     def init_base_qpos(self) -> FloatArray | None:
-        """Where the joints of the base start, in its order, or None for zero."""
+        """Start positions of the joints of the base, in its order [rad or m], or None for zero."""
         return None
 
     # ------------------------------------------------------------------ base and place
@@ -127,7 +127,7 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def base(self) -> RobotBaseModel | None:
-        """What the robot stands on, or None."""
+        """What the robot stands on, or None for the floor."""
         return self._base
 
     @property
@@ -157,7 +157,7 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def foot_offset(self) -> FloatArray:
-        """From the root body to what the robot stands with [m], shape (3,), a copy."""
+        """From the root to the point that stands on a base or floor [m], shape (3,), a copy."""
         if self._foot_offset is None:
             return -self.base_offset
         return np.array(self._foot_offset)
@@ -171,26 +171,26 @@ class RobotModel(Subsystems, ABC):
 
     @property
     def top_offset(self) -> FloatArray:
-        """Nominal place of the top above the root, of the reference [m], shape (3,), a copy."""
+        """Nominal place of the top above the root, as in robosuite [m], shape (3,), a copy."""
         return np.array(self._top_offset)
 
     @property
     def horizontal_radius(self) -> float:
-        """Nominal radius about the root, of the reference [m]; arms reach farther."""
+        """Nominal radius about the root, as in robosuite [m]; arms reach farther."""
         return max(self._horizontal_radius, self._base.horizontal_radius if self._base else 0.0)
 
     def set_base_xpos(self, pos: ArrayLike) -> None:
         """
         Place the robot.
 
-        :param pos: where the floor below the root shall be, in the world [m], shape (3,)
+        :param pos: of the floor below the root, in the world [m], shape (3,)
         :raises ModelError: if a number is not finite
         """
         self._floor_xpos = finite_numbers(pos, 3, f'position of {self.name}')
 
     def set_base_ori(self, rpy: ArrayLike) -> None:
         """
-        Turn the robot.
+        Set the orientation of the robot.
 
         :param rpy: roll, pitch, yaw of the root in the world [rad], shape (3,)
         :raises ModelError: if a number is not finite
@@ -200,7 +200,7 @@ class RobotModel(Subsystems, ABC):
 
     def set_joint_attribute(self, attrib: str, values: ArrayLike, force: bool = True) -> None:
         """
-        Set an attribute of all own joints.
+        Set an attribute of all joints of the robot, without those of its base and grippers.
 
         :param attrib: ``damping``, ``frictionloss``, ``armature`` or ``stiffness``
         :param values: one for each of :attr:`joints`, shape (dof,)
@@ -223,9 +223,9 @@ class RobotModel(Subsystems, ABC):
 
     def refresh(self) -> None:
         """
-        Record again what the lists and figures tell, after edits of :attr:`spec`.
+        Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
 
-        Also of all that is mounted on the robot.
+        Those of all that is mounted on the robot are updated too.
         """
         super().refresh()
         for part in self.models:
@@ -243,12 +243,12 @@ class RobotModel(Subsystems, ABC):
         """
         Add a copy of the robot and of all that is mounted on it to another spec.
 
-        On a mobile base the root body stays fixed and holds the base; what the root held hangs on
-        a body ``manipulator_mount`` of the base's support.
+        On a mobile base the root body stays fixed and carries the base; the contents of the root
+        move to a body ``manipulator_mount`` on the base's support.
 
         :param spec: the spec to add to
-        :param frame: the frame of that spec to hang the robot on
-        :param floor_xpos: where the floor below the copy's root shall be, in the frame [m], shape
+        :param frame: the frame of that spec to attach the robot to
+        :param floor_xpos: position of the floor below the copy's root, in the frame [m], shape
             (3,); None: where :meth:`set_base_xpos` or else the file puts it
         :raises ModelError: if the spec, the robot's base or a gripper has one of the names already
         """
@@ -287,14 +287,14 @@ class RobotModel(Subsystems, ABC):
         rotate_actuators(spec.actuators[present:], len(base.actuators))
 
     def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
-        """Return a copy of the spec whose root stands and is turned as the robot shall be."""
+        """Return a copy of the spec with the root at the pose that the robot gets."""
         own = self._spec.copy()
         root = own.body(self._root().name)
         compiled = self._own_model.body(root.name)
         floor = self._floor_xpos if floor_xpos is None else np.asarray(floor_xpos, dtype=float)
         root.pos = compiled.pos if floor is None else floor - self.bottom_offset
         root.quat = compiled.quat if self._root_quat is None else self._root_quat
-        # Nothing else may turn or move it.
+        # Nothing else may turn or move the root.
         root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         root.set_frame(own.worldbody.add_frame())
         return own

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tell from a name, or from the joint it drives, what belongs to arm, base, torso, head, legs."""
+"""Sort joints and actuators into arm, base, torso, head and legs, by name or driven joint."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.validation import finite_numbers
 
 SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs')
-#: In the order in which names are looked at; what fits none is arm.
+#: In the order in which they are tried; a name without any of them is arm.
 KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 
@@ -28,7 +28,7 @@ _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 class Subsystems(MujocoXMLModel):
     """The joints and actuators of a robot and its base by subsystem; every list is a copy."""
 
-    #: Subsystem by raw joint name, for joints whose names do not tell.
+    #: Subsystem by raw joint name, which takes precedence over the name.
     _subsystem_of_joint: Mapping[str, str] = {}
     _joints_of: dict[str, list[str]]
     _actuators_of: dict[str, list[str]]
@@ -119,14 +119,14 @@ class Subsystems(MujocoXMLModel):
         return [actuator for part in self._own_parts() for actuator in part.actuators]
 
     def update_joints(self) -> None:
-        """Sort all joints into subsystems again; done by every ``add_*`` too."""
+        """Sort all joints into subsystems again, as every ``add_*`` does."""
         self._joints_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for raw in part._joints:
                 self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
 
     def update_actuators(self) -> None:
-        """Sort all actuators into subsystems again; done by every ``add_*`` too."""
+        """Sort all actuators into subsystems again, as every ``add_*`` does."""
         self._actuators_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for raw in part._actuators:
@@ -148,9 +148,9 @@ class Subsystems(MujocoXMLModel):
         Map an abstract action to commands of a subsystem's actuators, clamping it to [-1, 1].
 
         :param subsystem: ``arm``, ``base``, ``torso``, ``head`` or ``legs``
-        :param action: where in the control ranges, in [-1, 1], shape (n,)
-        :param ctrlrange: other ranges than the files', shape (n, 2)
-        :returns: commands in the actuators' units, shape (n,)
+        :param action: -1 is the low, +1 the high end of a control range, shape (n,)
+        :param ctrlrange: ranges in place of the files', shape (n, 2)
+        :returns: commands in the actuators' units, shape (n,), a copy
         :raises UnknownNameError: if there is no such subsystem
         :raises CommandError: if the length is wrong or a number is not finite
         """
@@ -160,7 +160,7 @@ class Subsystems(MujocoXMLModel):
         low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
                                dtype=float).reshape(-1, 2).T
         commands = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
-        # Rounding may lead past an end.
+        # Rounding may exceed an end of the range.
         return np.asarray(np.clip(commands, low, high))
 
     def _ctrlrange(self, names: list[str]) -> FloatArray:
@@ -171,10 +171,10 @@ class Subsystems(MujocoXMLModel):
 
 def classify(name: str) -> str:
     """
-    Return the subsystem that an unprefixed name tells of.
+    Return the subsystem of an unprefixed name of a joint or actuator.
 
-    The reference's keywords torso, mobile, head and leg decide in this order, but only as whole
-    words, in any case: ``head_pan`` is of the head, ``overhead_joint`` of the arm.
+    robosuite's keywords torso, mobile, head and leg, or legs, decide in this order, but only as
+    whole words, in lower or upper case: ``head_pan`` is head, ``overhead_joint`` is arm.
     """
     words = {word.lower() for word in _WORD.findall(name)}
     for keyword, subsystem in KEYWORDS.items():
@@ -187,7 +187,7 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     """
     Return the name of the joint that an actuator drives, or None.
 
-    :param actuator: number of the actuator
+    :param actuator: id of the actuator
     """
     kind = int(model.actuator_trntype[actuator])
     if kind not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):

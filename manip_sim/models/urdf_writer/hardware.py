@@ -16,9 +16,9 @@ _STATES = ('position', 'velocity', 'effort')
 @dataclass(frozen=True)
 class Hardware:
     """
-    How ros2_control reaches the robot.
+    What the ``<ros2_control>`` tag says of the robot.
 
-    :ivar interfaces: ``position``, ``velocity`` or ``effort`` by joint that takes commands
+    :ivar interfaces: ``position``, ``velocity`` or ``effort`` by name of the joint with commands
     :ivar states_topic: where the joint states come from
     :ivar commands_topic: where the joint commands go to
     """
@@ -31,12 +31,12 @@ class Hardware:
 def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequence[str],
                  mimics: Sequence[str]) -> None:
     """
-    Add the tag to a URDF: driven joints first, as the hardware wants it, then observed ones.
+    Add the tag to a URDF: joints with commands first, as the hardware requires, then the others.
 
-    A joint that follows another one has no command interface: ros2_control rejects that.
+    Mimic joints have no command interface, because ros2_control rejects that.
 
-    :param joints: all scalar joints
-    :param mimics: those that follow another one
+    :param joints: names of all scalar joints
+    :param mimics: names of those that follow another one
     """
     tag = ElementTree.SubElement(robot, 'ros2_control', name=robot.get('name', ''), type='system')
     system = ElementTree.SubElement(tag, 'hardware')

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The greatest velocity and effort of joints, as URDF wants one number for each."""
+"""The greatest velocity and effort of joints, of which URDF requires one number each."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import numpy as np
 from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.urdf_writer.mimics import Mimic
 
-#: Where the model tells no limit, as the servos of the simulation have it [rad/s or m/s].
+#: Of a joint without a limit, as in the simulation's servos [rad/s or m/s].
 DEFAULT_VELOCITY = float(np.pi)
-#: Of an actuator without a limit [N m or N].
+#: Of a joint whose actuators have no limit [N m or N].
 DEFAULT_EFFORT = 1000.0
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
 def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]:
-    """Return by id of the joint the actuators that move it, with their effort per force."""
+    """Return by id of the joint its actuators' ids, and the effort at the joint per force."""
     found: dict[int, list[tuple[int, float]]] = {}
     for actuator in range(model.nu):
         gear = float(model.actuator_gear[actuator, 0])
@@ -43,9 +43,9 @@ def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]
 
 def effort_limit(model: mujoco.MjModel, joint: int, actuators: list[tuple[int, float]]) -> float:
     """
-    Return the greatest effort of the actuators at a joint [N m or N]; zero if there is none.
+    Return the greatest effort of the actuators at a joint [N m or N]; zero without actuators.
 
-    :param actuators: that move the joint, as :func:`actuated_joints` tells them
+    :param actuators: those of the joint, as in what :func:`actuated_joints` returns
     """
     effort = sum(_force_limit(model, actuator) * per_force for actuator, per_force in actuators)
     if actuators and model.jnt_actfrclimited[joint]:
@@ -65,7 +65,7 @@ def _force_limit(model: mujoco.MjModel, actuator: int) -> float:
 
 
 def velocity_limit(model: mujoco.MjModel, joint: int, mimics: Mapping[int, Mimic]) -> float:
-    """Return how fast a joint may move [rad/s or m/s]: as declared, or as what it follows."""
+    """Return the velocity limit of a joint [rad/s or m/s]: as declared, or by what it follows."""
     declared = float(declared_velocity(model, joint))
     if np.isfinite(declared):
         return declared

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the meshes of a model are for those who read its URDF."""
+"""The mesh files that a URDF refers to, and meshes as STL."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.urdf_writer.numbers import matrix_of
 from manip_sim.resources import PACKAGE, share_directory
 
-#: A sphere of radius 1 for ellipsoids.
+#: A sphere of radius 1 [m], for ellipsoids.
 UNIT_SPHERE = f'package://{PACKAGE}/assets/meshes/unit_sphere.stl'
-#: In place of the name of a mesh, where another file of that sphere shall be used.
+#: Key, in place of the name of a mesh, of another file of that sphere.
 ELLIPSOID = '<ellipsoid>'
-#: What RViz and MoveIt read too; MuJoCo's own .msh is for nobody else.
+#: Formats that RViz and MoveIt read too; only MuJoCo reads its .msh.
 _READABLE = ('.stl', '.obj', '.dae')
 
 
@@ -31,7 +31,7 @@ class MeshFile:
     A mesh that a URDF can refer to.
 
     :ivar uri: ``package://...`` or ``file://...``
-    :ivar scale: of the vertices in the file, shape (3,)
+    :ivar scale: factors for the vertices in the file, shape (3,)
     :ivar position: of the file's frame in that of the compiled mesh [m], shape (3,)
     :ivar rotation: of that frame, shape (3, 3)
     """
@@ -54,7 +54,7 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Mes
     """
     Return the files that the meshes were read from, by name of the mesh.
 
-    Those that no file holds, or none that others read, are left out.
+    Left out: meshes without a file that others read, and rotated ones with a scale per axis.
 
     :param spec: the ``mujoco.MjSpec``, whose files are absolute paths
     :param model: compiled from it
@@ -68,7 +68,7 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Mes
                 or (turned and np.ptp(scale) > 0.0)):
             continue
         index = model.mesh(mesh.name).id
-        # The compiler has moved the mesh into the frame of its inertia.
+        # The compiler has moved the vertices into the inertial frame of the mesh.
         back = matrix_of(model.mesh_quat[index]).T
         position = -back @ (scale * (turn @ np.asarray(mesh.refpos)) + model.mesh_pos[index])
         found[mesh.name] = MeshFile(uri_of(file), scale, position, back @ turn)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which joints follow another one, so that URDF can say it: ``a = multiplier * b + offset``."""
+"""Find joints that follow another one as URDF's mimics do: ``a = multiplier * b + offset``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from manip_sim.quoting import quoted
 @dataclass(frozen=True)
 class Mimic:
     """
-    What a joint follows.
+    How a joint follows another one.
 
     :ivar leader: id of a joint that follows none
     """
@@ -35,7 +35,7 @@ class _Coupling:
     linear: bool
 
     def seen_from(self, joint: int, mimic: Mimic) -> tuple[int, Mimic]:
-        """Return the joint at the other end, and how it follows what the one here follows."""
+        """Return the other joint, and how it follows the leader that the given joint follows."""
         if joint == self.leader:
             return self.follower, Mimic(mimic.leader, self.multiplier * mimic.multiplier,
                                         self.multiplier * mimic.offset + self.offset)
@@ -46,14 +46,14 @@ class _Coupling:
 def find_mimics(model: mujoco.MjModel, joints: Collection[int], actuated: Iterable[int]
                 ) -> tuple[dict[int, Mimic], list[str]]:
     """
-    Return the linear couplings among some joints, from the equalities that are active.
+    Return the linear couplings among some joints, from the active equality constraints.
 
-    Of all joints that are coupled one leads, and the others follow that one: the joint with the
-    first actuator, or where there is none the one that the equalities let lead.
+    Of coupled joints one leads and all others follow it: the joint with the first actuator or,
+    without actuators, one that follows none in the constraints.
 
     :param joints: ids of scalar joints
-    :param actuated: ids of the joints that have an actuator, in the order of these
-    :returns: by id of the joint, and a sentence for each coupling that URDF cannot say
+    :param actuated: ids of the joints with actuators, in the order of the actuators
+    :returns: by id of the joint, and a sentence for each coupling that URDF cannot express
     """
     couplings = [coupling for equality in range(model.neq)
                  if (coupling := _coupling(model, equality)) is not None
@@ -75,7 +75,7 @@ def find_mimics(model: mujoco.MjModel, joints: Collection[int], actuated: Iterab
 
 def _spread(head: int, couplings: list[_Coupling], found: dict[int, Mimic],
             used: list[_Coupling]) -> None:
-    """Find how all joints follow that are coupled to a leader, over the couplings used."""
+    """Record how joints that are coupled to a leader follow it, and the couplings used."""
     found[head] = Mimic(head, 1.0, 0.0)
     waiting = [head]
     while waiting:
@@ -90,13 +90,13 @@ def _spread(head: int, couplings: list[_Coupling], found: dict[int, Mimic],
 
 
 def _coupling(model: mujoco.MjModel, equality: int) -> _Coupling | None:
-    """Return a coupling of two joints that is active, in positions."""
+    """Return the active coupling of two joints by an equality, in positions, or None."""
     if (int(model.eq_type[equality]) != int(mujoco.mjtEq.mjEQ_JOINT)
             or not model.eq_active0[equality] or int(model.eq_obj2id[equality]) < 0):
         return None
     follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     data = model.eq_data[equality]
-    # MuJoCo's polynomial is of what the joints are away from qpos0.
+    # MuJoCo's polynomial relates the joints' displacements from qpos0.
     zero, leader_zero = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (follower, leader))
     slope = float(data[1])
     return _Coupling(follower, leader, slope, zero + float(data[0]) - slope * leader_zero,

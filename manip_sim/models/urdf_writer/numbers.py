@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rotations as roll, pitch and yaw, and numbers as text, without loss."""
+"""Rotations as roll, pitch and yaw, and numbers as text, without loss of precision."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 
-#: What the product of two rotations leaves of a zero.
+#: Smaller numbers are zeros with the rounding error of a product of two rotations.
 _NOTHING = 1e-16
 
 
@@ -28,8 +28,8 @@ def rpy_of(rotation: FloatArray) -> FloatArray:
     """
     Return roll, pitch and yaw about fixed axes [rad], shape (3,).
 
-    Pitch and roll are those of the matrix with the yaw turned back, so that where the pitch is
-    90 degrees, and roll and yaw are about one axis, the three together are still exact.
+    Pitch and roll are those of the matrix after undoing the yaw, so that the three together are
+    still exact where the pitch is 90 degrees, and roll and yaw are about one axis.
 
     :param rotation: matrix, shape (3, 3)
     """
@@ -42,7 +42,7 @@ def rpy_of(rotation: FloatArray) -> FloatArray:
 
 
 def text_of(values: ArrayLike) -> str:
-    """Return numbers as the shortest text that reads back as the same doubles."""
+    """Return numbers as the shortest text of the same doubles; less than 1e-16 becomes 0."""
     numbers = np.atleast_1d(np.asarray(values, dtype=float))
     return ' '.join(_shortest(float(number)) for number in numbers)
 

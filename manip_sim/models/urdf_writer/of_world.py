@@ -18,10 +18,10 @@ from manip_sim.models.world import World
 
 def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> dict[str, Urdf]:
     """
-    Return the URDF of each robot, by name: what its names begin with, without the underscore.
+    Return the URDF of each robot by its name: its prefix without the underscore at the end.
 
     :param world: with one robot or more
-    :param hardware: by name of the robot, where there shall be a ``<ros2_control>`` tag
+    :param hardware: by name of the robot, for those with a ``<ros2_control>`` tag
     :raises ModelError: if the world does not compile
     """
     spec = world.compose(objects=False)
@@ -37,7 +37,7 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
 
     :param world: with the robot
     :param robot: its name, as for :func:`urdfs_of`; None for the only one
-    :param hardware: for a ``<ros2_control>`` tag
+    :param hardware: of the ``<ros2_control>`` tag; None for none
     :raises ModelError: if there are several robots and none is named, or the world does not
         compile
     :raises UnknownNameError: if there is no such robot
@@ -48,7 +48,7 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
 
 def choose_robot(world: World, name: str | None = None) -> RobotModel:
     """
-    Return the robot of a name, or the only one; raises as :func:`urdf_of`.
+    Return the robot of a name, or the only one; raises as :func:`urdf_of` does.
 
     :param world: with one robot or more
     :param name: of the robot, as for :func:`urdfs_of`; None for the only one
@@ -66,7 +66,7 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
 
 def name_of(robot: RobotModel) -> str:
     """
-    Return what the names of a robot begin with, without the underscore that follows.
+    Return the prefix of a robot without the underscore at the end.
 
     :param robot: with its naming prefix
     """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Shapes of bodies as URDF has them: boxes, cylinders, spheres and meshes."""
+"""Geoms as the shapes of URDF: boxes, cylinders, spheres and meshes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Shape:
     A shape of a link.
 
     :ivar tag: ``box``, ``cylinder``, ``sphere`` or ``mesh``
-    :ivar attributes: of the element
+    :ivar attributes: of the XML element
     :ivar position: in the link [m], shape (3,)
     :ivar rotation: in the link, shape (3, 3)
     """
@@ -44,12 +44,12 @@ def collides(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def is_seen(model: mujoco.MjModel, geom: int) -> bool:
-    """Tell whether MuJoCo shows a geom by default, and it is not transparent."""
+    """Tell whether MuJoCo shows a geom by default and the geom is not fully transparent."""
     return int(model.geom_group[geom]) < _SHOWN_GROUPS and float(rgba_of(model, geom)[3]) > 0.0
 
 
 def rgba_of(model: mujoco.MjModel, geom: int) -> FloatArray:
-    """Return the colour of a geom, shape (4,)."""
+    """Return the colour of a geom or of its material, shape (4,)."""
     material = int(model.geom_matid[geom])
     return np.asarray(model.geom_rgba[geom] if material < 0 else model.mat_rgba[material],
                       dtype=float)
@@ -63,7 +63,7 @@ def geoms_of_body(model: mujoco.MjModel, body: int) -> range:
 
 def shapes_of(model: mujoco.MjModel, geom: int, meshes: Mapping[str, MeshFile]) -> Iterator[Shape]:
     """
-    Return the shapes that make up a geom; none where URDF has nothing like it.
+    Yield the shapes that make up a geom; none if URDF has no such shape, or no file the mesh.
 
     :param meshes: files of meshes by name, and of a sphere of radius 1 by :data:`ELLIPSOID`
     """

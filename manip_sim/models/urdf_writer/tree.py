@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The links and joints of a robot as URDF has them: a tree with one joint between two links.
+The links and joints of a robot as in URDF: a tree with one joint between two links.
 
-A body with several joints becomes a chain of links without mass, and so does one whose joint is
-not at its origin.
+A body with several joints, or with a joint that is not at its origin, becomes a chain of links,
+of which only the last one has mass.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from manip_sim.models.urdf_writer.numbers import matrix_of
 ROOT_LINK = 'world'
 OPTICAL = '_optical_frame'
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-#: From a camera of MuJoCo, which looks along -z with y up, to one that looks along z, y down.
+#: From MuJoCo's camera, which looks along -z with y up, to an optical frame: along z, y down.
 _TO_OPTICAL = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class Link:
     """
-    A link.
+    A link of a URDF.
 
-    :ivar body: id of the body whose mass and shapes it has, or None
+    :ivar body: id of the body whose mass and shapes it has; None if it has none
     """
 
     name: str
@@ -42,13 +42,13 @@ class Link:
 @dataclass(frozen=True)
 class Joint:
     """
-    A joint.
+    A joint of a URDF.
 
     :ivar kind: ``fixed``, ``revolute``, ``continuous``, ``prismatic`` or ``floating``
-    :ivar position: of the child in the parent where the joint is at zero [m], shape (3,)
-    :ivar rotation: of the child there, shape (3, 3)
+    :ivar position: of the child in the parent with the joint at zero [m], shape (3,)
+    :ivar rotation: of the child in the parent with the joint at zero, shape (3, 3)
     :ivar id: of the joint in the model, or None
-    :ivar axis: in the child, of unit length, shape (3,); None where there is none
+    :ivar axis: in the child, of unit length, shape (3,); None if it has none
     """
 
     name: str
@@ -63,10 +63,10 @@ class Joint:
 
 class KinematicTree:
     """
-    Links and joints, each after what it hangs on.
+    Links and joints, each after its parent.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param joint_names: that are taken already
+    :param joint_names: names that are taken already
     :ivar links: the first one is the root
     :ivar joints: one for each other link
     :ivar link_of_body: names by id of the body
@@ -86,10 +86,10 @@ class KinematicTree:
 
     def take_name(self, name: str, otherwise: str) -> str:
         """
-        Reserve a name for a link; ``otherwise`` goes to its end until it is free.
+        Reserve a name for a link, and return it.
 
-        :param name: that is wanted
-        :param otherwise: goes to its end until it is free
+        :param name: the wanted name
+        :param otherwise: appended to it until it is free
         """
         while name in self._link_names:
             name += otherwise
@@ -98,9 +98,9 @@ class KinematicTree:
 
     def add_link(self, link: Link, joint: Joint) -> None:
         """
-        Add a link and the joint that it hangs on.
+        Add a link and the joint to its parent.
 
-        :param link: whose name has been taken
+        :param link: a link whose name was reserved by :meth:`take_name`
         :param joint: between its parent and it
         """
         self.links.append(link)
@@ -111,8 +111,8 @@ class KinematicTree:
         """
         Add a link that does not move in its parent.
 
-        :param link: whose name has been taken
-        :param parent: name of the link that it hangs on
+        :param link: a link whose name was reserved by :meth:`take_name`
+        :param parent: name of its parent
         :param position: in the parent [m], shape (3,)
         :param rotation: in the parent, shape (3, 3)
         """
@@ -124,7 +124,7 @@ class KinematicTree:
 
     def parent_of(self, link: str) -> str | None:
         """
-        Return what a link hangs on; None for the root.
+        Return the name of the parent of a link; None for the root.
 
         :param link: its name
         """
@@ -153,12 +153,12 @@ def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicT
 
     :param model: the compiled ``mujoco.MjModel``
     :param root: id of a child of the world body
-    :param sites: ids of sites below it that become links, as all fixed cameras do
+    :param sites: ids of sites below it that become links; all fixed cameras become links too
     """
     bodies = subtree(model, root)
     tree = KinematicTree(model, {_joint_name(model, j) for b in bodies
                                  for j in joints_of_body(model, b)})
-    # Bodies keep their names, whatever sites and cameras are called.
+    # Bodies take their names first: sites and cameras of equal name get another one.
     for body in bodies:
         tree.link_of_body[body] = tree.take_name(model.body(body).name or f'body_{body}', '_body')
     for body in bodies:
@@ -231,8 +231,8 @@ def _moves(model: mujoco.MjModel, body: int
     """
     Return the joints of a body one after the other.
 
-    :returns: id, kind, what lies between the frame so far and that of the joint at zero as
-        position and rotation, and the position of the next frame in that of the joint
+    :returns: id, kind, position and rotation of the joint's frame at zero in the frame before it,
+        and the position of the next frame in the joint's frame
     """
     for joint in joints_of_body(model, body):
         kind, axis = int(model.jnt_type[joint]), model.jnt_axis[joint]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Make the mesh that stands for ellipsoids: a sphere of radius 1.
+Make the mesh that represents ellipsoids: a sphere of radius 1.
 
 ``python3 -m manip_sim.models.urdf_writer.unit_sphere`` writes it into the assets.
 """
@@ -23,7 +23,7 @@ _LEVELS = 3
 
 
 def unit_sphere(levels: int = _LEVELS) -> FloatArray:
-    """Return an icosahedron, divided and blown up, as triangles, shape (20 * 4**levels, 3, 3)."""
+    """Return a subdivided icosahedron of radius 1 as triangles, shape (20 * 4**levels, 3, 3)."""
     triangles = _icosahedron()
     for _ in range(levels):
         a, b, c = triangles.transpose(1, 0, 2)
@@ -35,7 +35,7 @@ def unit_sphere(levels: int = _LEVELS) -> FloatArray:
 
 
 def _icosahedron() -> FloatArray:
-    """Return the icosahedron: three golden rectangles through one another, shape (20, 3, 3)."""
+    """Return the icosahedron, by three orthogonal golden rectangles, shape (20, 3, 3)."""
     golden = (1.0 + 5.0**0.5) / 2.0
     rectangle = [(0.0, s, t * golden) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
     corners = np.array([np.roll(corner, shift) for shift in range(3) for corner in rectangle])
@@ -46,7 +46,7 @@ def _icosahedron() -> FloatArray:
 
 
 def main() -> None:
-    """Write the file."""
+    """Write the mesh into the assets."""
     file: Path = share_directory() / 'assets' / 'meshes' / 'unit_sphere.stl'
     file.write_bytes(binary_stl(unit_sphere()))
 

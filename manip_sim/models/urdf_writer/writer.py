@@ -24,19 +24,19 @@ from manip_sim.models.urdf_writer.shapes import (
 from manip_sim.models.urdf_writer.tree import Joint, KinematicTree, Link, robot_tree
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-#: URDF wants limits of every prismatic joint [m].
+#: Limit of a prismatic joint without a range, for which URDF requires one [m].
 _FAR_M = 1000.0
 
 
 @dataclass(frozen=True)
 class Urdf:
     """
-    What was written.
+    A URDF, and how it relates to the model.
 
     :ivar xml: the URDF
     :ivar tree: its links and joints
-    :ivar mimics: what joints follow, by id of the joint
-    :ivar notes: what URDF cannot say and was left out, in sentences
+    :ivar mimics: how joints follow others, by id of the joint
+    :ivar notes: what URDF cannot express and was left out, in sentences
     """
 
     xml: str
@@ -53,8 +53,8 @@ def write_urdf(model: mujoco.MjModel, robot: RobotModel,
 
     :param model: the compiled ``mujoco.MjModel`` of a world with the robot
     :param robot: a robot of that world
-    :param meshes: files of meshes by name; others are left out
-    :param hardware: with a ``<ros2_control>`` tag
+    :param meshes: files of meshes by name; other meshes are left out
+    :param hardware: of the ``<ros2_control>`` tag; None for none
     """
     name = robot.name.removesuffix(str(robot.idn))
     return _Writer(model, robot_tree(model, robot), name, meshes or {}).write(hardware)
@@ -62,7 +62,7 @@ def write_urdf(model: mujoco.MjModel, robot: RobotModel,
 
 class _Writer:
     """
-    Writes one robot.
+    Writer of the URDF of one robot.
 
     :param model: the compiled ``mujoco.MjModel``
     :param tree: links and joints
@@ -80,12 +80,12 @@ class _Writer:
                         if joint.id is not None and joint.axis is not None]
         self._mimics, self._notes = find_mimics(model, self._scalar, self._actuators)
         geoms = [g for body in tree.link_of_body for g in geoms_of_body(model, body)]
-        #: A file may have nothing to look at but what collides.
+        #: Without visual geoms, those that collide are shown.
         self._shows_all = not any(is_seen(model, geom) for geom in geoms)
         self._notes += _loops(model, set(tree.link_of_body))
 
     def write(self, hardware: Hardware | None) -> Urdf:
-        """Return all that is written."""
+        """Write the URDF and return it."""
         joint_of = {joint.child: joint for joint in self._tree.joints}
         for link in self._tree.links:
             if link.name in joint_of:
@@ -125,7 +125,7 @@ class _Writer:
         ElementTree.SubElement(element, 'limit',
                                {key: text_of(value) for key, value in limits.items()})
         dof = int(model.jnt_dofadr[number])
-        # Newer versions of MuJoCo have damping that grows with powers of the velocity.
+        # Newer versions of MuJoCo have coefficients for higher powers of the velocity too.
         damping = np.atleast_1d(model.dof_damping[dof])[0]
         ElementTree.SubElement(element, 'dynamics', damping=text_of(damping),
                                friction=text_of(model.dof_frictionloss[dof]))
@@ -170,7 +170,7 @@ class _Writer:
 
 
 def _loops(model: mujoco.MjModel, bodies: set[int]) -> list[str]:
-    """Tell the constraints that close loops: a URDF is a tree."""
+    """Return a note of the constraints that close loops, which a URDF, a tree, cannot have."""
     kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     count = sum(1 for e in range(model.neq) if int(model.eq_type[e]) in kinds
                 and model.eq_active0[e] and _bodies_of(model, e) <= bodies)
