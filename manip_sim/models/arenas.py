@@ -42,7 +42,7 @@ class Arena(MujocoXMLModel):
     :attr:`parameters`, those of its constructor. It is created by its name; one that inherits the
     name cannot be created by it.
 
-    :param fname: path of an MJCF file; by default the one in ``assets/arenas`` with that name
+    :param fname: path of an MJCF file; by default that in ``assets/arenas`` with the arena's name
     """
 
     arena_name: ClassVar[str]

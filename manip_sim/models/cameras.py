@@ -34,7 +34,7 @@ class CameraModel:
     A camera that is fixed to a body.
 
     :ivar name: of the camera and its topics
-    :ivar body: its name in the composed world; ``world`` if it is fixed to no body
+    :ivar body: name of that body in the composed world; ``world`` for none
     :ivar position: in the frame of the body [m], shape (3,)
     :ivar quat_wxyz: of MuJoCo's camera, which looks along -z with y up, shape (4,)
     :ivar fovy_deg: vertical field of view [degrees]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A mount without a body of its own, for robots that stand on the floor."""
+"""An empty mount, for robots that stand on the floor."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
 
 
 def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[str, int]:
-    """Return the tip of the longest chain by side, of equals one named as an end; one is right."""
+    """Return the tip of the longest chain by side, preferring end names; a single one is right."""
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
     found: dict[str | None, list[int]] = {}

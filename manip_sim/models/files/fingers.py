@@ -17,7 +17,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree, words_of
 
-#: Words in the names of sites between the fingertips, the most specific first.
+#: Words in the names of sites between the fingertips, in order of preference.
 _GRASP_WORDS = ('pinch', 'grasp', 'grip', 'tcp')
 #: Duration and physics step of a trial in which a finger moves [s].
 _TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
@@ -33,7 +33,7 @@ _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def _apart(points: FloatArray) -> float:
-    """Return the mean distance between points, of the same unit."""
+    """Return the mean distance between points [m]."""
     if len(points) < 2:
         return 0.0
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
@@ -57,7 +57,7 @@ def _without_warnings() -> Iterator[None]:
 
 def control_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float] | None:
     """
-    Return the control range of an actuator; that of a servo is cut if far beyond the joint's.
+    Return the control range of an actuator; a servo's is cut if it far exceeds its joint's.
 
     :returns: lowest and highest control; None if nothing limits it or the range is empty
     """

@@ -80,7 +80,7 @@ def _rotated(quat: FloatArray, vector: FloatArray) -> FloatArray:
 
 def _lowest(tree: BodyTree, hand: FoundHand, start: Mapping[str, float], quat: FloatArray
             ) -> float:
-    """Return the height of the lowest shape that does not move above the root, at most 0 [m]."""
+    """Return the lowest height of fixed shapes above the root, at most 0 [m]."""
     model = tree.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
