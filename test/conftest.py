@@ -140,7 +140,7 @@ def one_joint_arm(arm_class, mjcf):
 
 @pytest.fixture
 def gripper_class():
-    """Return a gripper as a user of the reference writes it; instances take a file."""
+    """Return a gripper as a user of robosuite writes it; instances take a file."""
     class MyGripper(GripperModel):
         speed = 0.1
 
@@ -273,7 +273,7 @@ def node(domain):
 
 @pytest.fixture(scope='session')
 def reference():
-    """Return what the reference implementation gives for the Panda and its gripper."""
+    """Return what robosuite gives for the Panda and its gripper."""
     return json.loads((Path(__file__).parent / 'data' / 'panda_reference.json').read_text())
 
 

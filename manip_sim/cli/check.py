@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         name, defects = f'{world.name} in arena {world.arena.arena_name}', _defects_of(world)
         prefixes = [part.naming_prefix for robot in world.robots
                     for part in (robot, *robot.models)]
-        note = f'In the files, names do not begin with {", ".join(prefixes)}.'
+        note = f'Names in the files lack the prefixes {", ".join(prefixes)}.'
     if not defects:
         return f'{name}: nothing is wrong with the start', 0
     count = '1 defect' if len(defects) == 1 else f'{len(defects)} defects'

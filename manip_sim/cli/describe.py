@@ -60,7 +60,7 @@ _COLUMNS: dict[str, tuple[tuple[str, ...], Callable[[Row], tuple[str, ...]]]] = 
 }
 _TITLES = {
     'models': 'Models', 'parts': 'Parts',
-    'joints': 'Joints: limits per second of velocity, in N m or N of effort',
+    'joints': 'Joints: velocity limits per second, effort limits in N m or N',
     'actuators': 'Actuators, as the files have them', 'sensors': 'Sensors',
     'frames': 'Frames, at the start in world', 'cameras': 'Cameras',
     'objects': 'Objects', 'topics': 'Topics of the node',

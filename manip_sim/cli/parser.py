@@ -63,7 +63,7 @@ def _conflict(options: argparse.Namespace) -> str | None:
     if options.command == 'check' and options.file is not None and given:
         return 'check either a FILE or a composition, not both'
     if 'params_file' in given and len(given) > 1:
-        return f'--params-file tells all, do not give --{given[0].replace("_", "-")} too'
+        return f'--params-file cannot be combined with --{given[0].replace("_", "-")}'
     if options.command == 'export':
         if (options.file is None) == (options.moveit is None):
             return 'give either a FILE or --moveit DIR'
@@ -103,7 +103,7 @@ def _add_list(commands: Any) -> None:
 def _add_describe(commands: Any) -> None:
     parser = _command(
         commands, 'describe', 'describe', 'describe a composition',
-        'Tells parts,\njoints, limits, actuators, sensors, masses, frames, cameras, and the '
+        'Lists parts,\njoints, limits, actuators, sensors, masses, frames, cameras, and the '
         'topics, services\nand parameters that the node has for it. Tables are as wide as the '
         'terminal.',
         'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
@@ -155,7 +155,7 @@ def _add_render(commands: Any) -> None:
 def _add_check(commands: Any) -> None:
     parser = _command(
         commands, 'check', 'check', 'check the start of a composition, or of an MJCF file',
-        'Tells\nshapes inside others, blocked joints, joints outside their range, without '
+        'Reports\nshapes inside others, blocked joints, joints outside their range, without '
         'actuator, with\ntwo, or with one that is too weak, missing files, and what to write '
         'instead. A file is\nchecked as it is, at its keyframe home, else its first one.',
         'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
@@ -173,10 +173,10 @@ def _add_composition(parser: argparse.ArgumentParser) -> None:
                        'gripper (default: default)')
     group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
                        "robot's own, 'none' is the floor (default: default)")
-    group.add_argument('--arena', metavar='NAME', help='what is around it (default: empty)')
+    group.add_argument('--arena', metavar='NAME', help='around the robot (default: empty)')
     group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=_assignment,
                        help="of the arena, such as table_height=0.9; 'manip_sim list arenas' "
-                       'tells them; may be repeated')
+                       'lists them; may be repeated')
     group.add_argument('--object', action='append', metavar='OBJECT', help='a free body: a YAML '
                        "or MJCF file, or a description such as '{name: can, shape: cylinder, "
                        "size: [0.03, 0.12], mass: 0.3, position: [0.5, 0, 0.06]}'; may be "
@@ -186,14 +186,13 @@ def _add_composition(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--prefix', metavar='TEXT', help='instead of that, the beginning of all '
                        'names, such as left_')
     group.add_argument('--position', nargs=3, type=_number, metavar=('X', 'Y', 'Z'),
-                       help='of the floor below the root [m] (default: where the arena has its '
-                       'place)')
+                       help='of the floor below the root [m] (default: set by the arena)')
     group.add_argument('--orientation', nargs=3, type=_number, metavar=('ROLL', 'PITCH', 'YAW'),
                        help='of the root [rad]')
     group.add_argument('--timestep', type=_number, metavar='SECONDS',
                        help='of the physics (default: 0.002)')
     group.add_argument('--no-gravity-compensation', action='store_true', default=None,
-                       help='let the actuators get no help against the weight')
+                       help='switch gravity compensation off')
     group.add_argument('--params-file', type=Path, metavar='FILE', help='instead of all these: a '
                        "file of the node's parameters, also of several robots and objects")
     group.add_argument('--cameras', action='append', metavar='NAME', help='a camera of the model '

@@ -67,7 +67,7 @@ def _default_classes(spec: mujoco.MjSpec) -> Iterator[str]:
 
 def _taken(kind: str, prefix: str, name: str, part: str) -> ModelError:
     if not prefix:
-        return ModelError(f"{kind} '{name}' of {part} is there already, from a robot: "
+        return ModelError(f"{kind} '{name}' of {part} already exists, from a robot: "
                           'change the idn or prefix of the robot')
-    return ModelError(f"{kind} '{prefix}{name}' is there already, {part} cannot bring another: "
+    return ModelError(f"{kind} '{prefix}{name}' already exists, {part} cannot bring another: "
                       f'change the idn or prefix of {part}, or the name in its file')

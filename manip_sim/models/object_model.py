@@ -95,7 +95,7 @@ class ObjectModel:
             self._root.add_freejoint().name = 'joint'
         elif len(joints) > 1 or int(joints[0].type) != _FREE:
             raise ModelError(f"{self.origin}: the root body of an object must be free, found "
-                             f"joint '{joints[0].name}': leave it away")
+                             f"joint '{joints[0].name}': remove the joint")
         elif not joints[0].name:
             joints[0].name = 'joint'
 
@@ -188,10 +188,10 @@ class ObjectModel:
 
     def _check_own_names_are_free(self, spec: mujoco.MjSpec) -> None:
         if spec.body(self.name) is not None:
-            raise ModelError(f"body '{self.name}' is there already, {self.origin} needs another "
+            raise ModelError(f"body '{self.name}' already exists, {self.origin} needs another "
                              'name')
         if self._is_shape and spec.geom(self.name) is not None:
-            raise ModelError(f"geom '{self.name}' is there already, {self.origin} needs another "
+            raise ModelError(f"geom '{self.name}' already exists, {self.origin} needs another "
                              'name')
 
     def compile(self) -> Any:

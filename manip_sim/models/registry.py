@@ -55,7 +55,7 @@ class Registry(Generic[T]):
         if name is None:
             return
         if _importing and self._is_another(name, cls):
-            _LOGGER.warning('%s defines a %s %r, which is there already and stays',
+            _LOGGER.warning('%s defines a %s %r, which is registered already and kept',
                             _importing[-1], self.kind, name)
             return
         self._classes[name] = cls
@@ -170,7 +170,7 @@ class Registry(Generic[T]):
             raise ModelError(f'{self.kind} {offer} cannot be created by its name: '
                              f'{missing or "it is abstract or private"}')
         if self._classes.get(name, cls) is not cls:
-            raise ModelError(f'{self.kind} {offer} is left out: there is one of that name already')
+            raise ModelError(f'{self.kind} {offer} is ignored: that name is registered already')
         return cls
 
     @staticmethod

@@ -149,7 +149,7 @@ def _of_menagerie_package(model: str, file: str) -> tuple[Path, str]:
         entry = package.get(model)
         return Path(entry.path()), file or entry.entry(entry.default_model).file
     except Exception as error:
-        raise ModelError(f'menagerie:{model} is not to be had: '
+        raise ModelError(f'menagerie:{model} cannot be loaded: '
                          f'{one_line(str(error), 200)}') from error
 
 

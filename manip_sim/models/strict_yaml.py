@@ -77,7 +77,7 @@ def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = St
     try:
         values = yaml.load(content, Loader=loader)  # noqa: S506, a kind of SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ModelError(f'{where} is not YAML that is read here: {_on_one_line(error)}') from None
+        raise ModelError(f'{where} is invalid or unsafe YAML: {_on_one_line(error)}') from None
     if values is None:
         return {}
     if not isinstance(values, dict):

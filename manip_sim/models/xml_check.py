@@ -172,8 +172,8 @@ class _Model:
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         if tag not in ('mujoco', 'robot'):
-            raise ModelError(f'{one_line(str(self._file))} is no model: it begins with '
-                             f'<{tag[:60]}>, MJCF with <mujoco>, and URDF with <robot>')
+            raise ModelError(f'{one_line(str(self._file))} is not a model: its root element is '
+                             f'<{tag[:60]}>, that of MJCF is <mujoco>, that of URDF is <robot>')
         self.root = tag
         self.name = attributes.get('model', '')
 

@@ -29,7 +29,7 @@ def test_each_defect_of_a_composition_comes_with_what_mends_it(here):
     assert '47.4 mm inside' in lines[1]
     assert lines[2].startswith('  mend: start in another pose')
     assert len(lines) == 1 + 2 * 20 + 1
-    assert lines[-1] == ('In the files, names do not begin with robot0_, fixed_mount0_, '
+    assert lines[-1] == ('Names in the files lack the prefixes robot0_, fixed_mount0_, '
                          'gripper0_right_.')
 
 

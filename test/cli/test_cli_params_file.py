@@ -130,7 +130,7 @@ def test_a_file_that_no_node_starts_with_is_one_line(text, what, rejected, param
 
 def test_a_file_and_options_do_not_mix(rejected):
     line = rejected('describe', '--params-file', HAND_OVER, '--arena-param', 'cube=true', code=2)
-    assert '--params-file tells all, do not give --arena-param too' in line
+    assert '--params-file cannot be combined with --arena-param' in line
 
 
 def test_a_number_in_names_is_whole(rejected):

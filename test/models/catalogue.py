@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the catalogue tests share: the shipped names, the reference's figures, robots at rest.
+What the catalogue tests share: the shipped names, robosuite's figures, robots at rest.
 
 The figures of ``test/data`` are those of robosuite 1.5.2 and of datasheets, never our own output.
 """
@@ -38,7 +38,7 @@ def figures(file):
 
 
 def robots_with_figures():
-    """Return the shipped robots that the reference has too."""
+    """Return the shipped robots that robosuite has too."""
     return [name for name in ROBOTS if (DATA / 'robots' / f'{name}.json').is_file()]
 
 

@@ -244,7 +244,7 @@ def test_two_mobile_robots_move_one_by_one_in_one_world():
 def test_two_mobile_robots_of_one_number_are_rejected():
     spec = mujoco.MjSpec()
     equipped().attach_to(spec, spec.worldbody.add_frame())
-    with pytest.raises(ModelError, match="^body 'robot0_base' is there already, PandaOmron0 "):
+    with pytest.raises(ModelError, match="^body 'robot0_base' already exists, PandaOmron0 "):
         equipped().attach_to(spec, spec.worldbody.add_frame())
 
 
@@ -370,7 +370,7 @@ def test_yaw_turns_about_a_point_behind_the_robot(base):
     rest.run(1.5)
     angle = rest.data.joint('mobilebase0_joint_mobile_yaw').qpos[0]
     assert angle == pytest.approx(1.5, abs=0.05)
-    # The robot stands 0.21 m before the axis: joint_mobile_yaw of the reference. Of the 10 N that
+    # The robot stands 0.21 m before the axis: joint_mobile_yaw of robosuite. Of the 10 N that
     # hold it on its circle the drives give way by 1 mm/s.
     moved = 0.21 * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0])
     np.testing.assert_allclose(rest.data.body('robot0_link0').xpos - begin, moved, atol=3e-3)

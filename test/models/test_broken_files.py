@@ -77,8 +77,8 @@ BROKEN = {
     'random bytes': (bytes(range(256)) * 20, r'main\.xml is not well-formed XML: ', {}),
     'unknown encoding': ('<?xml version="1.0" encoding="klingon"?><mujoco/>',
                          r'main\.xml is not well-formed XML: unknown encoding', {}),
-    'world': ('<world><body/></world>', r'main\.xml is no model: it begins with <world>, MJCF '
-                                        'with <mujoco>, and URDF with <robot>$', {}),
+    'world': ('<world><body/></world>', r'main\.xml is not a model: its root element is <world>, '
+                                        'that of MJCF is <mujoco>, that of URDF is <robot>$', {}),
     'unknown element': (mjcf('<bodi/>'),
                         r'main\.xml is not MJCF that MuJoCo can read: .*bodi', {}),
     'equal names': (mjcf(BODY + BODY), "repeated name 'base' in body", {}),

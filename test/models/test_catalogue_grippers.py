@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every gripper of the catalogue has the reference's names, frames, ranges and action rule."""
+"""Every gripper of the catalogue has robosuite's names, frames, ranges and action rule."""
 
 import inspect
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every robot and base of the catalogue has the reference's names, frames and ranges."""
+"""Every robot and base of the catalogue has robosuite's names, frames and ranges."""
 
 import mujoco
 import numpy as np

@@ -51,8 +51,8 @@ def test_a_text_tells_grippers_by_arm(text):
     ('{right: none, left: 3}', "the gripper of arm 'left' must be a name or a file, got 3"),
     ('{right: null}', "the gripper of arm 'right' must be a name or a file, got None"),
     ('{right: a, right: b}', "'right' is there twice"),
-    ('{right: !!python/name:os.system }', 'gripper is not YAML that is read here'),
-    ('{right: PandaGripper', 'gripper is not YAML that is read here'),
+    ('{right: !!python/name:os.system }', 'gripper is invalid or unsafe YAML'),
+    ('{right: PandaGripper', 'gripper is invalid or unsafe YAML'),
     ('{right: PandaGriper}', "unknown gripper 'PandaGriper': did you mean 'PandaGripper'"),
     ('{middle: PandaGripper}', "unknown arm of Baxter0 'middle': .*available: right, left")])
 def test_a_text_of_grippers_by_arm_is_read_strictly(text, what):

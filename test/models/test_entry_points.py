@@ -145,8 +145,8 @@ def test_another_package_cannot_replace_what_is_there(package, warnings_of):
     assert 'Panda' in robots.robot_names()
     assert type(robots.create_robot('Panda')) is Panda
     first, second = warnings_of()
-    assert "defines a robot 'Panda', which is there already and stays" in first
-    assert second.endswith('is left out: there is one of that name already')
+    assert "defines a robot 'Panda', which is registered already and kept" in first
+    assert second.endswith('is ignored: that name is registered already')
 
 
 def test_a_class_that_was_imported_before_is_no_conflict(package, warnings_of):

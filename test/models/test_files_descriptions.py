@@ -165,12 +165,12 @@ def test_an_unknown_key_or_name_is_told_with_file_key_and_nearest(tmp_path, yaml
     ('arms: {right: {mount: {position: [0, 0, 1]}}}', "'arms.right.mount' of .* must say 'at'"),
     ('arms: {left: {mount: link3}}', "the only arm is called 'right', but 'arms' of .* 'left'"),
     ('- a', r"arm.yaml must hold keys and values, got \['a'\]"),
-    ('a: &x [1]\nb: *x', 'is not YAML that is read here: anchors and aliases are not read'),
-    ('base: a\nbase: b', "is not YAML that is read here: 'base' is there twice, again in line 2"),
-    ('!!python/object/apply:os.system ["false"]', 'arm.yaml is not YAML that is read here: '
+    ('a: &x [1]\nb: *x', 'is invalid or unsafe YAML: anchors and aliases are not read'),
+    ('base: a\nbase: b', "is invalid or unsafe YAML: 'base' is there twice, again in line 2"),
+    ('!!python/object/apply:os.system ["false"]', 'arm.yaml is invalid or unsafe YAML: '
                                                   'could not determine a constructor'),
-    ('{', 'arm.yaml is not YAML that is read here'),
-    ('[' * 3000, 'arm.yaml is not YAML that is read here: it is nested too deeply'),
+    ('{', 'arm.yaml is invalid or unsafe YAML'),
+    ('[' * 3000, 'arm.yaml is invalid or unsafe YAML: it is nested too deeply'),
     ('model: other.xml', "'model' of .*arm.yaml: no such file: .*other.xml")])
 def test_yaml_that_cannot_be_used_is_told_in_one_line(tmp_path, yaml, message):
     with pytest.raises(ModelError, match=message) as raised:
@@ -215,7 +215,7 @@ def test_a_path_that_cannot_be_looked_at_is_told_in_one_line(path, message):
 def test_a_yaml_file_that_cannot_be_decoded_is_told(tmp_path):
     file = write(tmp_path / 'arm.xml', ARM)
     (tmp_path / 'arm.yaml').write_bytes(b'base: \xff\xfe')
-    with pytest.raises(ModelError, match='arm.yaml is not YAML that is read here'):
+    with pytest.raises(ModelError, match='arm.yaml is invalid or unsafe YAML'):
         load_robot(file)
 
 

@@ -109,7 +109,7 @@ def test_a_control_range_that_ends_a_little_beyond_the_joint_presses(tmp_path):
 def test_an_actuator_without_any_limit_is_told(tmp_path):
     text = HAND.replace('ctrlrange="0 255" forcerange="-50 50"', '')
     hand = load_gripper(write(tmp_path / 'hand.xml', text))
-    assert "actuator 'pull' has no range, actions are its control" in hand.inferred
+    assert "actuator 'pull' has no limits: actions are its control" in hand.inferred
     np.testing.assert_allclose(hand.compile().actuator('gripper0_pull').ctrlrange, [-1.0, 1.0])
 
 

@@ -145,12 +145,12 @@ def test_two_arms_with_roots_of_their_own_are_one_robot(tmp_path):
 
 def test_several_arms_without_sides_are_an_error_that_says_what_to_write(tmp_path):
     text = TWO_ARMS.replace('left/', 'one/').replace('right/', 'two/')
-    with pytest.raises(ModelError, match="2 chains of joints could be arms.*tell 'arms'"):
+    with pytest.raises(ModelError, match="2 chains of joints could be arms.*declare 'arms'"):
         load_robot(write(tmp_path / 'pair.xml', text))
 
 
 def test_what_has_no_joints_is_no_robot(tmp_path):
-    with pytest.raises(ModelError, match='rock.xml is no robot: it has no hinges and no slides'):
+    with pytest.raises(ModelError, match='rock.xml is not a robot: it has no hinge or slide'):
         load_robot(write(tmp_path / 'rock.xml', '<mujoco><worldbody><body><freejoint/>'
                                                 '<geom size="1"/></body></worldbody></mujoco>'))
 
@@ -230,7 +230,8 @@ def test_a_light_joint_with_a_strong_motor_gets_rotor_inertia(tmp_path):
     robot = load_robot(write(tmp_path / 'arm.xml', text))
     model = robot.compile()
     np.testing.assert_allclose(model.dof_armature[1:], [0.0, 100.0 / 5000.0])
-    assert any('too light for their drives' in said and 'bend' in said for said in robot.inferred)
+    assert any('too light for their actuators' in line and 'bend' in line
+               for line in robot.inferred)
     damped = text.replace('joint="turn" kp="900" kv="60"', 'joint="turn" kp="900" kv="3000"')
     model = load_robot(write(tmp_path / 'damped.xml', damped)).compile()
     np.testing.assert_allclose(model.dof_armature[0], 0.1)
@@ -288,7 +289,7 @@ def test_unnamed_chains_at_the_end_of_an_arm_are_its_hand(tmp_path):
 def test_an_own_hand_without_control_range_gets_one(tmp_path):
     text = ARM_WITH_HAND.replace('ctrlrange="0 255" forcerange="-50 50"', '')
     robot = load_robot(write(tmp_path / 'arm.xml', text))
-    assert "right hand: actuator 'pull' has no range, actions are its control" in robot.inferred
+    assert "right hand: actuator 'pull' has no limits: actions are its control" in robot.inferred
     np.testing.assert_allclose(robot.compile().actuator('robot0_pull').ctrlrange, [-1.0, 1.0])
 
 

@@ -202,7 +202,7 @@ def test_options_of_the_file_are_kept_where_it_stands_alone(mjcf):
 def test_part_of_the_same_prefix_is_rejected_before_anything_is_added(mjcf):
     first, second = MujocoXMLModel(mjcf(PENDULUM)), MujocoXMLModel(mjcf(PENDULUM))
     spec = first.compose()
-    with pytest.raises(ModelError, match=r"^body '0_base' is there already, MujocoXMLModel0 "
+    with pytest.raises(ModelError, match=r"^body '0_base' already exists, MujocoXMLModel0 "
                                          r'cannot bring another: change the idn or prefix of '
                                          r'MujocoXMLModel0, or the name in its file$'):
         second.attach_to(spec, spec.worldbody.add_frame())

@@ -155,7 +155,7 @@ def test_a_name_of_the_robot_that_a_part_would_bring_again_is_rejected(
     robot.set_naming_prefix('left_')
     name = {'site': 'left_base_mark', 'default class': 'left_base_steel'}.get(
         kind, 'left_base_plate')
-    with pytest.raises(ModelError, match=rf"^{kind} '{name}' is there already, Mount0 cannot "
+    with pytest.raises(ModelError, match=rf"^{kind} '{name}' already exists, Mount0 cannot "
                                          r'bring another: change the idn or prefix of Mount0, or '
                                          r'the name in its file$'):
         robot.compile()
@@ -163,9 +163,9 @@ def test_a_name_of_the_robot_that_a_part_would_bring_again_is_rejected(
 
 def test_a_name_of_the_arena_or_the_world_cannot_be_taken(robot_class, mjcf):
     for prefix, rest, arena, message in (
-            ('ta', 'ble', TableArena(), "'table' of TableArena0 is there already, from a robot: "
+            ('ta', 'ble', TableArena(), "'table' of TableArena0 already exists, from a robot: "
                                         'change the idn or prefix of the robot$'),
-            ('wor', 'ld', EmptyArena(), "'world' is there already, Robot0")):
+            ('wor', 'ld', EmptyArena(), "'world' already exists, Robot0")):
         robot = robot_class(mjcf(f'<body name="{rest}"><geom size="0.1"/></body>'))
         robot.set_naming_prefix(prefix)
         with pytest.raises(ModelError, match=f'^body {message}'):

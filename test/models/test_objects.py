@@ -160,7 +160,7 @@ def test_a_free_joint_that_a_file_has_is_kept(mug_file, joint):
 
 @pytest.mark.parametrize(('parts', 'message'), [
     ({'joint': '<joint name="slide" type="slide"/>'},
-     "must be free, found joint 'slide': leave it away"),
+     "must be free, found joint 'slide': remove the joint"),
     ({'beside': '<body name="saucer"><geom size="0.1"/></body>'},
      'an object is one root body, found 2: mug, saucer'),
     ({'beside': '<geom size="0.1"/>'},
@@ -304,11 +304,11 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('objects: [brick]', "object 1 must be keys and values, got 'brick'"),
     ('objekts: []', "unknown key 'objekts': the only one here is 'objects'"),
     ('[1, 2]', 'must hold keys and values'),
-    ('objects: [', 'is not YAML that is read here'),
+    ('objects: [', 'is invalid or unsafe YAML'),
     ('objects: !!python/object/apply:os.system [ls]', 'could not determine a constructor'),
     ('objects: []\nobjects: []', "'objects' is there twice, again in line 2"),
     ('a: &a [1]\nobjects: *a', "anchors and aliases are not read, found 'a' in line 1"),
-    ('objects: ' + 3000 * '[', 'is not YAML that is read here'),
+    ('objects: ' + 3000 * '[', 'is invalid or unsafe YAML'),
     ('objects: ' + 3000 * '[' + 3000 * ']', 'it is nested too deeply'),
     ('1: 2', 'a key must be a text, got 1 in line 1'),
     ('objects: []' + 1_000_000 * ' ', r'parameters\.yaml is larger than 1000000 bytes')])
@@ -366,8 +366,8 @@ def test_an_object_falls_by_its_own_weight(panda):
 
 
 @pytest.mark.parametrize(('name', 'taken'), [
-    ('cube', "two objects have the name 'cube'"), ('table', "body 'table' is there already"),
-    ('floor', "geom 'floor' is there already")])
+    ('cube', "two objects have the name 'cube'"), ('table', "body 'table' already exists"),
+    ('floor', "geom 'floor' already exists")])
 def test_a_name_that_the_world_has_already_is_rejected(panda, name, taken):
     with pytest.raises(ModelError, match=taken):
         World([panda], TableArena(cube=True), objects=[{**BOX, 'name': name}]).compile()
@@ -376,7 +376,7 @@ def test_a_name_that_the_world_has_already_is_rejected(panda, name, taken):
 def test_elements_whose_names_meet_are_rejected(mug_file):
     lid = {**BOX, 'name': 'mug_lid'}
     for objects in ([mug_file(), lid], [lid, mug_file()]):
-        with pytest.raises(ModelError, match="^body 'mug_lid' is there already, .* (needs another "
+        with pytest.raises(ModelError, match="^body 'mug_lid' already exists, .* (needs another "
                                              'name|cannot bring another)'):
             World([], objects=objects).compile()
 

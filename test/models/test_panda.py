@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the Panda against the reference, the kinematic facts and Franka's data sheet."""
+"""Tests of the Panda against robosuite, the kinematic facts and Franka's data sheet."""
 
 import mujoco
 import numpy as np

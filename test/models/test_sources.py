@@ -158,7 +158,7 @@ def get(name):
     assert create_robot('menagerie:acme').name == 'arm0'
     with pytest.raises(UnknownNameError, match="unknown model of mujoco_menagerie 'acm': did you"):
         create_robot('menagerie:acm')
-    with pytest.raises(ModelError, match=r'menagerie:far is not to be had: no\\nnetwork'):
+    with pytest.raises(ModelError, match=r'menagerie:far cannot be loaded: no\\nnetwork'):
         create_robot('menagerie:far')
 
 

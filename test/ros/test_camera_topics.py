@@ -203,7 +203,7 @@ def test_diagnostics_tell_rate_and_cost(serve_seen, client):
     ({'cameras': ['eye_in_hand']}, "unknown camera 'eye_in_hand': did you mean "
      "'robot0_eye_in_hand'"),
     ({'cameras': ['birdview', 'birdview']}, "the camera 'birdview' is chosen twice"),
-    ({'cameras': ['{name: front']}, "one of 'cameras' is not YAML that is read here"),
+    ({'cameras': ['{name: front']}, "one of 'cameras' is invalid or unsafe YAML"),
     ({'cameras': ['{name: front, fovi: 45}']}, "unknown key 'fovi': did you mean 'fovy'"),
     ({'cameras': ['{name: front, body: hand}']}, "unknown body of the camera 'front' 'hand'"),
     ({'cameras': ['{name: birdview}']}, 'there is a camera of this name already'),

@@ -33,7 +33,7 @@ def test_nothing_touches_the_tool_at_the_start(simulation, run):
 
 
 def full_stroke_s(gripper):
-    """Return how long a stroke takes at the reference's 20 Hz, at the least 3 s."""
+    """Return how long a stroke takes at robosuite's 20 Hz, at the least 3 s."""
     return max(3.0, 2.0 / (20.0 * gripper.speed) + 0.1 if gripper.speed else 0.0)
 
 

@@ -85,7 +85,7 @@ def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int,
         if not model.dof_armature[dof] and rotor > times * model.dof_M0[dof]:
             spec.joint(model.joint(joint).name).armature = rotor
             light.append(str(model.joint(joint).name))
-    return [f'rotor inertia for joints without that are too light for their drives: '
+    return [f'rotor inertia added to joints that have none and are too light for their actuators: '
             f'{", ".join(light)}'] if light else []
 
 

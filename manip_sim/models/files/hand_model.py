@@ -155,7 +155,7 @@ def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: l
         limits = control_range(model, actuator)
         if limits is None:
             limits = (-1.0, 1.0)
-            told.append(f"actuator '{element.name}' has no range, actions are its control")
+            told.append(f"actuator '{element.name}' has no limits: actions are its control")
         element.ctrlrange, element.ctrllimited = limits, int(mujoco.mjtLimited.mjLIMITED_TRUE)
         element.inheritrange = 0.0
     return told

@@ -50,7 +50,7 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     if _rotated(quat, reach)[2] < length * np.sqrt(0.5):
         quat, position = _quarter_turn(reach), np.zeros(3)
         told.append('mount: turned so that the fingers point along z')
-    behind = -_lowest(tree, hand, start, quat) - position[2]
+    behind = -_lowest(tree, hand, quat) - position[2]
     if behind > _BEHIND_MOUNT_M:
         position[2] += behind
         told.append(f'mount: {behind:.3f} m along z, so that the palm is in front of it')
@@ -78,8 +78,7 @@ def _rotated(quat: FloatArray, vector: FloatArray) -> FloatArray:
     return turned
 
 
-def _lowest(tree: BodyTree, hand: FoundHand, start: Mapping[str, float], quat: FloatArray
-            ) -> float:
+def _lowest(tree: BodyTree, hand: FoundHand, quat: FloatArray) -> float:
     """Return the lowest height of fixed shapes above the root, at most 0 [m]."""
     model = tree.model
     data = mujoco.MjData(model)

@@ -71,7 +71,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     spec, tree, told = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
-        raise ModelError(f'{file} is no robot: it has no hinges and no slides')
+        raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
     told += exclude_neighbours(spec, tree.model, start)
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)

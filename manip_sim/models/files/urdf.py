@@ -71,7 +71,7 @@ def _parse(file: Path) -> ElementTree.Element:
     try:
         text = file.read_text(encoding='utf-8')
         if '<!ENTITY' in text:
-            raise ModelError(f'{file} declares entities, which a URDF may not')
+            raise ModelError(f'{file} declares entities, which is not allowed in a URDF')
         robot = ElementTree.fromstring(text)
     except OSError as error:
         raise ModelError(f'cannot read {file}: {error.strerror}') from error

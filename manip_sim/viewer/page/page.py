@@ -161,7 +161,7 @@ class Page:
     def show_trouble(self, text: str) -> None:
         """Notify all browsers of something that could not be done."""
         for client in self._server.get_clients().values():
-            client.add_notification('Not done', text, color='orange', auto_close_seconds=8.0)
+            client.add_notification('Command failed', text, color='orange', auto_close_seconds=8.0)
 
     def show_diagnostics(self, statuses: Sequence[Status]) -> None:
         """Show the diagnostics, and take the control modes of the sliders from them."""

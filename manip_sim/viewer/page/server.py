@@ -31,7 +31,7 @@ def open_server(host: str, port: int) -> Any:
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         close_server(server)
-        raise ManipSimError(f'cannot listen on {host}:{port}: it was taken in this moment')
+        raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
     server.scene.configure_environment_map('warehouse', environment_intensity=0.7)
     return server
 

@@ -65,7 +65,7 @@ class CommandSender:
 
     def _publish(self, topic: str, message: Any) -> None:
         if topic not in self._publishers:
-            self._tell(f'{topic}: the node does not take this any more')
+            self._tell(f'{topic}: the node no longer subscribes to this topic')
         elif self._publishers[topic].get_subscription_count():
             self._waiting.pop(topic, None)
             self._publishers[topic].publish(message)
@@ -90,7 +90,7 @@ class CommandSender:
         """Publish an action."""
         size = self._action_sizes.get(f'{space}{part}')
         if size is None:
-            self._tell(f'{part}: the node has not told yet how many numbers an action has')
+            self._tell(f'{part}: the length of an action is not known yet')
             return
         self._publish(f'{space}{part}/command', Float64MultiArray(data=[action] * size))
 
