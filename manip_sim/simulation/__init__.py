@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulation says what happens: no clock, no thread, no ROS; time is a count of steps."""
+"""The simulation of a world: no clock, no threads, no ROS; time is a count of physics steps."""
 
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation

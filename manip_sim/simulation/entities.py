@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the things of a world are and how they move; put the free ones somewhere else."""
+"""Read where the entities of a world are and how they move, and place the free bodies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BODY = int(mujoco.mjtObj.mjOBJ_XBODY)
 @dataclass(frozen=True)
 class EntityState:
     """
-    A thing of the world at one instant; plain copies.
+    The state of an entity at one instant; plain copies.
 
     :ivar pose: of its body's frame
     :ivar twist: of its body's frame
@@ -38,10 +38,10 @@ class EntityState:
 
 class Entities:
     """
-    Robots, each of which stands for all that is mounted on it, and the free bodies of the arena.
+    The robots, each with all that is mounted on it, and the free bodies of a world.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param robots: the body that says where a robot is, such as its mobile base, by the name of
+    :param robots: the body whose pose is the robot's, such as its mobile base, by the name of
         the robot's root body
     """
 
@@ -59,12 +59,12 @@ class Entities:
 
     @property
     def names(self) -> list[str]:
-        """All of them, the robots first."""
+        """Names of all entities, the robots first."""
         return list(self._bodies)
 
     def is_free(self, name: str) -> bool:
         """
-        Tell whether :meth:`place` works for it.
+        Tell whether an entity is a free body, which :meth:`place` can move.
 
         :raises UnknownNameError: if there is no such entity
         """
@@ -78,12 +78,12 @@ class Entities:
 
     @property
     def free_names(self) -> list[str]:
-        """The free bodies."""
+        """Names of the free bodies."""
         return list(self._joints)
 
     def pose(self, data: mujoco.MjData, name: str) -> FloatArray:
         """
-        Return where an entity's body is at the instant of the last ``mj_forward``.
+        Return the pose of an entity's body at the instant of the last ``mj_forward``.
 
         :param data: the ``mujoco.MjData``
         :returns: position [m] and quaternion x, y, z, w in ``world``, shape (7,)
@@ -94,7 +94,7 @@ class Entities:
 
     def twist(self, data: mujoco.MjData, name: str) -> FloatArray:
         """
-        Return how an entity's body moves at the instant of the last ``mj_forward``.
+        Return the twist of an entity's body at the instant of the last ``mj_forward``.
 
         :param data: the ``mujoco.MjData``
         :returns: linear [m/s] and angular velocity [rad/s] in the axes of ``world``, shape (6,)
@@ -106,7 +106,7 @@ class Entities:
 
     def read(self, data: mujoco.MjData, name: str) -> EntityState:
         """
-        Return an entity at the instant of the last ``mj_forward``.
+        Return the state of an entity at the instant of the last ``mj_forward``.
 
         :param data: the ``mujoco.MjData``
         :raises UnknownNameError: if there is no such entity
@@ -115,10 +115,10 @@ class Entities:
         pose, twist = self.pose(data, name), self.twist(data, name)
         acceleration = np.zeros(6)
         if self._model.body_weldid[body]:  # What is fixed to the world has none.
-            # MuJoCo does this by itself only where a sensor needs it.
+            # MuJoCo computes this by itself only if a sensor needs it.
             mujoco.mj_rnePostConstraint(self._model, data)
             mujoco.mj_objectAcceleration(self._model, data, _BODY, body, acceleration, 0)
-            # MuJoCo lets the world fall upwards in place of gravity.
+            # In MuJoCo the world accelerates upwards in place of gravity.
             acceleration[3:] += self._model.opt.gravity
         return EntityState(Pose(pose[:3], pose[3:]), Twist(twist[:3], twist[3:]),
                            acceleration[3:], acceleration[:3])
@@ -126,10 +126,10 @@ class Entities:
     def place(self, data: mujoco.MjData, name: str, pose: Pose | None, twist: Twist | None
               ) -> None:
         """
-        Put a free body somewhere else, and give it another velocity.
+        Set the pose and the twist of a free body.
 
         :param data: the ``mujoco.MjData``; all of it belongs to the new state afterwards
-        :param pose: None leaves it where it is
+        :param pose: of the body; None leaves it where it is
         :param twist: None leaves its velocity in world axes as it is
         :raises CommandError: if the entity is not free
         :raises UnknownNameError: if there is no such entity

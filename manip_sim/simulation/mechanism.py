@@ -23,7 +23,7 @@ def actuated_joints(model: mujoco.MjModel, actuator: int) -> list[int]:
     Return the joints that an actuator acts on, through any transmission.
 
     :param model: a compiled ``mujoco.MjModel``
-    :param actuator: number of the actuator
+    :param actuator: id of the actuator
     """
     kind = int(model.actuator_trntype[actuator])
     target, reference = model.actuator_trnid[actuator].tolist()
@@ -67,12 +67,12 @@ def moved_joints(model: mujoco.MjModel) -> set[int]:
     Return the joints that something moves or holds.
 
     That is an actuator, a spring, a constraint that fixes the joint, or a coupling (an equality of
-    joints or tendons, or a loop that a connect or weld constraint closes) to a joint which is.
+    joints or tendons, or a loop that a connect or weld constraint closes) to such a joint.
 
     :param model: a compiled ``mujoco.MjModel``
     """
     moved = {joint for actuator in range(model.nu) for joint in actuated_joints(model, actuator)}
-    # A stiffness is one number or several, as the version of MuJoCo has it.
+    # A stiffness is one number or several, depending on the version of MuJoCo.
     moved.update(j for j in range(model.njnt) if np.any(model.jnt_stiffness[j]))
     for tendon in range(model.ntendon):
         if np.any(model.tendon_stiffness[tendon]):
@@ -103,7 +103,7 @@ def _coupled(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
 
 
 def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
-    """Yield the joints that a constraint ties to nothing else, or to the world."""
+    """Yield the joints that a constraint holds by themselves, or by a weld to the world."""
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
         if other < 0:
             yield (one,)
@@ -120,7 +120,7 @@ def _tied_bodies(model: mujoco.MjModel, equality: int, one: int, other: int) -> 
 
 
 def joints_between(model: mujoco.MjModel, one: int, other: int) -> list[int]:
-    """Return the joints that move one body against another."""
+    """Return the joints that move one body relative to another."""
     apart = _ancestry(model, one) ^ _ancestry(model, other)
     return [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in apart]
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The parts of a robot that are seen and commanded, with their addresses in the model."""
+"""The parts of a robot, with their addresses in the model."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 @dataclass(frozen=True)
 class Part:
     """
-    A subsystem, an arm of it or a gripper: names in the model's order, addresses resolved once.
+    A subsystem, one of its arms or a gripper: names in the model's order, and addresses.
 
     :ivar name: ``arm``, ``base``, ``torso``, ``head``, ``legs``, ``right``, ``left`` or
         ``<arm>/gripper``
-    :ivar atomic: names of the parts that it consists of, which do not overlap; itself for most
+    :ivar atomic: names of the parts that it consists of, which do not overlap; mostly its own
     :ivar joints: scalar joints
     :ivar actuators: all actuators
     :ivar qpos_addresses: of the joints in ``qpos``, shape (n_joints,)
     :ivar dof_addresses: of the joints in ``qvel``, shape (n_joints,)
     :ivar actuator_ids: of the actuators in ``ctrl``, shape (n_actuators,)
     :ivar driven_joints: the joint that each actuator drives, or None
-    :ivar gripper: the gripper's model, where the part is one
+    :ivar gripper: the gripper's model if the part is a gripper, or None
     """
 
     name: str
@@ -87,7 +87,7 @@ def _arms(model: mujoco.MjModel, robot: ManipulatorModel, joints: list[str], act
 
 
 def _arm_of(model: mujoco.MjModel, robot: ManipulatorModel, joint: str) -> str:
-    """Return which arm a joint moves; the first one also has what moves both or none."""
+    """Return the arm that a joint moves; what moves both or none belongs to the first one."""
     mover = int(model.joint(joint).bodyid[0])
     moved = []
     for arm, eef in robot.eef_name.items():

@@ -27,24 +27,24 @@ from manip_sim.simulation.wrench import EndEffectorReader
 
 class SimulatedRobot:
     """
-    What is commanded and seen of one robot.
+    A robot in a simulation, with its commands and its states.
 
     Commands are validated by :attr:`parse`, which only reads, and take effect with :meth:`apply`.
-    Made and driven by a ``Simulation``, which owns the physics.
+    It is made and advanced by a ``Simulation``, which owns the physics.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
-    :param robot: is in the model
-    :param now_ns: tells the simulation time [ns]
+    :param robot: a robot of the model
+    :param now_ns: returns the simulation time [ns]
     :ivar robot_model: the robot, with its base and its grippers
     :ivar parts: by name
-    :ivar joints: controls the joints
-    :ivar grippers: by part
-    :ivar end_effectors: by arm, of the arms with a gripper
-    :ivar parse: makes commands
-    :ivar parse_cartesian: makes Cartesian commands
+    :ivar joints: controller of the joints
+    :ivar grippers: controllers of the grippers, by part
+    :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
+    :ivar parse: parser of commands
+    :ivar parse_cartesian: parser of Cartesian commands
     :ivar joint_names: all scalar joints, in the order of the states
-    :ivar indices_of: where the joints of each part are among these, by part
+    :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel,
@@ -97,13 +97,13 @@ class SimulatedRobot:
         place = {name: index for index, name in enumerate(self.joint_names)}
         self.indices_of = {name: np.array([place[j] for j in part.joints], dtype=np.int64)
                            for name, part in self.parts.items()}
-        #: Of the joints of each part, and of all joints, in ``qpos`` and ``qvel``.
+        #: Addresses in ``qpos`` and ``qvel`` of the joints of each part, and of all joints.
         self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
 
     def rebind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """
-        Go on with a model in which the robot is what and where it was.
+        Continue with another model in which the robot is unchanged, at the same addresses.
 
         :param model: the ``mujoco.MjModel``
         :param data: its ``mujoco.MjData``, in the present state
@@ -117,12 +117,12 @@ class SimulatedRobot:
 
     @property
     def name(self) -> str:
-        """What its names begin with, without the underscore that follows."""
+        """The prefix of its names, without the trailing underscore."""
         return self.robot_model.naming_prefix.rstrip('_')
 
     @property
     def frame_body(self) -> str:
-        """The body that says where the robot is, such as its mobile base."""
+        """The body whose pose is the robot's, such as its mobile base."""
         base = self.robot_model.base
         return base.root_body if base is not None and base.joints else self.robot_model.root_body
 
@@ -134,22 +134,22 @@ class SimulatedRobot:
 
     @property
     def moving(self) -> bool:
-        """Whether setpoints change, or may, in the next interval."""
+        """Whether setpoints change, or may change, in the next interval."""
         return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())
 
     @property
     def resting(self) -> bool:
-        """Whether nothing is to be done for it in the physics loop until the next command."""
+        """Whether the physics loop has nothing to do for it until the next command."""
         return self.joints.resting and not any(g.moving for g in self.grippers.values())
 
-    # ------------------------------------------------------------------ what is commanded
+    # ------------------------------------------------------------------ commands
 
     def apply(self, *commands: Command, period_s: float | None = None) -> None:
         """
         Let validated commands take effect with the next control period.
 
-        :param commands: made by :attr:`parse`
-        :param period_s: length of a control period [s]; None is that of the last one
+        :param commands: made by :attr:`parse` or :attr:`parse_cartesian`
+        :param period_s: length of a control period [s]; None for that of the last one
         """
         if period_s is not None:
             self._period_s = period_s
@@ -163,9 +163,9 @@ class SimulatedRobot:
 
     def withdraw(self, command: Command, reason: str) -> None:
         """
-        Abort a command; what no newer command has taken comes to rest.
+        Abort a command; joints or fingers that no newer command has taken come to rest.
 
-        :param command: that has been applied
+        :param command: one that has been applied
         :param reason: why, for the command's handle
         """
         if isinstance(command, GripperCommand):
@@ -176,16 +176,16 @@ class SimulatedRobot:
 
     def limits(self, part: str) -> FloatArray:
         """
-        Return the range of each driven joint's goal in its present mode, shape (n, 2), a copy.
+        Return the range that actions span for each driven joint in its mode, (n, 2), a copy.
 
         :param part: such as ``arm``
-        :raises UnknownNameError: if there are no such joints
+        :raises UnknownNameError: if there is no such part, or it is a gripper
         """
         return self.joints.ranges(self.joints.indices_of(part))
 
     def set_control_mode(self, part: str, mode: str) -> None:
         """
-        Change how a part is controlled; it comes to rest.
+        Change the control mode of a part; joints whose mode changes come to rest.
 
         :param part: such as ``arm``
         :param mode: ``position``, ``velocity`` or ``effort``
@@ -196,7 +196,7 @@ class SimulatedRobot:
         self.joints.set_mode(part, mode, self._data)
 
     def command_interfaces(self) -> dict[str, str]:
-        """Return by driven joint what its commands are: ``position``, ``velocity``, ``effort``."""
+        """Return what the commands of each joint are: ``position``, ``velocity``, ``effort``."""
         fingers = [joint for gripper in self.grippers.values()
                    for joint in gripper.commanded_joints]
         return {**{name: self.joints.mode_of(name) for name in self.joints.names},
@@ -204,10 +204,10 @@ class SimulatedRobot:
 
     def set_command_timeout(self, part: str, timeout_s: float) -> None:
         """
-        Change after how long without a fresh command a part rests.
+        Change how long the last command of a part lasts if no fresh one comes.
 
         :param part: such as ``arm``
-        :param timeout_s: simulation time [s]; 0 is never
+        :param timeout_s: simulation time [s]; 0 for ever
         :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part
         """
@@ -223,7 +223,7 @@ class SimulatedRobot:
         for reader in self.end_effectors.values():
             reader.tare(self._data)
 
-    # ------------------------------------------------------------------ what is seen
+    # ------------------------------------------------------------------ states
 
     def state(self) -> State:
         """Return a snapshot of the present instant."""
@@ -235,10 +235,10 @@ class SimulatedRobot:
 
     def measured(self, part: str | None = None) -> FloatArray:
         """
-        Return positions, velocities and efforts of the joints of a part, one after the other.
+        Return the positions, then the velocities, then the efforts of the joints of a part.
 
-        :param part: its name; None is all joints
-        :returns: in the order of their names, shape (3 n,), a copy
+        :param part: its name; None for all joints
+        :returns: each in the order of the joints' names, in SI units, shape (3 n,), a copy
         """
         qpos, dofs = self._addresses[part]
         data = self._data
@@ -246,10 +246,10 @@ class SimulatedRobot:
 
     def controller_state(self, part: str) -> ControllerState:
         """
-        Return what the controllers of a part's driven joints want and get, copies.
+        Return the reference and the measured state of a part's driven joints, copies.
 
         :param part: such as ``arm``
-        :raises UnknownNameError: if there are no such joints
+        :raises UnknownNameError: if there is no such part, or it is a gripper
         """
         return self.joints.controller_state(part, self._data)
 
@@ -257,7 +257,7 @@ class SimulatedRobot:
 
     def begin_period(self, period_s: float) -> None:
         """
-        See which commands are done or too old.
+        End the commands that are done or have timed out.
 
         :param period_s: length of the control period [s]
         """
@@ -268,7 +268,7 @@ class SimulatedRobot:
         """
         Write the controls of the next interval.
 
-        :param duration_s: [s]
+        :param duration_s: length of the interval [s]
         """
         self.joints.tick(self._data, self._now_ns() * 1e-9, duration_s)
         for gripper in self.grippers.values():
@@ -276,7 +276,7 @@ class SimulatedRobot:
                 gripper.tick(self._data, duration_s)
 
     def reset(self) -> None:
-        """Drop all commands, hold the joints where they are, forget the tare; modes stay."""
+        """Abort all commands, hold the joints where they are, forget the tare; modes stay."""
         self.joints.reset(self._data)
         for gripper in self.grippers.values():
             gripper.reset(self._data)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Own the physics of one world: advance, notice divergence, go back to the start."""
+"""The physics of one world: advance it, detect divergence, reset it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from manip_sim.simulation.spawning import (
     carry_over, LiveWorld, Plan, plan_world, start_live)
 from manip_sim.simulation.start_check import check_start
 
-#: How long the coupled joints of grippers may take to find their start [s].
+#: How long the coupled joints of grippers are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5
-#: Setpoints that move are linear for at most so long [s].
+#: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
-#: After mj_forward these make of mj_step2 what they make of mj_step, to the last bit.
+#: Integrators with which mj_step2 after mj_forward gives the same bits as mj_step.
 _RESUMABLE = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
-#: What the first half of a step, which mj_step2 leaves out, depends on.
+#: The state that mj_step1 depends on, the half of a step that mj_step2 leaves out.
 _FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_QVEL)
                | int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
                | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
@@ -36,20 +36,20 @@ class Simulation:
     """
     The physics of a world, the robots and the objects in it.
 
-    Time is a count of steps. Nothing here waits or looks at a clock; one thread at a time may use
-    it. Whoever changes :attr:`model` calls ``mj_forward`` after it; changed positions and
-    velocities in :attr:`data` are noticed.
+    Time is a count of steps; nothing here waits or reads a clock. Only one thread at a time may
+    use it. Call ``mj_forward`` after changing :attr:`model`; changed positions and velocities in
+    :attr:`data` are detected.
 
     :param world: an arena with robots
-    :param visual: keep the shapes that cannot collide, to look at; they slow down each step
+    :param visual: keep the geoms that cannot collide, for rendering; they slow down each step
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
-    :ivar robots: what is commanded and seen of each robot, by name
-    :ivar entities: where robots and free bodies are
+    :ivar robots: the robots, with their commands and states, by name
+    :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar plan: what the world was compiled from
     :ivar step_count: physics steps since construction; a reset does not change it
-    :ivar start_defects: what starts inside something, blocked or outside its range
-    :ivar diverged: why the physics is held, or None
+    :ivar start_defects: what is wrong with the start, a sentence for each defect
+    :ivar diverged: why the physics is on hold, or None
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
@@ -84,7 +84,7 @@ class Simulation:
     def _look_at_model(self) -> None:
         self._divergence = DivergenceWatch(self.model, self.data)
         self._first_half = np.empty(mujoco.mj_stateSize(self.model, _FIRST_HALF))
-        #: What :meth:`advance` last computed the rest of the data for.
+        #: The state that the first half of a step was last computed for.
         self._computed_for = b''
         self._options = self.model.opt
         self.entities = Entities(self.model, {
@@ -92,7 +92,7 @@ class Simulation:
 
     def change_objects(self, plan: Plan) -> None:
         """
-        Go on with other objects; everything else stays as it is, commands included.
+        Change the objects; everything else stays as it is, commands included.
 
         :param plan: made from :attr:`plan`, by ``plan_with`` or ``plan_without``
         """
@@ -124,16 +124,16 @@ class Simulation:
 
     def _settle_linkages(self) -> None:
         """
-        Let the start of grippers with coupled joints obey the couplings.
+        Make the start of grippers with coupled joints satisfy the couplings.
 
-        A declared start need not, and would be torn right with great force in the first steps.
+        A declared start may violate them; great forces would correct it in the first steps.
         """
         self.reset()
         if not self.model.neq + self.model.ntendon:
             return
         gravity, flags = self.model.opt.gravity.copy(), self.model.opt.disableflags
         self.model.opt.gravity[:] = 0.0
-        # Only the couplings count here, not what a hand is inside of.
+        # Only the couplings matter here, not what a gripper overlaps.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
         self.model.opt.gravity[:], self.model.opt.disableflags = gravity, flags
@@ -188,11 +188,11 @@ class Simulation:
         The result is that of as many calls of :meth:`advance`, to the last bit.
 
         :param steps: number of physics steps of a period
-        :param periods: how many of them
+        :param periods: number of control periods
         """
         begin = self.step_count
         if self._run(steps * periods) is not None:
-            # One by one they tell in which of them it was.
+            # Run one by one, the periods show in which of them the physics diverged.
             self._divergence.undo()
             self.step_count = begin
             for _ in range(periods):
@@ -214,13 +214,13 @@ class Simulation:
             awake = [robot for robot in self.robots.values() if not robot.resting]
             chunk = left
             if any(robot.moving for robot in awake):
-                # As even as they can be.
+                # Divide what is left as evenly as whole steps allow.
                 chunk = -(-left // -(-left // self._interval_steps))
             for robot in awake:
                 robot.tick(chunk * self._timestep_s)
             self._free_roots.bear(self.data)
             if resumes:
-                # What depends on positions and velocities alone is there already.
+                # What depends on positions and velocities alone has been computed already.
                 mujoco.mj_step2(self.model, self.data)
             if chunk > resumes:
                 mujoco.mj_step(self.model, self.data, chunk - resumes)
@@ -240,7 +240,7 @@ class Simulation:
 
     def reset(self) -> None:
         """
-        Put everything back to the start and drop all commands; time goes on.
+        Reset everything to the start and abort all commands; time goes on.
 
         Joints, grippers and their action state, free objects and tare are as after construction;
         control modes stay.

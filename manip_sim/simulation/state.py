@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a simulation looks like at one instant; plain copies, safe to keep."""
+"""The state of a robot at one instant, as plain copies that are safe to keep."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class EndEffector:
     :ivar pose: of ``grip_site``
     :ivar twist: of ``grip_site``
     :ivar wrench: what ``force_ee`` and ``torque_ee`` measure, in ``ft_frame``
-    :ivar external_wrench: what the world does to the tool, tared, in ``ft_frame``
+    :ivar external_wrench: what the world exerts on the tool, tared, in ``ft_frame``
     """
 
     pose: Pose
@@ -44,13 +44,13 @@ class EndEffector:
 @dataclass(frozen=True)
 class JointReference:
     """
-    Where some joints shall be at one instant.
+    Setpoints and commanded efforts of some joints at one instant.
 
     :ivar position: [rad or m], shape (n,)
     :ivar velocity: [rad/s or m/s], shape (n,)
     :ivar acceleration: [rad/s^2 or m/s^2], shape (n,)
-    :ivar effort: that is commanded, of the joints that give one [N m or N], shape (n,)
-    :ivar gives_effort: whether a joint gives its effort and has no setpoint, shape (n,)
+    :ivar effort: commanded, zero for joints that follow setpoints [N m or N], shape (n,)
+    :ivar gives_effort: whether a joint has a commanded effort and no setpoint, shape (n,)
     """
 
     position: FloatArray
@@ -63,10 +63,10 @@ class JointReference:
 @dataclass(frozen=True)
 class ControllerState:
     """
-    What the controllers of some joints want and what they get.
+    Reference and measured state of some joints.
 
-    :ivar names: of the driven joints, n
-    :ivar reference: where they shall be
+    :ivar names: of the driven joints, n of them
+    :ivar reference: their setpoints and commanded efforts
     :ivar position: measured [rad or m], shape (n,)
     :ivar velocity: measured [rad/s or m/s], shape (n,)
     :ivar effort: of the actuators at the joint [N m or N], shape (n,)
@@ -85,7 +85,7 @@ class State:
     A snapshot of one instant.
 
     :ivar time_ns: simulation time [ns], a whole number of steps
-    :ivar position: of all scalar joints, in the order of the simulation's ``joint_names``
+    :ivar position: of all scalar joints, in the order of the robot's ``joint_names``
         [rad or m], shape (n,)
     :ivar velocity: [rad/s or m/s], shape (n,)
     :ivar effort: force of the actuators at the joint, gravity compensation included
