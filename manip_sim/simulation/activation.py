@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Setpoints that move linearly between two writes, by an actuator's own activation.
+Setpoints that move linearly between two writes, by means of MuJoCo's activations.
 
 A position servo with integrator dynamics follows its activation instead of its control: ``act`` is
 the setpoint and ``ctrl`` the velocity of the setpoint, which MuJoCo integrates in each step.
@@ -18,7 +18,7 @@ import mujoco
 
 def is_position_servo(actuator: Any) -> bool:
     """
-    Tell whether a force pulls the transmission towards a place that the control gives.
+    Tell whether an actuator pulls its transmission towards a length that the control sets.
 
     :param actuator: of a ``mujoco.MjSpec``
     """
@@ -29,7 +29,7 @@ def is_position_servo(actuator: Any) -> bool:
 
 def position_servos_without_dynamics(spec: mujoco.MjSpec, names: Iterable[str]) -> list[str]:
     """
-    Return which actuators are position servos whose control acts at once.
+    Return the names of the position servos without activation dynamics.
 
     :param spec: a ``mujoco.MjSpec``
     :param names: of actuators
@@ -43,8 +43,8 @@ def add_setpoint_activation(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
     """
     Give actuators an activation that holds their setpoint.
 
-    What was the control range is the activation range too; MuJoCo does not enforce that. Where the
-    range is inherited from a joint, MuJoCo fills the activation range on compiling.
+    The control range becomes the activation range too, which is not enforced. If it is inherited
+    from a joint, MuJoCo's compiler fills in the activation range.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param names: of the actuators
@@ -54,7 +54,7 @@ def add_setpoint_activation(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
         if not actuator.inheritrange:
             actuator.actrange = actuator.ctrlrange.copy()
         if is_position_servo(actuator):
-            actuator.ctrllimited = 0  # It was a range of positions.
+            actuator.ctrllimited = 0  # The range is one of positions, not of velocities.
         actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
         actuator.dynprm[0] = 1.0
         actuator.actlimited = 0

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which commands run or wait for their start, and which of them has each joint."""
+"""Which commands run or wait for their start, and which of them owns each joint."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ C = TypeVar('C', bound=Command)
 
 class ActiveCommands:
     """
-    The commands that have not ended; a joint is in one that runs at most.
+    The commands that have not ended; at most one that runs owns a joint.
 
     :param count: number of joints
-    :ivar running: own the joints of their indices
+    :ivar running: commands that own the joints of their indices
     :ivar waiting: trajectories that start later, which own no joints yet
     """
 
@@ -38,18 +38,18 @@ class ActiveCommands:
         return [*self.waiting, *(c for c in self.running if isinstance(c, JointTrajectory))]
 
     def release(self, indices: IntArray, status: Status, reason: str = '') -> None:
-        """Take joints from the commands that own or await them; those that lose all end."""
+        """Take joints from the commands that own or await them; end those that have none left."""
         self._owners.release(indices, reason)
         self.running = list(_without(self.running, indices, status, reason))
         self.waiting = list(_without(self.waiting, indices, status, reason))
 
     def take(self, command: Command) -> None:
-        """Let a command have its joints, which others lose to it."""
+        """Give a command its joints, which all other commands lose."""
         self.release(command.indices, Status.REPLACED)
         self._owners.take(command.indices, command.handle)
 
     def await_start(self, trajectory: JointTrajectory) -> None:
-        """Let a trajectory wait; what runs goes on until it starts."""
+        """Let a trajectory wait; commands that run go on until it starts."""
         self.waiting = [*_without(self.waiting, trajectory.indices, Status.REPLACED), trajectory]
 
     def stop(self, stop: TrajectoryStop) -> IntArray:
@@ -80,7 +80,7 @@ class ActiveCommands:
         """
         Return what took joints from a command that has been applied, or None if it has them all.
 
-        A trajectory that starts later has its joints if no other trajectory took them.
+        A trajectory that starts later has its joints until another command takes some of them.
         """
         for waiting in self.waiting:
             if waiting.handle is command.handle:
@@ -88,7 +88,7 @@ class ActiveCommands:
         return self._owners.rival(command.handle, command.indices)
 
     def awaits(self, handle: CommandHandle) -> bool:
-        """Tell whether a trajectory has been applied that starts later."""
+        """Tell whether a trajectory has been applied and waits for its start."""
         return any(waiting.handle is handle for waiting in self.waiting)
 
     def reference(self, handle: CommandHandle, now_s: float
@@ -96,7 +96,7 @@ class ActiveCommands:
         """
         Return position, velocity and acceleration of a trajectory that runs, or None.
 
-        Unlike the setpoints, they do not wait for joints that are held up.
+        Unlike the setpoints, they are not held back for joints that cannot keep up.
 
         :param now_s: simulation time [s]
         """

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Carry numbers from one compiled model to another one that has mostly the same elements.
+Copy edits and state from one compiled model to another one that has mostly the same elements.
 
-Which arrays there are, and what each row of them is about, is taken from ``mujoco.introspect``, so
-that arrays of later versions of MuJoCo are carried too.
+The arrays, and the kind of element that each row is for, are taken from ``mujoco.introspect``, so
+that arrays of later versions of MuJoCo are copied too.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, IntArray
 
-#: Sizes of a model whose elements have names, and where the names' addresses are.
+#: Sizes of a model whose elements have names, and what stands for them in ``name_*adr``.
 _NAMED = {
     'nbody': 'body', 'njnt': 'jnt', 'ngeom': 'geom', 'nsite': 'site', 'ncam': 'cam',
     'nlight': 'light', 'nflex': 'flex', 'nmesh': 'mesh', 'nskin': 'skin', 'nhfield': 'hfield',
     'ntex': 'tex', 'nmat': 'mat', 'npair': 'pair', 'nexclude': 'exclude', 'neq': 'eq',
     'ntendon': 'tendon', 'nsensor': 'sensor', 'nnumeric': 'numeric', 'ntext': 'text',
     'ntuple': 'tuple', 'nplugin': 'plugin'}
-#: How many positions and velocities a joint has that is not scalar.
+#: How many positions and velocities a joint that is not scalar has.
 _QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
 _DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
-#: Derived on compiling from the element's own tree, but rounded otherwise if there is another one.
+#: Compiled from the element's own tree, but rounded differently if there is another tree.
 _DERIVED = frozenset((
     'body_invweight0', 'dof_invweight0', 'tendon_invweight0', 'dof_M0', 'actuator_acc0'))
 #: Of ``mujoco.MjData``, what ``mj_forward`` does not compute; objects have no plugins, delays or
@@ -41,10 +41,10 @@ _STATE = ('qpos', 'qvel', 'act', 'history', 'plastic', 'qacc_warmstart', 'plugin
 
 class ElementMap:
     """
-    Which elements of one model are which of another one.
+    The elements that two models have in common.
 
-    Elements of one kind are the same if they have the same name, or none and the same number
-    among those without: the models differ in elements that have names.
+    Elements of one kind are the same if they have the same name; those without a name are matched
+    in order, as the models differ only in elements that have names.
 
     :param old: a ``mujoco.MjModel``
     :param new: another one
@@ -84,10 +84,10 @@ class ElementMap:
 
     def rows(self, size: str, old: Any, new: Any) -> tuple[IntArray, IntArray]:
         """
-        Return the rows of two arrays that are about the same elements.
+        Return the rows of two arrays that belong to the same elements.
 
-        :param size: what the rows are about, such as ``nbody``; for what is not known here, such
-            as ``nmeshvert``, the first rows are the same ones
+        :param size: name of the size that counts the rows, such as ``nbody``; rows of sizes that
+            are not known here, such as ``nmeshvert``, are matched in order
         """
         if size in self._places:
             return self._places[size]
@@ -97,10 +97,10 @@ class ElementMap:
 
 def carry_edits(compiled: mujoco.MjModel, edited: Any, target: Any, both: ElementMap) -> None:
     """
-    Make the edits of one model in another one.
+    Apply the edits of one model to another one.
 
     :param compiled: the ``mujoco.MjModel`` before the edits
-    :param edited: the same after them
+    :param edited: the same model after them
     :param target: the model to change; options and statistics become those of the edited one
     :param both: the elements that are in the edited model and in the target
     """
@@ -121,8 +121,8 @@ def carry_edits(compiled: mujoco.MjModel, edited: Any, target: Any, both: Elemen
 
 @lru_cache(maxsize=2)
 def _arrays(struct: str) -> dict[str, str]:
-    """Return what the rows of each array of a struct are counted by, such as ``nbody``."""
-    from mujoco.introspect import structs  # Only a world that changes needs it, and it is large.
+    """Return the name of the size that counts the rows of each array, such as ``nbody``."""
+    from mujoco.introspect import structs  # It is large, and only needed to change objects.
     bound = getattr(mujoco, struct[:1].upper() + struct[1:])
     found: dict[str, str] = {}
     for field in structs.STRUCTS[struct].fields:
@@ -133,7 +133,7 @@ def _arrays(struct: str) -> dict[str, str]:
 
 
 def _assign(target: Any, rows: IntArray, values: Any) -> None:
-    # The number of user data per element is that of the element with most of them.
+    # An array of user data is as wide as that of the element with most of them.
     width = tuple(slice(min(n, m)) for n, m in zip(target.shape[1:], values.shape[1:]))
     target[(rows, *width)] = values[(slice(None), *width)]
 
@@ -153,7 +153,7 @@ def _copy_fields(source: Any, target: Any) -> None:
 
 def carry_data(source: Any, target: Any, both: ElementMap) -> None:
     """
-    Copy the state of a simulation, and its counts of warnings.
+    Copy the state of a simulation and its counts of warnings.
 
     :param source: the ``mujoco.MjData`` to copy from
     :param target: the ``mujoco.MjData`` of another model, at its start
@@ -170,7 +170,7 @@ def carry_data(source: Any, target: Any, both: ElementMap) -> None:
 
 
 def _keys(model: mujoco.MjModel, kind: str) -> list[Any]:
-    """Return the name of each element of a kind, or a number among those without a name."""
+    """Return the name of each element of a kind, or its number among those without a name."""
     addresses, names = getattr(model, f'name_{kind}adr').tolist(), model.names
     unnamed = itertools.count()
     return [names[address:names.index(b'\0', address)] or next(unnamed) for address in addresses]

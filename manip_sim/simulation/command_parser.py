@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Validate what comes from outside and make commands of it; nothing is changed here."""
+"""Validate input from outside and make commands of it; nothing is changed here."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from manip_sim.simulation.numbers import (
     action_example, as_numbers, clamp, clamped_example, finite_numbers)
 from manip_sim.simulation.trajectory import check_times, Trajectory
 
-#: A trajectory with more points is rejected: it could not be checked in a moment.
+#: A trajectory with more points is rejected: checking it would take too long.
 MAX_POINTS = 10_000
-#: A start that is farther ahead is taken for a stamp of another clock [s].
+#: A start farther ahead is rejected as the stamp of another clock [s].
 _MAX_AHEAD_S = 3600.0
 
 
 class CommandParser:
     """
-    Makes commands for the parts of a robot.
+    A parser of commands for the parts of a robot.
 
-    :param robot: whose ``format_action`` maps abstract actions
-    :param joints: controls the joints of arms, base, torso, head and legs; only read
-    :param grippers: by part; only read
+    :param robot: its ``format_action`` maps abstract actions
+    :param joints: controller of the joints of arms, base, torso, head and legs; only read
+    :param grippers: controllers of the grippers, by part; only read
     """
 
     def __init__(self, robot: RobotModel, joints: JointController,
@@ -48,7 +48,7 @@ class CommandParser:
 
     def action(self, part: str, action: ArrayLike) -> Command:
         """
-        Return the command of an abstract action.
+        Return the command for an abstract action.
 
         :param part: such as ``arm`` or ``right/gripper``
         :param action: in [-1, 1] for each actuator of the part, or each dof of the gripper
@@ -71,7 +71,7 @@ class CommandParser:
             modes=self._joints.modes_of(indices), values=self._formatted(part, indices, inside))
 
     def _formatted(self, part: str, indices: IntArray, action: FloatArray) -> FloatArray:
-        # An arm of two is the part of the subsystem that format_action knows.
+        # format_action knows subsystems, of which one arm of two is only a part.
         subsystem = part if part in SUBSYSTEMS else 'arm'
         whole = self._joints.indices_of(subsystem)
         own = np.flatnonzero(np.isin(whole, indices))
@@ -83,18 +83,18 @@ class CommandParser:
                       velocity: ArrayLike = (), effort: ArrayLike = (), part: str | None = None
                       ) -> list[Command]:
         """
-        Return the commands of goals for some joints, all or none.
+        Return the commands for goals of some joints; one that is invalid rejects them all.
 
-        The field that counts is that of the joint's control mode. NaN is no command for a joint.
-        A field may also have numbers for those joints alone whose mode uses it, in the order of
-        their names; finger joints at the end, or that follow one named before them, need none.
+        Each joint uses the field of its control mode; NaN means no command for the joint. A field
+        may also have numbers only for the joints whose mode uses it, in the order of their names;
+        finger joints at the end, or coupled to one named before them, need none.
 
-        :param names: joints
+        :param names: of the joints
         :param position: goals of the joints in position mode [rad or m]
         :param velocity: goals of the joints in velocity mode [rad/s or m/s]
         :param effort: goals of the joints in effort mode [N m or N]
-        :param part: takes joints of this part only; None takes all
-        :raises CommandError: if a joint is not there, or the numbers do not fit
+        :param part: whose joints may be named; None for all
+        :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         return self._joint_commands.parse(
             names, {'position': position, 'velocity': velocity, 'effort': effort}, part)
@@ -104,20 +104,20 @@ class CommandParser:
                    accelerations: ArrayLike | None = None, start_ns: int = 0,
                    now_ns: int = 0) -> Command:
         """
-        Return the command of a motion for some joints of a part.
+        Return the command for a trajectory of some joints of a part.
 
-        The spline is made and checked here, from where the setpoints are now. Points that are past
-        are dropped; a motion that is faster than the joints may move is slowed down as a whole.
-        Without points the present trajectories of the joints end.
+        The spline is made and checked here, from the present setpoints. Points in the past are
+        dropped; a motion that exceeds velocity limits is slowed down as a whole. Without points
+        the present trajectories of the joints end.
 
-        :param times_s: of the points after the start [s]
+        :param times_s: of the points, from the start [s]
         :param positions: [rad or m], shape (n_points, n)
-        :param velocities: of that shape, or None
-        :param accelerations: of that shape, or None
-        :param start_ns: simulation time of the start [ns]; 0 is now
+        :param velocities: [rad/s or m/s], of that shape, or None
+        :param accelerations: [rad/s^2 or m/s^2], of that shape, or None
+        :param start_ns: simulation time of the start [ns]; 0 for now
         :param now_ns: present simulation time [ns]
-        :raises CommandError: if a joint is not there, the times do not increase, all points are
-            past or the numbers do not fit; or if a joint is not in position mode
+        :raises CommandError: if a joint is unknown, the times do not increase, all points are in
+            the past or the numbers do not match; or if a joint is not in position mode
         """
         joints = self._joints
         indices = joints.indices_of(part)
@@ -161,12 +161,13 @@ class CommandParser:
 
     def twist(self, forward: float, side: float, yaw: float) -> Command:
         """
-        Return the command of a velocity of the mobile base in its own frame.
+        Return the command for a velocity of the mobile base in its own frame.
 
         :param forward: along x [m/s]
         :param side: along y [m/s]
         :param yaw: about z [rad/s]
-        :raises CommandError: if a number is not finite, or the base is not in velocity mode
+        :raises CommandError: if the robot has no such base, a number is not finite, or the base is
+            not in velocity mode
         """
         indices = self._joints.twist_indices
         if indices is None:
@@ -184,7 +185,7 @@ class CommandParser:
 def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     try:
         numbers = as_numbers(values, f'{part}: {field}')
-    except CommandError:  # Or points of different lengths.
+    except CommandError:  # No numbers, or points of different lengths.
         numbers = np.empty(0)
     if numbers.shape != shape:
         raise CommandError(f'{part}: {field} must have {counted(shape[1], "number")} at each of '

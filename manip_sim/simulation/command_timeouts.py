@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which parts have had no fresh command for too long."""
+"""Which parts have had no fresh command for longer than their time-out."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from collections.abc import Iterable
 
 class CommandTimeouts:
     """
-    When each part had its last command, and after how long without another it is left alone.
+    The time of each part's last command, and how long it lasts without a fresh one.
 
     :param parts: names of parts that do not overlap; none has a time-out at first
-    :ivar counts: how often each part had no fresh command for too long
+    :ivar counts: number of time-outs of each part
     """
 
     def __init__(self, parts: Iterable[str]) -> None:
@@ -25,37 +25,37 @@ class CommandTimeouts:
         """
         Change the time-out of a part.
 
-        :param timeout_s: simulation time [s]; 0 is never
+        :param timeout_s: simulation time [s]; 0 for none
         """
         self._timeout_s[part] = timeout_s
 
     def renew(self, parts: Iterable[str], now_s: float) -> None:
         """
-        Count from now on.
+        Restart the time-outs of parts.
 
-        :param parts: that have a fresh command
+        :param parts: those that have a fresh command
         :param now_s: simulation time [s]
         """
         for part in parts:
             self._last_s[part] = now_s
 
     def forget(self, parts: Iterable[str]) -> None:
-        """Let parts rest: what they were told is done."""
+        """Stop watching parts whose commands are done."""
         for part in parts:
             self._last_s.pop(part, None)
 
     def clear(self) -> None:
-        """Let all parts rest."""
+        """Stop watching all parts."""
         self._last_s.clear()
 
     @property
     def pending(self) -> bool:
-        """Whether a part that has had a command may come to have none for too long."""
+        """Whether any part that is watched has a time-out."""
         return any(self._timeout_s[part] for part in self._last_s)
 
     def overdue(self, now_s: float) -> list[str]:
         """
-        Return the parts whose last command is too old.
+        Return the parts whose last command is older than their time-out.
 
         :param now_s: simulation time [s]
         """
@@ -63,6 +63,6 @@ class CommandTimeouts:
                 if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9]
 
     def count(self, part: str) -> None:
-        """Count that a part is overdue, and let it rest."""
+        """Count a time-out of a part, and stop watching it."""
         del self._last_s[part]
         self.counts[part] += 1

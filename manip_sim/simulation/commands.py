@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands after validation, with numbers in range, and what became of them."""
+"""Validated commands, with numbers in range, and what became of them."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ class Status(Enum):
     ABORTED = 'aborted'
 
 
-#: What an empty trajectory makes of others.
+#: How an empty trajectory ends other trajectories.
 STOPPED = (Status.ABORTED, 'ended by an empty trajectory')
 
 
 @dataclass
 class CommandHandle:
     """
-    What has become of a command that was submitted; it may be asked from any thread.
+    What has become of a command that was submitted; it may be read from any thread.
 
-    A command is *done* when a position or gripper goal is reached by the setpoint, or a trajectory
-    has come to its end; a velocity or an effort lasts. It is *replaced* when newer commands have
-    taken over all of its joints, and *aborted* by a reset, a change of mode, a time-out or an
-    empty trajectory.
+    A command is *done* when its setpoints have reached a position, pose or gripper goal, or a
+    trajectory has ended; a velocity or an effort lasts. It is *replaced* when newer commands have
+    taken over all of its joints, and *aborted* by a reset, a change of mode, a time-out, a
+    withdrawal or an empty trajectory.
 
     :ivar status: of the command
     :ivar reason: why it was aborted
-    :ivar error: goal less measured position when it was done [rad or m], or None; of a pose, way
-        [m] and rotation vector [rad] that are left, shape (6,)
+    :ivar error: goal minus measured position when it was done [rad or m], in units of the controls
+        for a gripper, translation [m] and rotation vector [rad] for a pose, shape (6,); or None
     """
 
     status: Status = Status.WAITING
@@ -59,7 +59,7 @@ class CommandHandle:
         return self.status in (Status.WAITING, Status.RUNNING)
 
     def end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
-        """Say what became of the command; the first word counts."""
+        """Set what became of the command; only the first call counts."""
         if self.is_active:
             self.reason, self.error, self.status = reason, error, status
 
@@ -69,11 +69,11 @@ class Command:
     """
     A command for joints or for a gripper.
 
-    :ivar parts: the parts that it is for, arms one by one
-    :ivar indices: of the simulation's controlled joints, or of the gripper's actuators
-    :ivar clamped: how many numbers had to be brought into their range
+    :ivar parts: the parts that it is for, atomic ones
+    :ivar indices: of the robot's controlled joints, or of the gripper's actuators
+    :ivar clamped: how many numbers were clamped to their range
     :ivar clamped_example: the first of them in words, such as ``joint1 from 9 to 2.8973``
-    :ivar handle: tells what becomes of the command
+    :ivar handle: what becomes of the command
     """
 
     parts: frozenset[str]
@@ -83,7 +83,7 @@ class Command:
     handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
 
     def without(self: C, indices: IntArray) -> C | None:
-        """Return the command for the joints that are not among some, or None if none is left."""
+        """Return the command without some of its joints, or None if no joint is left."""
         taken = set(indices.tolist())
         kept = [index not in taken for index in self.indices.tolist()]
         if all(kept):
@@ -114,12 +114,12 @@ class JointSetpoint(Command):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrajectory(Command):
     """
-    A motion that some joints shall follow.
+    A trajectory for some joints.
 
     :ivar trajectory: of all joints that it was made for
     :ivar columns: those of the trajectory that the joints of ``indices`` follow
-    :ivar start_ns: simulation time of its time zero [ns]; 0 is when it is taken over
-    :ivar slowed: by which factor it was slowed down to obey the velocity limits; 1 is not
+    :ivar start_ns: simulation time of its time zero [ns]; 0 for when it takes effect
+    :ivar slowed: factor by which it was slowed down to keep to velocity limits; 1 if it was not
     """
 
     trajectory: Trajectory
@@ -133,7 +133,7 @@ class JointTrajectory(Command):
                        columns=np.arange(len(self.columns)))
 
     def as_setpoint(self) -> JointSetpoint:
-        """Return the command to come to the last point."""
+        """Return the command to go to the last point."""
         return JointSetpoint(
             parts=self.parts, indices=self.indices, clamped=self.clamped, handle=self.handle,
             modes=('position',) * len(self.indices),
@@ -145,7 +145,7 @@ class JointTrajectory(Command):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrajectoryStop(Command):
-    """End the trajectories of some joints: they come to rest."""
+    """The end of the trajectories of some joints, which come to rest."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,13 +161,13 @@ class BaseTwist(Command):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GripperCommand(Command):
-    """What a gripper shall do from now on; ``indices`` are those of its actuators."""
+    """A command for a gripper; ``indices`` are those of its actuators."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GripperAction(GripperCommand):
     """
-    What a gripper shall do from now on.
+    An action of a gripper, which lasts until its next command.
 
     :ivar action: for ``GripperModel.format_action``, shape (dof,)
     """
@@ -191,12 +191,12 @@ class GripperSetpoint(GripperCommand):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GripperGrasp(GripperSetpoint):
     """
-    A position for one joint; all other fingers go as far, as part of their way to be closed.
+    A position for one joint; all other fingers close by the same fraction of their range.
 
-    At the ends of their ranges the fingers press with all force that they may use.
+    Fingers that are stopped on the way to an end of their range press with all force allowed.
 
-    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 is their own limits
-    :ivar max_velocity: of the joint [rad/s or m/s]; 0 is its own limit
+    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 for their own limits
+    :ivar max_velocity: of the joint [rad/s or m/s]; 0 for its own limit
     """
 
     max_effort: float = 0.0

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The driven joints of a robot: names, parts, modes, limits and setpoints, to be asked."""
+"""The driven joints of a robot: names, parts, modes, limits and setpoints, to be read."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ControlledJoints:
         return self._indices_of['base'][[indices[0] for indices in found]]
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which these actuators and joints are what and where they were."""
+        """Continue with another model that has these actuators and joints unchanged."""
         self._servos.rebind(model)
 
     def indices_of(self, part: str) -> IntArray:
@@ -94,11 +94,11 @@ class ControlledJoints:
         return tuple(self.modes[i] for i in indices)
 
     def ranges(self, indices: IntArray) -> FloatArray:
-        """Return what an action of -1 to 1 spans in the present modes, shape (n, 2), a copy."""
+        """Return the ranges that actions span in the present modes, shape (n, 2), a copy."""
         return np.array([self._servos.ranges[self.modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
-        """Return how fast setpoints change their velocity [rad/s^2 or m/s^2], a copy."""
+        """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
         return np.array(self._servos.acceleration_limit[indices])
 
     def clamps(self, indices: IntArray) -> FloatArray:
@@ -112,9 +112,9 @@ class ControlledJoints:
     def fitted(self, trajectory: Trajectory, indices: IntArray, elapsed_s: float
                ) -> tuple[Trajectory, float]:
         """
-        Return a trajectory that keeps to the velocity limits, and how much slower it is.
+        Return a trajectory that keeps to the velocity limits, and the factor of its duration.
 
-        One that is slowed down begins now.
+        A trajectory that is slowed down begins now.
 
         :param indices: the joints that follow it, from where their setpoints are now
         :param elapsed_s: how long it has been running [s]
@@ -134,7 +134,7 @@ class ControlledJoints:
 
     def limited(self, part: str) -> int:
         """
-        Return how often goals of a part came faster than its joints may move.
+        Return how often streamed goals of a part required more than the velocity limits.
 
         :raises UnknownNameError: if there is no such part
         """
@@ -142,7 +142,7 @@ class ControlledJoints:
 
     def controller_state(self, part: str, data: mujoco.MjData) -> ControllerState:
         """
-        Return what is wanted of a part's joints and what they do, copies.
+        Return the reference and the measured state of a part's driven joints, copies.
 
         :raises UnknownNameError: if there is no such part
         """

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Add objects to a world that runs, and delete them, with everything else as it was.
+Add objects to a running world, and delete them, with everything else as it was.
 
-Nothing here changes what it is given. A plan compiles the new world beside the old one, which may
-take a while and may be done in another thread; :func:`carry_over` takes the state over, quickly.
+Nothing here changes its arguments. Making a plan compiles the new world, which may take a while
+and may be done in another thread; :func:`carry_over` then copies the state, which is quick.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Plan:
     :ivar base: ``mujoco.MjSpec`` of arena and robots, without objects
     :ivar objects: in the order of the world
     :ivar spec: ``mujoco.MjSpec`` of the whole world
-    :ivar compiled: its ``mujoco.MjModel``, which nobody changes
+    :ivar compiled: its ``mujoco.MjModel``, which is never changed
     """
 
     base: Any
@@ -47,7 +47,7 @@ class Plan:
 @dataclass(frozen=True)
 class LiveWorld:
     """
-    A world that runs.
+    A running world.
 
     :ivar plan: what it was compiled from
     :ivar model: the ``mujoco.MjModel``, a copy of the plan's that may have been changed since
@@ -66,8 +66,8 @@ def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world')
     :param base: ``mujoco.MjSpec`` of arena and robots, such as ``World.compose(objects=False)``;
         not changed
     :param objects: all objects, in order
-    :param name: what it is, for messages
-    :raises ModelError: if names collide or MuJoCo does not compile it
+    :param name: of the world, for messages
+    :raises ModelError: if names collide or MuJoCo cannot compile it
     """
     check_object_names(objects)
     spec = base.copy()
@@ -78,11 +78,11 @@ def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world')
 
 def compile_visual(plan: Plan) -> Any:
     """
-    Return the ``mujoco.MjModel`` of a plan with the shapes that cannot collide.
+    Return the ``mujoco.MjModel`` of a plan with the geoms that cannot collide.
 
     It has the same bodies, joints and cameras, and so the same positions.
 
-    :raises ModelError: with what MuJoCo says
+    :raises ModelError: with MuJoCo's message, if MuJoCo cannot compile it
     """
     spec = plan.base.copy()
     spec.compiler.discardvisual = False
@@ -95,7 +95,7 @@ def plan_with(plan: Plan, item: ObjectModel) -> Plan:
     """
     Return the plan of a world with one more object, which comes last.
 
-    :raises ModelError: if a name is there already or MuJoCo does not compile it
+    :raises ModelError: if a name is taken already or MuJoCo cannot compile it
     """
     return plan_world(plan.base, (*plan.objects, item), f"the world with '{item.name}'")
 
@@ -120,16 +120,16 @@ def start_live(plan: Plan) -> LiveWorld:
 
 def carry_over(live: LiveWorld, plan: Plan) -> LiveWorld:
     """
-    Return a world of another plan in the state of one that runs.
+    Return the world of another plan in the state of a running one.
 
-    What both have is bit for bit as it was: positions, velocities, activations, controls, forces
-    that are applied, warm start, time, and all numbers of the model and its options that were
+    What both have stays bit for bit the same: positions, velocities, activations, controls,
+    applied forces, warm start, time, and all numbers of the model and its options that were
     changed after compiling. New objects are at their start. All of the data belongs to the same
     instant, as after ``mj_forward``.
 
-    The steps that follow give the same bits as without the change, too, unless constraints tie all
-    moving trees of one of the two worlds together, as for a robot alone: MuJoCo then solves them
-    at once instead of island by island, and the results differ by rounding.
+    Later steps, too, give the same bits as without the change, unless constraints connect all
+    moving trees of one of the two worlds, as for a robot alone: MuJoCo then solves them at once
+    instead of island by island, and the results differ by rounding.
 
     :param live: not changed
     :param plan: of the same arena and robots
@@ -145,17 +145,17 @@ def carry_over(live: LiveWorld, plan: Plan) -> LiveWorld:
 
 def spawn(live: LiveWorld, item: ObjectModel) -> LiveWorld:
     """
-    Return the world with one more object, everything else as it is.
+    Return the world with one more object and everything else as it is.
 
     :param live: not changed
-    :raises ModelError: if a name is there already or MuJoCo does not compile it
+    :raises ModelError: if a name is taken already or MuJoCo cannot compile it
     """
     return carry_over(live, plan_with(live.plan, item))
 
 
 def delete(live: LiveWorld, name: str) -> LiveWorld:
     """
-    Return the world without one of its objects, everything else as it is.
+    Return the world without one of its objects and everything else as it is.
 
     :param live: not changed
     :raises UnknownNameError: if it is not the name of an object

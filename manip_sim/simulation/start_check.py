@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Look for what is wrong with the start of a robot, before anything moves."""
+"""Find what is wrong with the start of robots, before anything moves."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from manip_sim.simulation.mechanism import actuated_joints, joints_between
 from manip_sim.simulation.start_defect import StartDefect
 from manip_sim.simulation.start_drives import find_drive_defects
 
-#: What is less deep in something else only touches it [m].
+#: Geoms that overlap by less only touch [m].
 _TOUCHING_M = 0.0005
-#: What is less outside its range, as a part of the range, is at its end.
+#: A joint that is outside its range by less, as a fraction of the range, is at its end.
 _AT_END = 1e-3
-#: A joint is blocked if contacts leave less than this of the acceleration that it would have; one
-#: that can leave its neighbour keeps half of it.
+#: A joint is blocked if contacts leave less than this share of its acceleration; one that can move
+#: away from its neighbour keeps half of it.
 _BLOCKED = 0.25
-#: What holds the other joints still while one is tried, as a multiple of all inertia.
+#: Armature that holds the other joints still while one is tried, per largest joint inertia.
 _HELD = 1e3
-#: The force that tries a joint without a force limit accelerates it so [rad/s^2 or m/s^2].
+#: Acceleration by the trial force of a joint without a force limit [rad/s^2 or m/s^2].
 _TRIAL_ACCELERATION = 100.0
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]) -> list[str]:
     """
-    Say what is wrong with the start of robots, in a sentence for each defect.
+    Return what is wrong with the start of robots, a sentence for each defect.
 
     The parameters are those of :func:`find_start_defects`.
     """
@@ -45,12 +45,12 @@ def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
 def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
                        ) -> list[StartDefect]:
     """
-    Find what of robots starts inside something, blocked, outside its range or without effort.
+    Find overlaps, blocked joints, joints outside their range and drive defects at the start.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
     :param roots: the root bodies of the robots
-    :returns: overlaps first, those of the greatest depth before others; empty if there is nothing
+    :returns: overlaps first, the deepest before others; empty if nothing is wrong
     """
     own = _bodies_below(model, [model.body(root).id for root in roots])
     contacts = [contact for contact in data.contact if min(contact.geom) >= 0
@@ -62,7 +62,7 @@ def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterab
 
 
 def _bodies_below(model: mujoco.MjModel, roots: list[int]) -> BoolArray:
-    """Return which bodies are one of some bodies or hang on one, shape (nbody,)."""
+    """Return which bodies are in the subtrees of some bodies, shape (nbody,)."""
     below = np.zeros(model.nbody, dtype=bool)
     below[roots] = True
     for body in range(1, model.nbody):
@@ -82,7 +82,7 @@ def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray) -> Ite
         if contact.dist < -_TOUCHING_M:
             deepest.setdefault(tuple(sorted(model.geom_bodyid[contact.geom].tolist())), contact)
     for contact in deepest.values():
-        # What is farther from the robot's root is told as inside what is nearer to it.
+        # The geom farther from the robot's root is reported as inside the one nearer to it.
         outer, inner = sorted(contact.geom, key=lambda geom: (
             bool(own[model.geom_bodyid[geom]]), int(model.geom_bodyid[geom])))
         yield StartDefect(
@@ -91,14 +91,14 @@ def _overlaps(model: mujoco.MjModel, contacts: list[Any], own: BoolArray) -> Ite
 
 
 def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray) -> str:
-    """Say how a shape of a robot gets out of another shape."""
+    """Return the remedy for a geom of a robot that overlaps another geom."""
     bodies = [int(model.geom_bodyid[geom]) for geom in (outer, inner)]
     other, body = (model.body(index).name for index in bodies)
     if not own[bodies[0]]:
         return (f"place the robot elsewhere (its position, or base_xpos_offset), or move '{other}'"
                 ', or start in another pose')
     if len(joints_between(model, *bodies)) < 2:
-        # Shapes of neighbours often overlap at their common joint.
+        # Geoms of neighbours often overlap at their common joint.
         return f'write <exclude body1="{other}" body2="{body}"/> into <contact>'
     return ('start in another pose (init_qpos, or the keyframe), or mount farther out what is '
             'mounted, or make the shapes smaller')
@@ -114,7 +114,7 @@ def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], jo
         if not against or not _is_blocked(model, trial, data, joint):
             continue
         contact = min(against, key=lambda contact: float(contact.dist))
-        # Named is what does not move with the joint.
+        # The message names the geom that does not move with the joint.
         mover, neighbour = sorted(
             contact.geom, key=lambda geom: not moved[model.geom_bodyid[geom]])
         yield StartDefect(
@@ -124,9 +124,9 @@ def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], jo
 
 def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: int) -> bool:
     """
-    Tell whether the full force, forwards and backwards, moves a joint hardly at all.
+    Tell whether contacts hardly let the full force move a joint, forwards or backwards.
 
-    :param trial: a copy of the model to try it with
+    :param trial: a copy of the model to try it with, changed in place
     """
     trial.dof_armature[:], trial.opt.disableflags = model.dof_armature, model.opt.disableflags
     scalar = np.flatnonzero(np.isin(model.jnt_type, _SCALAR)).tolist()
@@ -140,7 +140,7 @@ def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: i
 
 
 def _span(model: mujoco.MjModel, data: mujoco.MjData, joint: int) -> float:
-    """Return the difference of the accelerations by the full force in both directions."""
+    """Return the difference between the accelerations by the full force in either direction."""
     dof, trial = int(model.jnt_dofadr[joint]), copy.copy(data)
     trial.qvel[:] = 0.0
     accelerations = []

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One thing that is wrong with the start of a robot, and what mends it."""
+"""One defect of the start of a robot, and its remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class StartDefect:
     """
-    What is wrong, in one sentence, and what to write instead.
+    A defect in one sentence, and what to write instead.
 
     :ivar kind: ``overlap``, ``blocked``, ``range``, ``actuators``, ``undriven`` or ``effort``
     :ivar text: what is wrong, with the names of the compiled model

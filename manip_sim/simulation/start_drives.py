@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Look for joints that nothing drives, that two actuators drive, or whose actuator is too weak."""
+"""Find joints that nothing drives, that several actuators drive, or whose actuator is too weak."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.actuator_properties import effort_range
 from manip_sim.simulation.start_defect import StartDefect
 
-#: What is nearer to a limit of force, as a part of it, is at the limit.
+#: A force nearer to its limit than this fraction of it is at the limit.
 _AT_LIMIT = 1e-6
 #: How many names one sentence lists.
 _LISTED = 8
@@ -29,7 +29,7 @@ _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
                        ) -> Iterator[StartDefect]:
     """
-    Say what is wrong with the actuators of robots.
+    Yield what is wrong with the actuators of robots.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
@@ -84,7 +84,7 @@ def _undriven(model: mujoco.MjModel, joints: list[int]) -> Iterator[StartDefect]
 
 def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int]
               ) -> Iterator[tuple[int, StartDefect]]:
-    """Compare the effort that keeps the start pose with that which there is."""
+    """Yield the joints whose actuator cannot hold the start pose, and their defects."""
     if not drivers:
         return
     joints, actuators = np.array(list(drivers)), np.array(list(drivers.values()))
@@ -93,7 +93,7 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
     at_rest.qvel[:] = 0.0
     mujoco.mj_forward(model, at_rest)
     needed = at_rest.qfrc_bias[dofs] - at_rest.qfrc_passive[dofs]
-    # The weight that MuJoCo lets the actuators carry counts against the limit of the joint alone.
+    # Gravity compensation by the actuators counts against the force limit of the joint alone.
     beside = (model.jnt_actgravcomp[joints] != 0) & (model.jnt_actfrclimited[joints] == 0)
     needed -= np.where(beside, at_rest.qfrc_gravcomp[dofs], 0.0)
     limits = effort_range(model, joints, actuators)
@@ -114,7 +114,7 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
 
 def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], told: set[int]
                    ) -> Iterator[StartDefect]:
-    """Tell of servos whose setpoint is so far from the start that they push with all they have."""
+    """Yield the servos whose control is so far from the start that they exert their full force."""
     is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
     for actuator in np.flatnonzero(is_servo).tolist():
         driven = actuated_joints(model, actuator)
