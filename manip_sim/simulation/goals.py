@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Goals of actions: a command that is watched until it has ended, one way or the other."""
+"""Goals of ROS actions: commands that are watched until they have ended."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from manip_sim.simulation.commands import Command, CommandHandle, Status
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 
-#: What took joints or a gripper from a goal, where nothing else is known of it.
+#: Why a goal lost joints or a gripper, if no other reason is known.
 _NEWER = 'a newer command has taken over'
 
 
 class Ending(Enum):
-    """How a goal has ended, as actions of ROS 2 know it."""
+    """How a goal has ended, in the terms of ROS 2 actions."""
 
     SUCCEEDED = 'succeeded'
     ABORTED = 'aborted'
@@ -40,9 +40,9 @@ class GoalCode(IntEnum):
 
 class GoalError(CommandError):
     """
-    A goal is rejected.
+    The rejection of a goal.
 
-    :ivar code: why
+    :ivar code: the reason
     """
 
     def __init__(self, code: GoalCode, message: str) -> None:
@@ -56,7 +56,7 @@ class Outcome:
     How a goal has ended.
 
     :ivar ending: whether it has succeeded, was aborted or canceled
-    :ivar code: for FollowJointTrajectory
+    :ivar code: the ``error_code`` for FollowJointTrajectory
     :ivar reason: in words
     """
 
@@ -67,14 +67,14 @@ class Outcome:
 
 class Goal(ABC):
     """
-    A command that is watched; used in the simulation's thread only, but for what it tells.
+    A command that is watched in the simulation's thread; any thread may read its attributes.
 
-    :param robot: that is commanded
-    :param command: what it shall do
-    :ivar robot: that is commanded
-    :ivar command: what it shall do
-    :ivar outcome: how it has ended, or None; the first word counts
-    :ivar view: what can be told of the way so far, or None; never changed, only replaced
+    :param robot: the robot that is commanded
+    :param command: the command, not yet applied
+    :ivar robot: the robot that is commanded
+    :ivar command: the command
+    :ivar outcome: how it has ended, or None; set once
+    :ivar view: progress for feedback, or None; replaced, never changed in place
     """
 
     def __init__(self, robot: SimulatedRobot, command: Command) -> None:
@@ -90,7 +90,7 @@ class Goal(ABC):
 
     def check(self, simulation: Simulation) -> None:
         """
-        See whether the goal has ended; to be called at the end of each control period.
+        Check whether the goal has ended; to be called at the end of each control period.
 
         :param simulation: at that instant
         """
@@ -112,12 +112,12 @@ class Goal(ABC):
                 self.abort(rival.reason or _NEWER)
 
     def abort(self, reason: str, code: GoalCode = GoalCode.INVALID_GOAL) -> None:
-        """End the goal without success; what is still its own comes to rest."""
+        """End the goal without success; joints or fingers that are still its own come to rest."""
         self._give_up(Outcome(Ending.ABORTED, code, reason))
 
     def cancel(self) -> bool:
         """
-        End the goal because its client wants so; what is still its own comes to rest.
+        End the goal for its client; joints or fingers that are still its own come to rest.
 
         :returns: whether it had not ended before
         """
@@ -135,12 +135,12 @@ class Goal(ABC):
 
     @abstractmethod
     def _look(self, simulation: Simulation) -> None:
-        """Take note of an instant."""
+        """Observe the present instant, and replace :attr:`view`."""
 
     @abstractmethod
     def _rival(self) -> CommandHandle | None:
-        """Return what took something from the command, or None."""
+        """Return what took joints or the gripper from the command, or None."""
 
     @abstractmethod
     def _judge(self, simulation: Simulation) -> None:
-        """Compare what happens to what shall happen, and end the goal if it is time."""
+        """Compare the present state with the goal, and end the goal if it is decided."""

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make commands of goals for joints by name, as ``sensor_msgs/JointState`` has them."""
+"""Make commands of goals for named joints, such as those of ``sensor_msgs/JointState``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import as_numbers, clamp, clamped_example
 
-#: Of how many lists of names it is remembered what they mean; a client has a few.
+#: Number of lists of names whose meaning is cached; a client has a few.
 _REMEMBERED = 64
 
 
@@ -29,7 +29,7 @@ class _Group:
     """
     The named joints that one controller moves.
 
-    :ivar places: of the joints among the names, shape (n,)
+    :ivar places: indices of the joints among the names, shape (n,)
     :ivar names: of the joints
     :ivar clamps: ranges of their goals, shape (n, 2)
     :ivar indices: for the command
@@ -42,7 +42,7 @@ class _Group:
     indices: IntArray
 
     def __post_init__(self) -> None:
-        # Many commands have the same ones.
+        # Many commands share these arrays.
         for array in (self.places, self.clamps, self.indices):
             array.setflags(write=False)
 
@@ -55,8 +55,8 @@ class _Addressed:
     :ivar modes: of each joint
     :ivar uses: by field, whether each joint uses it
     :ivar takers: by field, the places of the joints that need a number there
-    :ivar own: the joints that servos of the robot drive, or None
-    :ivar grippers: those of each gripper
+    :ivar own: the joints outside grippers, or None
+    :ivar grippers: the joints of each gripper
     """
 
     names: tuple[str, ...]
@@ -69,10 +69,10 @@ class _Addressed:
 
 class JointCommandParser:
     """
-    Makes commands of numbers for named joints.
+    A parser of goals for named joints.
 
-    :param joints: controls the joints of arms, base, torso, head and legs; only read
-    :param grippers: by part; only read
+    :param joints: controller of the joints of arms, base, torso, head and legs; only read
+    :param grippers: controllers of the grippers, by part; only read
     """
 
     def __init__(self, joints: JointController, grippers: Mapping[str, GripperController]) -> None:
@@ -85,12 +85,12 @@ class JointCommandParser:
     def parse(self, names: Sequence[str], fields: Mapping[str, ArrayLike], part: str | None
               ) -> list[Command]:
         """
-        Return the commands of goals for some joints, all or none.
+        Return the commands for goals of some joints; one that is invalid rejects them all.
 
         :param names: of the joints
         :param fields: by control mode, goals in SI units; empty where there are none
-        :param part: takes joints of this part only; None takes all
-        :raises CommandError: if a joint is not there, or the numbers do not fit
+        :param part: whose joints may be named; None for all
+        :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         what = part or 'joint_command'
         addressed = self._addressed(part, tuple(names), self._joints.modes)
@@ -142,7 +142,7 @@ class JointCommandParser:
 
     def _address(self, part: str | None, names: tuple[str, ...], modes: tuple[str, ...]
                  ) -> _Addressed:
-        """Return what the names mean in the present modes, which are those of all joints."""
+        """Return what the names mean; ``modes``, those of all joints, are a key of the cache."""
         for gripper in self._grippers.values():
             gripper.check_takes_positions(names)
         check_names(names, self._available(part), part or 'joint_command')
@@ -194,7 +194,7 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
     Check the names of joints.
 
     :param available: the joints that can be commanded
-    :param what: who takes them, for the message
+    :param what: what takes them, for the message
     :raises CommandError: if there are none, one is unknown, or one comes twice
     """
     if not len(names):
@@ -210,7 +210,7 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
 
 
 def _commands(addressed: _Addressed, values: FloatArray) -> Iterable[Command]:
-    """Yield the commands of numbers for all joints that are addressed."""
+    """Yield the commands for the goals of all joints that are addressed."""
     own = addressed.own
     if own is not None:
         inside, clamped, example = _clamp(own, values)

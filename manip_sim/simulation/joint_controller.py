@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Controls the joints of a robot: who commands each joint, and where its setpoint goes next."""
+"""Control the joints of a robot: which command owns each joint, and where its setpoint goes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class JointController(ControlledJoints):
     Position, velocity and effort control of all driven joints of a robot.
 
     A command owns the joints it names until a newer one names them; so commands for one part, or
-    one joint, never disturb another. A joint in effort mode holds its place until it gets its
+    one joint, never disturb another. A joint in effort mode holds its position until it gets its
     first effort.
 
     :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``
@@ -42,8 +42,8 @@ class JointController(ControlledJoints):
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :param hands: of the arms that take Cartesian commands, by arm
-    :ivar cartesian: controls the hands
-    :ivar commands: those that have not ended
+    :ivar cartesian: controller of the hands
+    :ivar commands: the commands that have not ended
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, parts: Mapping[str, Part],
@@ -54,13 +54,13 @@ class JointController(ControlledJoints):
         self._everything = np.arange(len(self.names))
         self.commands = ActiveCommands(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
-        #: Whether servos have yet to be told new efforts.
+        #: Whether new efforts have yet to be written.
         self._efforts_due = False
         self._written = False
 
     @property
     def moving(self) -> bool:
-        """Whether setpoints change, or may, in the next interval."""
+        """Whether setpoints change, or may change, in the next interval."""
         return bool(self._setpoints.moving or self._efforts_due or self.commands.waiting or any(
             isinstance(c, (JointTrajectory, BaseTwist))
             or isinstance(c, CartesianCommand) and self.cartesian.moves(c)
@@ -68,7 +68,7 @@ class JointController(ControlledJoints):
 
     @property
     def timeouts(self) -> dict[str, int]:
-        """How often each atomic part had no fresh command for too long."""
+        """Number of command time-outs of each atomic part."""
         return self._timeouts.counts
 
     @property
@@ -78,7 +78,7 @@ class JointController(ControlledJoints):
                     or self.commands.waiting or self._timeouts.pending)
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which these actuators and joints are what and where they were."""
+        """Continue with another model that has these actuators and joints unchanged."""
         super().rebind(model)
         self.cartesian.rebind(model)
 
@@ -88,13 +88,13 @@ class JointController(ControlledJoints):
         return frozenset().union(*(
             self.parts_of(t.indices) for t in self.commands.trajectories))
 
-    # ------------------------------------------------------------------ what is changed
+    # ------------------------------------------------------------------ commands
 
     def set_timeout(self, part: str, timeout_s: float) -> None:
         """
-        Change after how long without a fresh command a part rests.
+        Change how long the last command of a part lasts if no fresh one comes.
 
-        :param timeout_s: simulation time [s]; 0 is never
+        :param timeout_s: simulation time [s]; 0 for ever
         :raises UnknownNameError: if there is no such part
         """
         for name in self.parts_of(self.indices_of(part)):
@@ -102,7 +102,7 @@ class JointController(ControlledJoints):
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
-        Change how a part is controlled; joints whose mode changes come to rest.
+        Change the control mode of a part; joints whose mode changes come to rest.
 
         :param mode: one of :data:`MODES`
         :raises UnknownNameError: if there is no such part or mode
@@ -130,7 +130,7 @@ class JointController(ControlledJoints):
                                self._setpoints.velocity[free])
 
     def reset(self, data: mujoco.MjData) -> None:
-        """Abort all commands and rest where the joints are; modes stay."""
+        """Abort all commands and hold the joints where they are; modes stay."""
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
         self._timeouts.clear()
@@ -145,9 +145,9 @@ class JointController(ControlledJoints):
 
     def apply(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
-        Take a command over, at the beginning of a control period.
+        Apply a command, at the beginning of a control period.
 
-        What was meant for another control mode than the present one is aborted.
+        It loses joints whose control mode has changed since, and is aborted if none is left.
 
         :param now_s: simulation time [s]
         :param period_s: length of the period [s]
@@ -199,9 +199,9 @@ class JointController(ControlledJoints):
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
-        Abort a command; joints that it was the last to take come to rest, and press no more.
+        Abort a command; joints that it was the last to take come to rest and stop pressing.
 
-        They brake with their acceleration limits and stay where that brings them.
+        They go where their acceleration limits let them stop from the measured motion.
 
         :param handle: of the command
         :param reason: why, for the handle
@@ -213,14 +213,14 @@ class JointController(ControlledJoints):
         self._setpoints.come_back(own, clamp(stop, self.clamps(own))[0])
 
     def measured(self, indices: IntArray, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
-        """Return position and velocity of joints, copies, each of shape (n,)."""
+        """Return measured position and velocity of joints, copies, each of shape (n,)."""
         return data.qpos[self._servos.qpos[indices]], data.qvel[self._servos.dofs[indices]]
 
     # ------------------------------------------------------------------ in the control loop
 
     def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
-        See which commands are done or too old.
+        End the commands that are done or have timed out.
 
         :param now_s: simulation time [s]
         :param period_s: length of the period [s]
@@ -309,7 +309,7 @@ class JointController(ControlledJoints):
             self._setpoints.follow(command.indices, position, velocity, acceleration)
             if since_s >= command.trajectory.end_s - 1e-9:
                 self._finish(command, data, position)
-                # It may have a velocity there still, or have been held back on the way.
+                # Setpoints may still have a velocity there, or have been held back on the way.
                 self._setpoints.come_back(command.indices, position)
                 self._timeouts.forget(command.parts - self._commanded_parts())
 
@@ -317,7 +317,7 @@ class JointController(ControlledJoints):
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
 
     def _turn_twist(self, data: mujoco.MjData) -> None:
-        """Give the joints the velocities of the twist; the slides do not turn with the base."""
+        """Set joint velocities from the twist; the base's slide joints do not turn with it."""
         for command in self.commands.running:
             if isinstance(command, BaseTwist):
                 forward, side, turn = command.twist

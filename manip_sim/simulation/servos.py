@@ -20,22 +20,22 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
 
-#: Span of an unlimited hinge that an abstract action of -1 to 1 stands for [rad].
+#: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
-#: Span of the effort of a joint without a torque limit [N m or N].
+#: Largest effort of a joint without an effort limit [N m or N].
 _UNLIMITED_EFFORT = 1e3
-#: What steps may use of the torque that is left beside weight and damping.
+#: Share of the torque beyond weight and damping that steps may use.
 _TORQUE_SHARE = 0.6
-#: What the joint's damping may use of the torque that is left beside the weight.
+#: Share of the torque beyond the weight that the joint's damping may use.
 _DAMPING_SHARE = 0.9
-#: A step takes at least this long to come to the velocity limit [s].
+#: Shortest time in which a step reaches the velocity limit [s].
 _SPEED_UP_S = 0.1
-#: In how many poses the inertia is looked at, and which share of them may be heavier.
+#: Number of poses in which the inertia is computed, and the share of them that may be heavier.
 _POSES = 64
 _QUANTILE = 0.15
-#: A servo that saturates is integrated explicitly: its damping per step and inertia stays below.
+#: Most damping x time step / inertia of a servo: one that saturates is integrated explicitly.
 _EXPLICIT_DAMPING = 1.5
-#: Damping ratio that a servo keeps at most when its gains are lowered for that.
+#: Highest damping ratio that a servo keeps when its gains are lowered for that.
 _SOFT_RATIO = 3.0
 
 
@@ -43,11 +43,11 @@ class Servos:
     """
     The actuators that drive joints, each as a servo or as a source of effort.
 
-    Torque limits hold in both. Stiffness and damping are those of the model where its actuators
-    are position or velocity servos, and derived from the joint's inertia where they are motors.
+    Effort limits apply to both. Stiffness and damping are those of the model if its actuators are
+    position or velocity servos, and otherwise derived from the joint's inertia.
 
-    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``; the
-        actuators are set
+    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``; its
+        actuators and joint force limits are changed
     :param data: at the start, after ``mj_forward``
     :param actuators: their names
     :param joints: the joint that each of them drives
@@ -55,8 +55,8 @@ class Servos:
     :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
     :ivar limited: whether each joint has a range, shape (n,)
     :ivar ranges: lowest and highest goal by control mode, at the joints in SI units, shape (n, 2)
-    :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can do
-        against the joint's damping [rad/s or m/s], shape (n,)
+    :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can keep
+        up against the joint's damping [rad/s or m/s], shape (n,)
     :ivar acceleration_limit: of steps [rad/s^2 or m/s^2], shape (n,)
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
@@ -79,7 +79,7 @@ class Servos:
         self._soften()
         passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
         self.passive_damping: FloatArray = passive.copy()
-        #: Force per velocity of a setpoint, so that the joint moves as fast.
+        #: Effort per velocity that lets a joint move as fast as its setpoint.
         self._drag = self._damping + passive
         self._friction = DryFriction(model, self.dofs)
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
@@ -88,7 +88,7 @@ class Servos:
         velocity = velocity_limit(model, joint_ids, ids)
         self.ranges['velocity'] = np.stack([-velocity, velocity], axis=1)
         torque = np.abs(self.ranges['effort']).max(axis=1)
-        # What the weight leaves of the torque has to suffice for the joint's own damping.
+        # The torque that the weight leaves has to overcome the joint's own damping.
         spare = np.maximum(torque - np.abs(data.qfrc_bias[self.dofs]), 0.2 * torque)
         self.cruising_velocity = np.minimum(
             velocity, _DAMPING_SHARE * spare / np.maximum(passive, 1e-9))
@@ -107,7 +107,7 @@ class Servos:
                  * self._model.dof_invweight0[self.dofs])
         factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(share, 1e-12))
         self._damping = self._damping * factor
-        # With the damping ratio that it had, a servo that was overdamped would become too soft.
+        # A servo that was overdamped would become too soft if it kept its damping ratio.
         enough = (self._damping / (2.0 * _SOFT_RATIO))**2 * self._model.dof_invweight0[self.dofs]
         self._stiffness = np.maximum(self._stiffness * factor**2,
                                      np.minimum(self._stiffness, enough))
@@ -118,7 +118,7 @@ class Servos:
         return limits
 
     def _limit_effort(self, joint_ids: IntArray) -> FloatArray:
-        # At the joint: there the gravity compensation counts too.
+        # The limit is set at the joint, where it includes the gravity compensation.
         limits = effort_range(self._model, joint_ids, self._ids)
         limited = np.isfinite(limits).all(axis=1)
         limits = np.where(np.isfinite(limits), limits, (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))
@@ -152,7 +152,7 @@ class Servos:
         return np.asarray(np.where(declared > 0.0, declared, derived))
 
     def _inertia(self, data: mujoco.MjData) -> FloatArray:
-        """Return the sizes of the driven joints' part of the inertia matrix, shape (n, n)."""
+        """Return the magnitudes of the driven joints' block of the inertia matrix, (n, n)."""
         inertia = np.empty((len(self.dofs), len(self.dofs)))
         unit, column = np.zeros(self._model.nv), np.zeros(self._model.nv)
         for index, dof in enumerate(self.dofs):
@@ -168,13 +168,13 @@ class Servos:
         return np.asarray(self.ranges['velocity'][:, 1])
 
     def position_clamp(self) -> FloatArray:
-        """Return the ranges of position setpoints: infinite for joints without limits (n, 2)."""
+        """Return the ranges of position setpoints, infinite for unlimited joints, (n, 2)."""
         clamp = self.ranges['position'].copy()
         clamp[~self.limited] = (-np.inf, np.inf)
         return clamp
 
     def give_effort(self, indices: IntArray, gives: bool) -> None:
-        """Let some actuators be sources of effort, or servos again."""
+        """Make some actuators sources of effort, or servos again."""
         changed = indices[self._gives_effort[indices] != gives]
         if changed.size:
             self._gives_effort[changed] = gives
@@ -194,14 +194,14 @@ class Servos:
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which these actuators and joints are what and where they were."""
+        """Continue with another model that has these actuators and joints unchanged."""
         self._model = model
         self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
 
     def start(self, data: mujoco.MjData, indices: IntArray, position: FloatArray,
               velocity: FloatArray) -> None:
         """
-        Put the setpoints of some servos somewhere at once.
+        Set the setpoints of some servos at once.
 
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
@@ -211,16 +211,17 @@ class Servos:
         data.ctrl[self._ids[indices]] = 0.0
 
     def rest(self, data: mujoco.MjData) -> None:
-        """Let the setpoints stay where they are."""
+        """Keep the setpoints where they are."""
         data.ctrl[self._ids] = 0.0
 
     def write(self, data: mujoco.MjData, duration_s: float, position: FloatArray,
               velocity: FloatArray, acceleration: FloatArray, effort: FloatArray) -> None:
         """
-        Let the setpoints be at the end of an interval where they shall be.
+        Let the setpoints move linearly to new ones within an interval.
 
-        The activation that a servo needs there is the position, and what its force needs besides
-        for the velocity and, with the inertia matrix of the moment, for the acceleration.
+        The activation of a servo is the position, plus a force over its stiffness: that for the
+        velocity, for dry friction, for the acceleration with the present inertia matrix, and, on
+        bodies with gravity compensation, for centrifugal and Coriolis forces.
 
         :param duration_s: length of the interval [s]
         :param position: at its end [rad or m], shape (n,)
@@ -236,7 +237,7 @@ class Servos:
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
         force += self._friction.at(velocity, acceleration)
-        # The bias force less the weight, which the actuators carry already.
+        # The bias force minus the weight, which the actuators carry already.
         force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
         goal = (position + force / self._stiffness) * self._gear
         here = data.act[self._activation]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where joints shall be at each instant; how actuators get them there is not decided here."""
+"""Setpoints of joints at each instant; how actuators follow them is not decided here."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.streams import RampEstimator, StreamEstimator
 
-#: Time constant of each of the two low-pass stages behind a step [s].
+#: Time constant of each of the two low-pass stages that smooth a step [s].
 _SMOOTHING_S = 0.02
-#: In how many intervals of a stream that jitters the lag behind it is made good.
+#: Message intervals in which the lag behind a stream that jitters is caught up.
 _SOFT_INTERVALS = 5.0
-#: What of its acceleration limit a stream may take: its sender knows what it asks for.
+#: Multiple of the acceleration limit that a stream may use: its sender plans the motion.
 _STREAM_ACCELERATION = 4.0
-#: What is slower and nearer than this has arrived [rad or m, and per second].
+#: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
 _ARRIVED = 1e-10
 
 
 class SetpointGenerator:
     """
-    Position, velocity and acceleration setpoints of joints, continuous in position and velocity.
+    A generator of joint setpoints that are continuous in position and velocity.
 
     The velocity of a setpoint is the sum of two parts. The *stream* part follows goals that come
-    regularly: it ramps to their velocity within one message interval, so that a stream passes
-    with a delay of one and a half intervals. The *catch-up* part brings the rest: a time-optimal
-    profile with limited velocity and acceleration, behind two low-pass stages, which average and
-    so never overshoot. Everything is a closed form in the time step, which may vary.
+    regularly: it ramps to their velocity within one message interval, so that setpoints follow a
+    stream with a delay of one and a half intervals. The *catch-up* part covers the rest: a
+    time-optimal profile with limited velocity and acceleration, and after it two low-pass stages,
+    which average and so never overshoot. All is in closed form for time steps of any length.
 
     :param position_range: lowest and highest setpoint [rad or m], shape (n, 2)
     :param velocity_limit: [rad/s or m/s], shape (n,)
@@ -38,8 +38,8 @@ class SetpointGenerator:
     :ivar position: setpoint at the end of the last interval [rad or m], shape (n,)
     :ivar velocity: its velocity there [rad/s or m/s], shape (n,)
     :ivar acceleration: its acceleration there [rad/s^2 or m/s^2], shape (n,)
-    :ivar limited: how often a streamed goal asked for more than the velocity limit, shape (n,)
-    :ivar now_s: simulation time, set from outside [s]
+    :ivar limited: how often a streamed goal required more than the velocity limit, shape (n,)
+    :ivar now_s: simulation time, which the caller may set [s]
     :ivar moving: whether any setpoint moves or is about to
     """
 
@@ -60,7 +60,7 @@ class SetpointGenerator:
         self._catches = False
         self._seeks, self._brakes = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         self._goal = zeros()
-        # The catch-up part: velocity before and behind each low-pass stage.
+        # The catch-up part: velocity before and after each low-pass stage.
         self._raw, self._stage1, self._stage2 = zeros(), zeros(), zeros()
         # The stream part: its velocity, what it ramps to and how fast, and until when.
         self._stream, self._stream_goal = zeros(), zeros()
@@ -71,7 +71,7 @@ class SetpointGenerator:
         self.now_s = 0.0
 
     def at_rest(self, indices: IntArray) -> bool:
-        """Tell whether some setpoints have come to where they shall be."""
+        """Tell whether some setpoints rest where they have been sent."""
         if not self.moving:
             return True
         if self._stream[indices].any():
@@ -84,12 +84,12 @@ class SetpointGenerator:
         return not (self.moving or self._catches)
 
     def wake(self) -> None:
-        """Let setpoints that were held back after they had come to rest go on."""
+        """Resume setpoints that were held back after they had come to rest."""
         self.moving = self.moving or self._catches
 
     def place(self, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """
-        Put setpoints somewhere with a velocity, from which they come to rest.
+        Set position and velocity of setpoints, which come to rest from there.
 
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
@@ -125,14 +125,14 @@ class SetpointGenerator:
         Let setpoints come to a velocity evenly within a time, or later at the acceleration limit.
 
         :param velocity: [rad/s or m/s], shape of ``indices``
-        :param duration_s: [s]
+        :param duration_s: the time [s]
         """
         self.set_velocity(indices, velocity)
         change = np.abs(velocity - self._stream[indices])
         self._ramp[indices] = np.clip(change / duration_s, 1e-9, self._ramp[indices])
 
     def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
-        # One part alone moves, else both together could exceed the acceleration limit.
+        # Only one part moves: both together could exceed the acceleration limit.
         self._stream[indices] = self.velocity[indices]
         for stage in (self._raw, self._stage1, self._stage2):
             stage[indices] = 0.0
@@ -172,7 +172,7 @@ class SetpointGenerator:
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
-        Let setpoints that move brake and come to a position.
+        Let moving setpoints brake, and then come to a position.
 
         :param goal: [rad or m], shape of ``indices``
         """
@@ -182,12 +182,12 @@ class SetpointGenerator:
 
     def advance(self, duration_s: float) -> None:
         """
-        Move all setpoints on.
+        Advance all setpoints.
 
         :param duration_s: length of the interval [s]
         """
         self._end_streams()
-        # What is missing is seen before anything moves.
+        # What is missing is computed before anything moves.
         missing = self._missing() if self._catches else None
         travel = self._advance_stream(duration_s)
         if missing is not None:
@@ -210,9 +210,9 @@ class SetpointGenerator:
     def follow(self, indices: IntArray, position: FloatArray, velocity: FloatArray,
                acceleration: FloatArray) -> None:
         """
-        Take setpoints of the instant from elsewhere, such as a trajectory.
+        Set the present setpoints from another source, such as a trajectory.
 
-        Where that ends, they come to rest from there.
+        When it ends, they come to rest from there.
 
         :param position: [rad or m], shape of ``indices``; ``velocity`` and ``acceleration`` too
         """
@@ -221,7 +221,7 @@ class SetpointGenerator:
 
     def hold_back(self, measured: FloatArray, lead: FloatArray) -> None:
         """
-        Do not let setpoints run ahead of joints that cannot keep up.
+        Keep setpoints from running ahead of joints that cannot keep up.
 
         :param measured: where the joints are [rad or m], shape (n,)
         :param lead: how far a setpoint may be from there [rad or m], shape (n,)
@@ -250,7 +250,7 @@ class SetpointGenerator:
             self._until_s[ended] = np.inf
 
     def _still_to_come(self) -> FloatArray:
-        """Return how far the setpoints go by themselves if nothing more is asked of them."""
+        """Return how far the setpoints go by themselves if no further command comes."""
         left_s = self._until_s - self.now_s
         streaming = np.isfinite(left_s)
         left_s = np.where(streaming, left_s, 0.0)
@@ -259,7 +259,7 @@ class SetpointGenerator:
         ramp_s = np.where(streaming, np.minimum(ramp_s, left_s), ramp_s)
         reached = self._stream + np.sign(change) * self._ramp * ramp_s
         stream = (self._stream + reached) / 2.0 * ramp_s + reached * (left_s - ramp_s) * streaming
-        # At the end of the message interval the stream ends with the same ramp in time.
+        # After the message interval the stream ramps down to zero within another one.
         stream += np.where(streaming, reached * self._estimator.interval_s / 2.0, 0.0)
         return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
 
@@ -279,7 +279,7 @@ class SetpointGenerator:
         change = limit * duration_s
         raw = _within(raw, self._raw - change, self._raw + change)
         self._raw = _within(raw, -top - self._stream_goal, top - self._stream_goal)
-        # Two first-order stages whose input is constant meanwhile.
+        # Two first-order stages whose input is constant during the interval.
         ratio = duration_s / _SMOOTHING_S
         decay = math.exp(-ratio)
         raw, stage1, stage2 = self._raw, self._stage1, self._stage2
@@ -296,7 +296,7 @@ class SetpointGenerator:
             stage1 + stage2 - self._stage1 - self._stage2))
 
     def _soft(self, missing: FloatArray) -> FloatArray:
-        """Return how much of a lag may be made good slowly because messages jitter."""
+        """Return how much of a lag may be caught up slowly because messages jitter."""
         band = np.where(np.isfinite(self._until_s), self._estimator.jitter * self._stream_goal
                         * self._estimator.interval_s, 0.0)
         return _within(missing, np.minimum(band, 0.0), np.maximum(band, 0.0))
@@ -314,7 +314,7 @@ class SetpointGenerator:
         return np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
 
     def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:
-        """Return velocities at the end of an interval that can still be braked in the range."""
+        """Return velocities, at the end of an interval, that allow braking within the range."""
         bend = self._acceleration_limit * duration_s / 2.0
         highest, lowest = (
             np.sqrt(np.maximum(bend**2 + 2.0 * self._acceleration_limit * np.maximum(
@@ -331,10 +331,10 @@ def _within(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray
 
 def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float) -> FloatArray:
     """
-    Return the highest velocity in the next interval that can still be braked before the goal.
+    Return the highest velocity in the next interval that still allows braking before the goal.
 
-    What is left of the way after the interval is that of a constant deceleration, v^2 / (2 a), so
-    the intervals that follow may be of any length.
+    The distance left after the interval is that of a constant deceleration, v^2 / (2 a), so the
+    intervals that follow may be of any length.
 
     :param distance: to the goal, with sign [rad or m], shape (n,)
     :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tell the velocity of goals that come as a stream, also where their messages jitter."""
+"""Estimate the velocity of goals that come as a stream, also if their messages jitter."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 
-#: Messages that come at least this often are a stream, of which a velocity can be told [s].
+#: Messages no farther apart than this are a stream, whose velocity can be estimated [s].
 STREAM_INTERVAL_S = 0.105
-#: What is kept from message to message of an average velocity, and of a measure of jitter.
+#: Share of the average velocity, and of the measure of jitter, kept from message to message.
 _KEPT, _KEPT_JITTER = 0.7, 0.95
-#: Second difference of the velocity over the velocity, where its sign changes from message to
-#: message: what is smooth has none, a stream of which one message in fourteen comes a period late
-#: has 0.07.
+#: Second difference of the velocity, where its sign alternates from message to message, over the
+#: velocity: below the first a stream is smooth, above the second it jitters fully. If one message
+#: in fourteen comes a period late, it is 0.07.
 _SMOOTH, _JITTERS = 0.04, 0.08
-#: How fast the measure of jitter rises, by message.
+#: Share of a rise that the measure of jitter follows with each message.
 _ATTACK = 0.3
-#: A step above so many times the last one is none of the same velocity.
+#: A step larger than this many times the last one is a jump.
 _JUMP = 1.5
-#: A velocity below this share of the average is a stop and no jitter.
+#: A velocity below this share of the average is a stop and not jitter.
 _STOPS = 0.2
-#: A message that is late by no more than this many mean intervals does not stall the stream.
+#: The longest recent interval counts up to this many mean intervals.
 _PATIENCE = 2.1
 
 
 class StreamEstimator:
     """
-    Velocity of goals from the messages that brought them.
+    An estimator of the velocity of goals from the messages that bring them.
 
-    Messages that come in step with the control periods give it exactly. Those that do not, such
-    as 90 messages a second in 100 periods, bring now one step, now two, or come a period late;
-    there an average is taken, at the price of some delay.
+    Messages in step with the control periods give it exactly. Others, such as 90 messages a second
+    in 100 periods, bring sometimes one step, sometimes two, or come a period late; they are
+    averaged, at the price of some delay.
 
     :param count: number of joints
     :ivar velocity: of the goals [rad/s or m/s], shape (n,)
@@ -60,13 +60,13 @@ class StreamEstimator:
         self._last_s[indices] = -np.inf
 
     def streams(self, indices: IntArray, now_s: float) -> BoolArray:
-        """Tell which goals are no first ones if they come now."""
+        """Tell which goals would continue a stream if they came now."""
         return np.asarray(now_s - self._last_s[indices] <= STREAM_INTERVAL_S)
 
     def take(self, indices: IntArray, goal: FloatArray, now_s: float, period_s: float,
              acceleration_limit: FloatArray) -> IntArray:
         """
-        See the goals of a message.
+        Take in the goals of a message.
 
         :param goal: [rad or m], shape of ``indices``
         :param now_s: simulation time [s]
@@ -75,7 +75,7 @@ class StreamEstimator:
         :returns: the indices whose velocity is new
         """
         fresh = self._last_s[indices] != now_s
-        # Of two goals at one instant the newer counts; they tell no velocity.
+        # Of two goals at one instant the newer counts; they give no velocity.
         self._goal[indices[~fresh]] = goal[~fresh]
         indices, goal, limit = indices[fresh], goal[fresh], acceleration_limit[fresh]
         since_s = now_s - self._last_s[indices]
@@ -91,7 +91,7 @@ class StreamEstimator:
                 np.maximum(step, np.minimum(0.0, factor * before) - slack),
                 np.maximum(0.0, factor * before) + slack))
 
-        # A jump is no stream, two messages in one period are no doubled velocity.
+        # A jump does not continue the stream, two messages in a period do not double its velocity.
         kept = np.where(streams, self.velocity[indices] * elapsed_s, 0.0)
         jump = _JUMP + 0.5 * self.jitter[indices]
         smooth = usual(jump) == step
@@ -106,7 +106,7 @@ class StreamEstimator:
     def _measure_jitter(self, indices: IntArray, velocity: FloatArray, streams: BoolArray) -> None:
         older, oldest = self._history[:, indices]
         self._messages[indices] = np.where(streams, self._messages[indices] + 1.0, 0.0)
-        # How a stream starts is no jitter.
+        # The start of a stream is not jitter.
         bend = np.where(self._messages[indices] > 3.0, velocity - 2.0 * older + oldest, 0.0)
         before = self._bend[indices]
         turn = np.where(bend * before < 0.0, np.minimum(np.abs(bend), np.abs(before)), 0.0)
@@ -129,14 +129,14 @@ class StreamEstimator:
             mean[indices] = kept * mean[indices] + (1.0 - kept) * value
         average = self._mean_step[indices] / self._mean_s[indices]
         self.velocity[indices] = velocity + self.jitter[indices] * (average - velocity)
-        # Where messages jitter the longest interval of late counts, else the stream would stall.
+        # If messages jitter, the stream would stall without the longest recent interval.
         late_s = np.minimum(0.99 * self.interval_s[indices], _PATIENCE * self._mean_s[indices])
         self.interval_s[indices] = np.maximum(elapsed_s, np.where(streams, late_s, 0.0))
 
 
 class RampEstimator:
     """
-    How fast a velocity may change so that a stream of velocities passes, and a jump does not.
+    An estimator of the acceleration that lets a stream of velocities pass, but not a jump.
 
     :param count: number of joints
     """
@@ -152,10 +152,10 @@ class RampEstimator:
     def take(self, indices: IntArray, velocity: FloatArray, present: FloatArray, now_s: float,
              period_s: float, acceleration_limit: FloatArray) -> FloatArray:
         """
-        See the velocities of a message; return the acceleration to use, shape of ``indices``.
+        Return the acceleration to use for the velocities of a message, shape of ``indices``.
 
-        :param velocity: that are wanted [rad/s or m/s], shape of ``indices``
-        :param present: that there are [rad/s or m/s], shape of ``indices``
+        :param velocity: wanted [rad/s or m/s], shape of ``indices``
+        :param present: present velocity [rad/s or m/s], shape of ``indices``
         :param now_s: simulation time [s]
         :param period_s: length of a control period [s]
         :param acceleration_limit: of a jump [rad/s^2 or m/s^2], shape of ``indices``
@@ -164,7 +164,7 @@ class RampEstimator:
         streams = (since_s > 0.0) & (since_s <= STREAM_INTERVAL_S)
         elapsed_s = np.where(streams, since_s, period_s)
         change = np.where(streams, np.abs(velocity - self._velocity[indices]), 0.0)
-        # As for positions: a change may be twice the last one, and what the limit allows.
+        # As for positions, a change may be twice the last one plus what the limit allows.
         most = np.where(streams, 2.0 * self._change[indices], 0.0) / elapsed_s + acceleration_limit
         self._velocity[indices], self._change[indices] = velocity, change
         self._last_s[indices] = now_s

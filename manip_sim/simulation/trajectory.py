@@ -10,7 +10,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
 
-#: Fractions of a segment at which its velocity is looked at.
+#: Fractions of a segment at which its velocity is sampled.
 _SAMPLES = np.linspace(0.0, 1.0, 17)
 
 
@@ -18,13 +18,13 @@ class Trajectory:
     """
     A motion through points in time: quintic where accelerations are given, else cubic.
 
-    Where the points have no velocities, those of a shape-preserving (Fritsch-Carlson) cubic are
-    taken, zero at the end. The first segment begins where :meth:`begin_at` says.
+    Points without velocities get those of a shape-preserving (Fritsch-Butland) cubic, zero at the
+    end. The first segment begins where :meth:`begin_at` sets it.
 
     :param times_s: of the points [s], increasing, not negative
-    :param positions: shape (n_points, n)
-    :param velocities: shape (n_points, n), or None
-    :param accelerations: shape (n_points, n), or None; only with velocities
+    :param positions: [rad or m], shape (n_points, n)
+    :param velocities: [rad/s or m/s], shape (n_points, n), or None
+    :param accelerations: [rad/s^2 or m/s^2], shape (n_points, n), or None; only with velocities
     :ivar end_s: time of the last point [s]
     :raises CommandError: if the times do not increase, or the spline through the points is not
         finite
@@ -43,7 +43,7 @@ class Trajectory:
 
     def begin_at(self, position: FloatArray, velocity: FloatArray, time_s: float = 0.0) -> None:
         """
-        Let the motion start somewhere; points up to then are dropped, but for the last one.
+        Set the start of the motion; points up to its time are dropped, except the last one.
 
         :param position: [rad or m], shape (n,)
         :param velocity: [rad/s or m/s], shape (n,)
@@ -86,7 +86,7 @@ class Trajectory:
         """
         Return the rest of the path in ``factor`` times the time; its time zero is ``from_s``.
 
-        :param from_s: points up to then are dropped, but for the last one [s]
+        :param from_s: points up to this time are dropped, except the last one [s]
         """
         rest = self.times_s > from_s if from_s > 0.0 else self.times_s >= 0.0
         rest[-1] = True
@@ -103,7 +103,7 @@ class Trajectory:
             None if self._accelerations is None else self._accelerations[:, columns])
 
     def highest_velocity(self) -> FloatArray:
-        """Return the highest speed of each joint on the way [rad/s or m/s], shape (n,)."""
+        """Return the highest sampled speed of each joint [rad/s or m/s], shape (n,)."""
         if len(self._knots) == 1:
             return np.zeros(self.positions.shape[1])
         reach = np.diff(self._knots)[:, None] * _SAMPLES
@@ -115,7 +115,7 @@ class Trajectory:
         """
         Return position, velocity and acceleration at a time, each of shape (n,), copies.
 
-        :param time_s: since time zero [s]; the last point lasts
+        :param time_s: since time zero [s]; after the end the last point counts
         """
         if time_s >= self.end_s:
             return self._end[0].copy(), self._end[1].copy(), self._end[2].copy()
@@ -149,9 +149,9 @@ def _shape_preserving(times: FloatArray, positions: FloatArray) -> FloatArray:
     """
     Return the velocities of a cubic that does not overshoot, zero at both ends.
 
-    At the points between, the weighted harmonic mean of the slopes before and after, and zero
+    At inner points they are the weighted harmonic mean of the slopes before and after, or zero
     where these differ in sign (F. N. Fritsch and J. Butland, SIAM Journal on Scientific and
-    Statistical Computing 5, 1984). Importing the one of scipy would double the time of a start.
+    Statistical Computing 5, 1984). Importing that of scipy would double the start-up time.
     """
     velocities = np.zeros_like(positions)
     h = np.diff(times)[:, None]

@@ -29,18 +29,18 @@ _BEYOND = 0.01
 @dataclass(frozen=True)
 class TrajectoryRequest:
     """
-    What a client asks for.
+    A client's request.
 
-    :ivar names: of joints, n
-    :ivar times_s: of the points after the start [s]
+    :ivar names: of joints, n of them
+    :ivar times_s: of the points, from the start [s]
     :ivar positions: [rad or m], shape (n_points, n)
-    :ivar velocities: of that shape, or None
-    :ivar accelerations: of that shape, or None
-    :ivar start_ns: simulation time of the start [ns]; 0 is now
+    :ivar velocities: [rad/s or m/s], of that shape, or None
+    :ivar accelerations: [rad/s^2 or m/s^2], of that shape, or None
+    :ivar start_ns: simulation time of the start [ns]; 0 for now
     :ivar path_tolerance: on the way
     :ivar goal_tolerance: at the end
     :ivar goal_time_s: how long after the end the joints may take to come within the goal
-        tolerance [s]; 0 and -1 are for ever
+        tolerance [s]; 0 and -1 for ever
     """
 
     names: Sequence[str]
@@ -57,7 +57,7 @@ class TrajectoryRequest:
 @dataclass(frozen=True)
 class TrajectoryView:
     """
-    Where the joints of a trajectory shall be, and are.
+    Desired and measured state of the joints of a trajectory.
 
     :ivar time_ns: simulation time [ns]
     :ivar desired: position, velocity and acceleration of the trajectory, each of shape (n,)
@@ -73,15 +73,15 @@ class TrajectoryView:
 
 class TrajectoryGoal(Goal):
     """
-    A trajectory that joints shall follow and at whose end they shall stand.
+    A trajectory for joints, which have to stand still at its end.
 
-    The trajectory is on its way until its command is done; then the joints have to come within
-    the goal tolerance. A trajectory that had to be slowed down still has to be there in time, if
-    the client gave a goal time.
+    The path tolerance applies until the command is done; then the joints have to come within the
+    goal tolerance. A trajectory that had to be slowed down still has to end in time if the client
+    gave a goal time.
 
-    :param robot: that follows it
-    :param part: whose joints they are
-    :param request: what the client asks for
+    :param robot: the robot that follows it
+    :param part: the part that the joints belong to
+    :param request: of the client
     :param now_ns: simulation time [ns]
     :ivar names: of the joints
     :raises GoalError: if it cannot be followed
