@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a model says of the actuators of joints: kinds, gains, limits."""
+"""Properties of the actuators of joints in a model: kinds, gains, limits."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from manip_sim.models.declared_limits import declared_velocity
 _LAG_S = 0.013
 #: Velocity limit of a joint that declares none [rad/s or m/s].
 _DEFAULT_VELOCITY = np.pi
-#: At this velocity all of the dry friction of a joint is there, at the earliest [rad/s or m/s].
+#: Lowest velocity at which all of a joint's dry friction is compensated [rad/s or m/s].
 _SLIDING = 0.05
 
 
 def check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
     """
-    Check that each joint has one actuator.
+    Check that each joint has only one actuator.
 
     :param joints: the joint that each of the actuators drives
     :raises ModelError: naming the joint and two of its actuators
@@ -66,9 +66,9 @@ def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
     affine = model.actuator_biastype[ids] == int(mujoco.mjtBias.mjBIAS_AFFINE)
     position_servo = affine & (kp > 0.0)
     velocity_servo = affine & (kp == 0.0) & (kv > 0.0)
-    # What the actuator sees of the joint through its gear.
+    # The inertia of the joint as the actuator sees it through its gear.
     inertia = model.dof_M0[dofs] / model.actuator_gear[ids, 0]**2
-    # Critical damping, kv = 2 sqrt(kp M), with the lag wanted, kv / kp, or the kv that is there.
+    # Critical damping, kv = 2 sqrt(kp M), with the lag wanted, kv / kp, or the kv of the model.
     derived_kp = 4.0 * inertia / _LAG_S**2
     damped_kp = np.minimum(kv**2 / (4.0 * inertia), derived_kp)
     kp = np.where(position_servo, kp, np.where(velocity_servo, damped_kp, derived_kp))
@@ -79,7 +79,7 @@ def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
 
 class DryFriction:
     """
-    The friction that joints have at some velocity and acceleration.
+    The dry friction of joints at a velocity and an acceleration.
 
     MuJoCo's dry friction is a soft constraint: the force of a slow or light joint is the
     constraint's damping times its velocity over the regularization, up to the ``frictionloss``
@@ -97,19 +97,19 @@ class DryFriction:
         rate = np.where(reference[:, 0] > 0.0, 2.0 / time, -reference[:, 1]) / impedance[:, 1]
         regularization = np.maximum(
             (1.0 - impedance[:, 0]) / impedance[:, 0] * model.dof_invweight0[dofs], 1e-15)
-        # A heavy joint, whose friction is there at once, shall not be pushed to and fro.
+        # A heavy joint, whose friction sets in at once, must not be pushed to and fro.
         share = np.minimum(1.0, self._largest * regularization / (_SLIDING * rate))
         self._inertia = share / regularization
         self._damping = rate * self._inertia
 
     def at(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Return what overcomes it, in SI units, shape (n,) as both of them."""
+        """Return the effort that overcomes it [N m or N], shape (n,) like both arguments."""
         force = self._damping * velocity + self._inertia * acceleration
         return np.asarray(np.clip(force, -self._largest, self._largest))
 
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
-    """Return how fast joints may move: as declared, by a velocity servo, or a default, (n,)."""
+    """Return the velocity limits of joints: declared, of a velocity servo, or a default, (n,)."""
     velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
     of_servo = np.where(velocity_servo & (model.actuator_ctrllimited[ids] != 0),
                         np.abs(model.actuator_ctrlrange[ids]).min(axis=1)
@@ -119,7 +119,7 @@ def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) ->
 
 
 def effort_range(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
-    """Return the lowest and highest effort at the joints, infinite where there is no limit."""
+    """Return the lowest and highest effort at joints, infinite without a limit, shape (n, 2)."""
     gear = model.actuator_gear[ids, :1]
     motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
     gain = np.where(motor, model.actuator_gainprm[ids, 0], 0.0)[:, None]
@@ -131,6 +131,6 @@ def effort_range(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> F
                  model.jnt_actfrcrange[joint_ids], (-np.inf, np.inf)),
         np.where(motor_limited[:, None], model.actuator_ctrlrange[ids] * gain * gear,
                  (-np.inf, np.inf))]
-    # A negative gear turns a range round.
+    # A negative gear reverses a range.
     ordered = np.sort(np.stack(ranges), axis=2)
     return np.stack([ordered[..., 0].max(axis=0), ordered[..., 1].min(axis=0)], axis=1)

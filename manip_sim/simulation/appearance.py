@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a simulation looks like at an instant: copied quickly, shown later, in any thread."""
+"""What a simulation looks like at an instant: copied quickly, and shown later in any thread."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Snapshot:
 
 
 def take_snapshot(simulation: Simulation) -> Snapshot:
-    """Copy what is seen at the present instant; to be called where the simulation may be used."""
+    """Copy what is visible at the present instant; call it where the simulation may be used."""
     data = simulation.data
     return Snapshot(simulation.plan, simulation.time_ns, data.qpos.copy(), data.mocap_pos.copy(),
                     data.mocap_quat.copy())
@@ -56,14 +56,14 @@ def camera_names(model: mujoco.MjModel) -> list[str]:
 
 class VisibleWorld:
     """
-    A world with all its shapes, whose state is that of snapshots; nothing moves by itself.
+    A world with its visual geoms, in the state of a snapshot; nothing moves by itself.
 
     :param plan: what it is compiled from
     :ivar plan: the same
-    :ivar model: the ``mujoco.MjModel``, which belongs to this alone
+    :ivar model: its own ``mujoco.MjModel``
     :ivar cameras: names of its cameras
-    :ivar data: the ``mujoco.MjData``: positions of bodies, shapes, lights and cameras
-    :raises ModelError: with what MuJoCo says
+    :ivar data: the ``mujoco.MjData``: positions of bodies, geoms, lights and cameras
+    :raises ModelError: with MuJoCo's message, if MuJoCo cannot compile it
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -74,7 +74,7 @@ class VisibleWorld:
 
     def show(self, snapshot: Snapshot) -> None:
         """
-        Take the state of a snapshot.
+        Show the state of a snapshot.
 
         :param snapshot: of the same plan
         """
@@ -82,7 +82,7 @@ class VisibleWorld:
         data.qpos[:] = snapshot.qpos
         data.mocap_pos[:] = snapshot.mocap_pos
         data.mocap_quat[:] = snapshot.mocap_quat
-        # No velocities, contacts or forces: they are not seen.
+        # Velocities, contacts and forces are not computed, as they are not visible.
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)

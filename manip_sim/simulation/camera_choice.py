@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which cameras a user has chosen, by texts such as those of a parameter."""
+"""Which cameras a user has chosen, by name or by description, such as in a parameter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.simulation.appearance import camera_names
 
-#: What a part of a topic's name may be.
+#: A token of a topic's name.
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
@@ -39,10 +39,10 @@ def _is_description(text: str) -> bool:
 def chosen_cameras(given: Sequence[str], world: World, model: mujoco.MjModel
                    ) -> dict[str, ImageSettings]:
     """
-    Return the cameras that are chosen, in order, and what their images are unless more is said.
+    Return the chosen cameras, in order, and the default settings of their images.
 
-    :param given: names of cameras and descriptions; empty texts are left out
-    :param world: has the cameras that are described
+    :param given: names of cameras and descriptions; empty texts are ignored
+    :param world: the world with the cameras that are described
     :param model: its ``mujoco.MjModel``
     :raises UnknownNameError: if there is no such camera
     :raises ModelError: if a camera is chosen twice or its name cannot be that of a topic
@@ -68,7 +68,7 @@ def _images_of(model: mujoco.MjModel, name: str) -> ImageSettings:
         raise ModelError(f'the camera {quoted(name)} has a name that no topic can have: letters, '
                          'digits and underscores')
     width, height = model.cam_resolution[model.camera(name).id].tolist()
-    # A camera without a resolution of its own has one of 1 x 1.
+    # MuJoCo's default resolution is 1 x 1.
     if (width, height) == (1, 1):
         return ImageSettings()
     return replace(ImageSettings(), width=min(width, MAX_PIXELS), height=min(height, MAX_PIXELS))

@@ -20,8 +20,8 @@ class Contacts:
 
     :ivar position: in ``world`` [m], shape (n, 3)
     :ivar force: on :attr:`body`, in the axes of ``world`` [N], shape (n, 3)
-    :ivar body: of the two that touch, the one that can move; of two such, the one that comes
-        later in the model, which is the object and not the gripper, shape (n,)
+    :ivar body: of the two that touch, the one that can move; if both can, the later one in the
+        model, such as the object and not the gripper, shape (n,)
     """
 
     position: FloatArray
@@ -31,18 +31,18 @@ class Contacts:
 
 def read_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Contacts:
     """
-    Return all contacts at the instant of the last ``mj_forward``, copies.
+    Return the contacts of geoms at the instant of the last ``mj_forward``, copies.
 
     :param model: the ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
     """
     contact = data.contact
-    # Those of geoms, as opposed to flexes, that are in the constraints.
+    # Contacts of geoms, as opposed to flexes, that are among the constraints.
     used = np.flatnonzero((contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1))
     local = np.empty((len(used), 6))
     for row, index in zip(local, used.tolist()):
         mujoco.mj_contactForce(model, data, index, row)
-    # MuJoCo tells the force on the second body, in axes that are the rows of the frame.
+    # MuJoCo gives the force on the second body, in axes that are the rows of the contact frame.
     force = np.einsum('nij,ni->nj', contact.frame[used].reshape(-1, 3, 3), local[:, :3])
     body = model.geom_bodyid[contact.geom[used]].astype(np.int64).reshape(-1, 2)
     first = (body[:, 0] > body[:, 1]) & (model.body_weldid[body[:, 0]] > 0)

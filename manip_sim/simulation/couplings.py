@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 
-#: At how many places of a joint's range the ratio of two velocities is looked at.
+#: Number of positions in a joint's range at which velocity ratios are computed.
 _PLACES = 5
 _STEP = 1e-6
 
@@ -38,7 +38,7 @@ class JointCouplings:
                 self._neighbours[follower].append((leader, polynomial, True))
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which these joints are what and where they were."""
+        """Continue with another model that has these joints unchanged."""
         self._model = model
 
     def group(self, joint: int) -> frozenset[int]:
@@ -53,10 +53,10 @@ class JointCouplings:
 
     def follow(self, positions: Mapping[int, float]) -> dict[int, float]:
         """
-        Return where joints have to be that are tied to others.
+        Return the positions of joints that are coupled to others.
 
-        :param positions: of some joints [rad or m]; of two that are tied to the same one, the
-            first one counts
+        :param positions: of some joints, by id [rad or m]; of two that are coupled to the same
+            one, the first one counts
         :returns: the positions given, and those of the joints that follow from them
         """
         known = dict(positions)
@@ -75,7 +75,7 @@ class JointCouplings:
         return known
 
     def ratios(self, joint: int) -> list[dict[int, float]]:
-        """Return the velocities of coupled joints per that of one, at places of its range."""
+        """Return the velocities of coupled joints per that of one, at positions in its range."""
         low, high = (self._model.jnt_range[joint] if self._model.jnt_limited[joint]
                      else (self._zero(joint), self._zero(joint)))
         found = []
@@ -90,7 +90,7 @@ class JointCouplings:
         return float(self._model.qpos0[self._model.jnt_qposadr[joint]])
 
     def _solve(self, polynomial: FloatArray, value: float, joint: int) -> float | None:
-        """Return the offset of a joint at which a polynomial has a value, the least in range."""
+        """Return the smallest offset of a joint, in range, at which a polynomial has a value."""
         if not polynomial[2:].any():
             return (value - polynomial[0]) / polynomial[1] if polynomial[1] else None
         roots = np.roots([*polynomial[:0:-1], polynomial[0] - value])

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Notice that the physics has diverged, and go back to where it had not."""
+"""Detect that the physics has diverged, and restore the last good state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import math
 import mujoco
 import numpy as np
 
-#: A generalised velocity that no robot has [rad/s or m/s].
+#: A generalised velocity that no robot reaches [rad/s or m/s].
 _ABSURD_VELOCITY = 1e4
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _KINDS = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -18,7 +18,7 @@ _KINDS = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWA
 
 class DivergenceWatch:
     """
-    Keeps the last good state of a physics.
+    A detector of divergence that keeps the last good state.
 
     :param model: the ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
@@ -35,12 +35,12 @@ class DivergenceWatch:
         self._warned = self._warnings.tobytes()
 
     def remember(self) -> None:
-        """Take the present state for good."""
+        """Remember the present state as the good one."""
         mujoco.mj_getState(self._model, self._data, self._good, _STATE)
         self._warned = self._warnings.tobytes()
 
     def reason(self) -> str | None:
-        """Return why the present state is not good, or None."""
+        """Return why the present state has diverged, or None if it is good."""
         position, velocity, acceleration = self._numbers
         warns = self._warnings.tobytes() != self._warned
         if (velocity.dot(velocity) < _ABSURD_VELOCITY**2 and not warns
@@ -55,11 +55,11 @@ class DivergenceWatch:
         return None
 
     def undo(self) -> None:
-        """Go back to the good state, with the warnings that there were; ``mj_step`` is to come."""
+        """Restore the good state and its counts of warnings; ``mj_step`` has to follow."""
         mujoco.mj_setState(self._model, self._data, self._good, _STATE)
         self._warnings[:] = np.frombuffer(self._warned, self._warnings.dtype)
 
     def hold(self) -> None:
-        """Go back to the good state, at rest; ``mj_forward`` is to come."""
+        """Restore the good state, at rest; ``mj_forward`` has to follow."""
         mujoco.mj_setState(self._model, self._data, self._good, _STATE)
         self._data.qvel[:] = 0.0

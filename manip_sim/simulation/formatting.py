@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Call a gripper's ``format_action``, which may be anybody's code, and check what it returns."""
+"""Call a gripper's ``format_action``, which may be a user's code, and check what it returns."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _STATE = (np.ndarray, list, dict, set)
 
 class Formatter:
     """
-    The ``format_action`` of a gripper behind checks.
+    The ``format_action`` of a gripper, with its results checked.
 
-    :param gripper: whose method it is; it is called once with zeros, and its state put back
-    :param count: how many commands it has to return
-    :ivar faults: how many calls raised or returned something else since then
-    :ivar last_fault: what the last one of these did
-    :raises ModelError: if the call with zeros raises or does not return as many finite numbers
+    :param gripper: its method is called once with zeros, and its state restored
+    :param count: how many commands the method has to return
+    :ivar faults: how many later calls raised or returned something else
+    :ivar last_fault: what the last of these did
+    :raises ModelError: if the call with zeros raises or does not return ``count`` finite numbers
     """
 
     def __init__(self, gripper: GripperModel, count: int) -> None:
@@ -60,8 +60,7 @@ class Formatter:
         """
         Signs of how commands change with actions of ones, zero where they do not, shape (count,).
 
-        The first time, ``format_action`` is called with ones and minus ones, and its state put
-        back.
+        On first use, ``format_action`` is called with ones and minus ones, and its state restored.
         """
         if self._closing is None:
             found = []
@@ -74,7 +73,7 @@ class Formatter:
 
     def format(self, action: FloatArray) -> FloatArray | None:
         """
-        Return commands in [-1, 1], shape (count,), or None and count a fault.
+        Return commands in [-1, 1], shape (count,), or None after a fault, which is counted.
 
         :param action: in [-1, 1], shape (dof,)
         """
@@ -85,7 +84,7 @@ class Formatter:
         return np.clip(command, -1.0, 1.0)
 
     def start_at(self, command: FloatArray) -> bool:
-        """Let ``format_action`` go on from a command; return whether that worked."""
+        """Let ``format_action`` continue from a command; return whether that worked."""
         try:
             self._gripper.start_at(command)
         except Exception as error:
@@ -98,7 +97,7 @@ class Formatter:
         self.last_fault = fault
 
     def _fault(self, action: FloatArray) -> tuple[FloatArray, str | None]:
-        """Return what an action comes to, and what is wrong with it."""
+        """Return the commands of an action, and what is wrong with them or None."""
         nothing: Any = np.zeros(self._count)
         try:
             command = np.asarray(self._gripper.format_action(action.copy()), dtype=float)

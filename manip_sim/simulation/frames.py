@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The tree of frames of a world: which there are, on what each hangs, and where it is in that.
+The tree of frames of a world: their names, their parents and their poses in these.
 
-One frame for each body, with the body's name; the frames that users ask for, such as sites, as
-children of bodies; two frames for each camera, that of MuJoCo and the optical one. The root is
+There is one frame for each body, with the body's name; one for each site that is requested, as a
+child of its body; and two for each camera, that of MuJoCo and the optical one. The root is
 ``world``.
 """
 
@@ -35,9 +35,9 @@ _FIXED_CAMERA = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
 @dataclass(frozen=True)
 class Frame:
     """
-    A frame and the one that it hangs on.
+    A frame and its parent.
 
-    :ivar name: no other frame has it
+    :ivar name: unique among frames
     :ivar parent: name of another frame, or ``world``
     """
 
@@ -51,11 +51,11 @@ class FrameTree:
 
     :param model: the compiled ``mujoco.MjModel``
     :param sites: names of sites that are frames too
-    :param placed: further frames and where they stand in ``world``, by name
+    :param placed: names of further frames, and their poses in ``world``
     :ivar model: the model
-    :ivar moving: frames that move in their parent: bodies with joints, the frames of such joints
-        between them, and cameras that follow something
-    :ivar static: frames that do not
+    :ivar moving: frames that move in their parent: bodies with joints and mocap bodies, frames
+        of joints between bodies, and cameras that follow something
+    :ivar static: frames that do not move in their parent
     :ivar static_poses: of :attr:`static` in their parents, shape (n, 7)
     """
 
@@ -126,7 +126,7 @@ class FrameTree:
 
     def moving_poses(self, data: mujoco.MjData) -> FloatArray:
         """
-        Return where :attr:`moving` are in their parents at the instant of the last ``mj_forward``.
+        Return the poses of :attr:`moving` in their parents, at the last ``mj_forward``.
 
         :param data: the ``mujoco.MjData`` of :attr:`model`
         :returns: in the order of :attr:`moving`, shape (n, 7)
@@ -157,7 +157,7 @@ def _quat_wxyz(matrix: Any) -> FloatArray:
 
 
 def _inverse_product() -> FloatArray:
-    """Return t with t[i, j, k] p[j] c[k] the product of p's inverse and c, as x, y, z, w."""
+    """Return t with t[i, j, k] p[j] c[k] = p^-1 c as x, y, z, w, for p and c as w, x, y, z."""
     table, product, inverse = np.empty((4, 4, 4)), np.empty(4), np.empty(4)
     for j, p in enumerate(np.eye(4)):
         for k, c in enumerate(np.eye(4)):

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Gravity compensation of robots whose root is free, which stand and fall by their own weight.
+Gravity compensation of robots with a free root, which have to bear their own weight.
 
-MuJoCo compensates the weight of a body at all joints below it, so also at the free joint: the
-robot would float. Here the actuators of arms, torso and head carry what hangs on them, and what
-they exert on the root is left to it.
+MuJoCo compensates the weight of a body at all joints between it and the world, so also at the free
+joint: the robot would float. Here the actuators of arms, torso and head carry what is mounted
+beyond them, and the root and the legs bear that weight.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import numpy as np
 from manip_sim.models.robots import RobotModel
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: What carries a robot, such as legs and wheels, is left to its servos.
+#: Subsystems with gravity compensation; what carries a robot, such as legs, has none.
 _CARRIED = ('arm', 'torso', 'head')
 
 
 def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
     """
-    Let actuators carry what hangs on them, on robots whose root is free.
+    Let actuators of robots with a free root carry what is mounted beyond them.
 
     :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
         :class:`FreeRoots`
-    :param robots: those in it
+    :param robots: the robots in it
     """
     driven = {actuator.target for actuator in spec.actuators}
     for robot in robots:
@@ -48,7 +48,7 @@ def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) ->
 
 class FreeRoots:
     """
-    Gives back to the roots of robots the weight that the actuators above them carry.
+    The weight of compensated links, given back to the joints of free robots that bear it.
 
     :param model: the compiled ``mujoco.MjModel``
     :param roots: names of the root bodies of the robots

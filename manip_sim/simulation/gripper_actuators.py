@@ -4,8 +4,8 @@
 """
 What the actuators of a gripper can do: ranges, speeds and forces in the units of their controls.
 
-A position servo has a setpoint, in the units of its control: that at which it comes to rest at a
-length of its transmission. Any other actuator, such as a motor, has only a control.
+The setpoint of a position servo, in the units of its control, is where it rests at a given length
+of its transmission. Any other actuator, such as a motor, has only a control.
 """
 
 from __future__ import annotations
@@ -28,21 +28,22 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 class GripperActuators:
     """
-    The actuators of a gripper, with what the model says of them in arrays of shape (n, ...).
+    The actuators of a gripper, with their properties in arrays of shape (n, ...).
 
     :param model: the compiled ``mujoco.MjModel``
     :param part: the gripper
     :ivar ids: of the actuators
     :ivar is_servo: whether the actuator has a setpoint
-    :ivar ranges: of setpoints, and of the controls of the others, shape (n, 2)
+    :ivar ranges: of setpoints, and of the controls of other actuators, shape (n, 2)
     :ivar speeds: of the setpoints, so that no joint and none that is coupled to it exceeds its
         velocity limit [1/s]; infinite where none is declared
-    :ivar overtravel: how far below and above a place of rest a setpoint brings the full force,
-        zero where the force is not limited, shape (n, 2)
+    :ivar overtravel: how far a setpoint is below and above its place of rest at full force, zero
+        where the force is not limited or the activation is, shape (n, 2)
     :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
         where the length is no sum of joint positions
     :ivar couplings: among the joints of the gripper
-    :raises ModelError: naming an actuator without a range, or two that drive the same
+    :raises ModelError: naming an actuator without a range, or a position servo and another
+        actuator that drive the same joint or tendon
     """
 
     def __init__(self, model: mujoco.MjModel, part: Part) -> None:
@@ -67,7 +68,7 @@ class GripperActuators:
                                    ).reshape(-1, 2)
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which these actuators are what and where they were."""
+        """Continue with another model that has these actuators unchanged."""
         self._model = model
         self.couplings.rebind(model)
 
@@ -77,9 +78,9 @@ class GripperActuators:
 
     def rest(self, lengths: FloatArray) -> FloatArray:
         """
-        Return the setpoints at which servos come to rest; zero for actuators that are none.
+        Return the setpoints at which servos come to rest; zero for other actuators.
 
-        :param lengths: of the transmissions, shape (n,)
+        :param lengths: of the transmissions [rad or m], shape (n,)
         """
         gain = np.where(self.is_servo, self._gain, 1.0)
         at_rest: FloatArray = -(self._bias[:, 0] + self._bias[:, 1] * lengths) / gain
@@ -96,21 +97,21 @@ class GripperActuators:
         return np.where(self.is_servo, speed, 0.0)
 
     def setpoints(self, data: mujoco.MjData) -> FloatArray:
-        """Return the present setpoints, and the controls of actuators without, a copy."""
+        """Return the present setpoints, and the controls of other actuators, a copy."""
         present: FloatArray = data.ctrl[self.ids].copy()
         present[self._integrates] = data.act[self._act[self._integrates]]
         return present
 
     def hold(self, data: mujoco.MjData, setpoints: FloatArray) -> None:
-        """Put setpoints and controls somewhere else at once, as if they had long been there."""
+        """Set setpoints and controls at once, as if they had been there for long."""
         data.act[self._act[self._settles]] = setpoints[self._settles]
         data.ctrl[self.ids] = np.where(self._integrates, 0.0, setpoints)
 
     def approach(self, data: mujoco.MjData, setpoints: FloatArray, duration_s: float) -> None:
         """
-        Let setpoints move linearly; those without an activation of their own jump.
+        Let setpoints move linearly; those without integrator dynamics jump.
 
-        :param setpoints: where they shall be at the end, shape (n,)
+        :param setpoints: their values at the end, shape (n,)
         :param duration_s: of the motion [s]
         """
         rates = (setpoints - self.setpoints(data)) / duration_s
@@ -118,9 +119,9 @@ class GripperActuators:
 
     def lengths_at(self, data: mujoco.MjData, positions: dict[int, float]) -> FloatArray:
         """
-        Return the lengths of the transmissions with joints somewhere else.
+        Return the lengths of the transmissions with some joints at other positions.
 
-        :param positions: by id of the joint [rad or m]; the other joints are where they are
+        :param positions: by id of the joint [rad or m]; the other joints stay where they are
         :returns: shape (n,), NaN where none of the joints takes part
         """
         model, lengths = self._model, np.full(len(self.ids), np.nan)
@@ -133,7 +134,7 @@ class GripperActuators:
 
     def joint_range(self, joint: int) -> tuple[float, float]:
         """
-        Return how far a joint can be brought [rad or m], infinite where nothing is known.
+        Return the range that a joint can move in [rad or m], infinite if it is unknown.
 
         :param joint: its id
         """
@@ -148,7 +149,7 @@ class GripperActuators:
         return float(low), float(high)
 
     def why_no_setpoint(self, index: int) -> str:
-        """Say what the control of an actuator without a setpoint is."""
+        """Return why an actuator has no setpoint, in words."""
         damping = self._model.actuator_biasprm[self.ids[index], 2]
         what = 'a velocity' if damping < 0.0 and self._bias[index, 1] == 0.0 else 'a force'
         return f"actuator '{self.name(index)}' is no position servo, its control is {what}"
@@ -222,7 +223,7 @@ class GripperActuators:
         if joint is not None and model.jnt_actfrclimited[joint]:
             limits.append(np.sort(model.jnt_actfrcrange[joint]
                                   / model.actuator_gear[actuator, 0]))
-        # What MuJoCo keeps in its range by itself cannot travel over.
+        # MuJoCo keeps a limited activation in its range, so it cannot go beyond.
         if not limits or not self.is_servo[index] or model.actuator_actlimited[actuator]:
             return 0.0, 0.0
         low, high = np.max(limits, axis=0)[0], np.min(limits, axis=0)[1]

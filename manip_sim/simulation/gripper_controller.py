@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What moves a gripper: goals of actions and joint commands, approached as fast as allowed."""
+"""Control a gripper: approach the goals of actions and joint commands as fast as allowed."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from manip_sim.simulation.gripper_actuators import GripperActuators
 from manip_sim.simulation.gripper_force import ForceLimit
 from manip_sim.simulation.parts import Part
 
-#: Rate at which the reference calls a gripper's ``format_action`` [Hz].
+#: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0
-#: A finger has come to the end of its range if it is nearer than this part of the range.
+#: A finger has come to an end of its range if it is nearer than this fraction of the range.
 _AT_END = 0.015
-#: A finger has stopped if it would take longer than this for its range [s].
+#: A finger has stopped if it would take longer than this to cross its range [s].
 _STOPPED_S = 20.0
-#: A finger stands still if it would take longer than this for its range [s].
+#: A finger stands still if it would take longer than this to cross its range [s].
 _STILL_S = 40.0
-#: How long a finger that was stopped takes to press with its full force [s].
+#: How long a stopped finger takes to press with its full force [s].
 _PRESS_S = 0.05
-#: What two setpoints may differ by and yet be the same, as part of the range.
+#: Two setpoints that differ by less than this fraction of the range are the same.
 _SAME = 1e-9
 
 
 class GripperController:
     """
-    Drives a gripper: calls its ``format_action`` at the reference's 20 Hz of simulation time.
+    A controller that calls a gripper's ``format_action`` at robosuite's 20 Hz, simulation time.
 
     An action lasts until the next one, so one message closes fully, and how often it is repeated
     does not matter. Actions and joint commands set goals; the setpoints approach them no faster
-    than the fingers may move. Where an action asks for an end of the range and something has
-    stopped the finger before it, the setpoint runs on until the actuator has its full force.
+    than the fingers may move. If an action or a grasp leads to an end of the range and a finger is
+    stopped before it, the setpoint goes on until the actuator exerts its full force.
 
     :param model: the compiled ``mujoco.MjModel``, whose position servos have a setpoint activation
     :param part: the gripper
@@ -70,7 +70,7 @@ class GripperController:
         count = len(self.part.actuators)
         self._action: FloatArray | None = None
         self._next_call_s = 0.0
-        # Whether the state of ``format_action`` belongs to the goal.
+        # Whether the state of ``format_action`` matches the goal.
         self._in_step = False
         self._goal = np.zeros(count)
         # Which servos were sent to an end of their range, and stopped before it.
@@ -86,7 +86,7 @@ class GripperController:
                                   if servo for joint, _ in terms))
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which the gripper is what and where it was."""
+        """Continue with another model in which the gripper is unchanged."""
         self._model = model
         self._actuators.rebind(model)
         self._force.rebind(model)
@@ -98,7 +98,7 @@ class GripperController:
 
     @property
     def last_fault(self) -> str:
-        """What the last one of these calls did; empty if there was none."""
+        """What the last of these calls did; empty if there was none."""
         return self._formatter.last_fault
 
     @property
@@ -117,12 +117,12 @@ class GripperController:
         return np.arange(len(self.part.actuators))
 
     def joint_ranges(self, joints: Sequence[str]) -> FloatArray:
-        """Return the ranges of joints, infinite where there is none, shape (n, 2)."""
+        """Return the ranges of joints [rad or m], infinite where there is none, shape (n, 2)."""
         found = [self._model.joint(name) for name in joints]
         return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
 
     def reach(self, joint: str) -> tuple[float, float]:
-        """Return how far a joint can be brought [rad or m], infinite where nothing is known."""
+        """Return the range that a joint can move in [rad or m], infinite if it is unknown."""
         return self._actuators.joint_range(self._model.joint(joint).id)
 
     def followers(self, joint: str) -> frozenset[str]:
@@ -139,9 +139,9 @@ class GripperController:
 
     def check_takes_positions(self, names: Sequence[str]) -> None:
         """
-        Check that no joint is driven by force alone.
+        Check that no joint is driven only by actuators that take no position.
 
-        :raises CommandError: naming the actuator
+        :raises CommandError: naming such an actuator
         """
         for index, terms in enumerate(self._actuators.terms):
             driven = {self._model.joint(joint).name for joint, _ in terms}
@@ -163,7 +163,7 @@ class GripperController:
         self._in_step = self._formatter.start_at(self._normalised(self._goal))
 
     def apply(self, command: Command, data: mujoco.MjData) -> None:
-        """Take a command over; it takes effect with the next :meth:`tick`."""
+        """Apply a command; it takes effect with the next :meth:`tick`."""
         self._end(Status.REPLACED)
         self._running = command
         self.owner = command.handle
@@ -186,18 +186,18 @@ class GripperController:
         self._moving = True
 
     def _together(self, goal: FloatArray) -> FloatArray:
-        """Let the servos without a goal (NaN) close as far as the first one that has one."""
+        """Close servos without a goal (NaN) by the same fraction as the first one that has one."""
         low, high = self._actuators.ranges.T
         closing = self._formatter.closing
         first = int(np.flatnonzero(~np.isnan(goal))[0])
         part = (goal[first] - low[first]) / (high[first] - low[first])
-        # Where it closes the other way, what is left of the way counts.
+        # For a servo that closes in the other direction, the remaining fraction counts.
         part = np.where(closing == closing[first], part, 1.0 - part)
         follows = np.isnan(goal) & self._actuators.is_servo & (closing != 0.0)
         return np.where(follows & (closing[first] != 0.0), low + part * (high - low), goal)
 
     def _pace_of(self, grasp: GripperGrasp | None, data: mujoco.MjData) -> FloatArray:
-        """Return how fast setpoints may go so that a joint keeps to a velocity."""
+        """Return how fast setpoints may move so that the joint keeps to a grasp's velocity."""
         if grasp is None or not grasp.max_velocity:
             return np.full(len(self._goal), np.inf)
         present = float(data.joint(grasp.joints[0]).qpos[0])
@@ -207,7 +207,7 @@ class GripperController:
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
-        Abort a command; if it was the last one, fingers that move stop, what presses goes on.
+        Abort a command; if it was the last one, moving fingers stop and pressing ones go on.
 
         :param handle: of the command
         :param reason: why, for the handle
@@ -228,7 +228,7 @@ class GripperController:
         return bool((np.abs(speed) < span / _STILL_S).all())
 
     def _positions(self, command: GripperSetpoint) -> dict[int, float]:
-        """Return where the named joints shall go, and those that are coupled to them."""
+        """Return the goals of the named joints and of those that are coupled to them."""
         named = {self._model.joint(name).id: float(value)
                  for name, value in zip(command.joints, command.values)}
         following = self._actuators.couplings.follow(named)
@@ -259,7 +259,7 @@ class GripperController:
         place, start = actuators.place(data), actuators.setpoints(data)
         target = self._target(data, place, start)
         if self._turned:
-            # What presses the other way lets go at once; else a finger would first have to wait
+            # A servo that presses the other way lets go at once, or its finger would have to wait
             # until the setpoint has come back to it.
             against = actuators.is_servo & ((target - place) * (start - place) < 0.0)
             start, self._turned = np.where(against, place, start), False
@@ -286,7 +286,7 @@ class GripperController:
         return target
 
     def _stride(self, distance: FloatArray, duration_s: float) -> FloatArray:
-        """Return how far setpoints move."""
+        """Return how far setpoints move in an interval."""
         speeds = np.minimum(self._actuators.speeds, self._pace)
         press = self._actuators.overtravel.max(axis=1, initial=0.0) / _PRESS_S
         reach = np.where(self._pressing, press, speeds) * duration_s
@@ -294,7 +294,7 @@ class GripperController:
         return stride
 
     def _call_if_due(self, data: mujoco.MjData) -> None:
-        """Call the gripper's ``format_action`` if its time has come."""
+        """Call the gripper's ``format_action`` if it is due."""
         now, period_s = data.time, 1.0 / GRIPPER_RATE_HZ
         if self._action is None or now < self._next_call_s - self._timestep_s / 2.0:
             return
@@ -312,7 +312,7 @@ class GripperController:
         if (np.abs(goal - self._goal) <= self._tolerance).all():
             self._action = None
         self._set_goal(goal, to_end=True)
-        # The next call comes in a while: until then the setpoints move evenly, not in jumps.
+        # Until the next call the setpoints move evenly, not in jumps.
         self._pace = (np.full(len(goal), np.inf) if self._action is None else
                       np.abs(goal - self._actuators.setpoints(data)) / period_s)
 
@@ -323,7 +323,7 @@ class GripperController:
         return None if command is None else low + (command + 1.0) / 2.0 * (high - low)
 
     def _turns_back(self, goal: FloatArray, data: mujoco.MjData) -> bool:
-        """Tell whether a goal goes back to a finger, but not yet past it."""
+        """Tell whether a goal moves back towards a finger, but not past it."""
         place = self._actuators.place(data)
         ahead, still_ahead = self._goal - place, goal - place
         back = (ahead * still_ahead > 0.0) & (np.abs(still_ahead) < np.abs(ahead))

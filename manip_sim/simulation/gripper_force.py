@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Limit the force of a gripper's actuators for one command, and take the limit off again."""
+"""Limit the force of a gripper's actuators for one command, and remove the limit again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ForceLimit:
         self._actuators = actuators
         ids = actuators.ids
         self._limited = model.actuator_forcelimited[ids].copy()
-        # A range that does not count may be empty.
+        # The range of an actuator without a force limit may be empty.
         endless = np.array([-np.inf, np.inf])
         self._ranges = np.where(self._limited[:, None] != 0, model.actuator_forcerange[ids],
                                 endless)
@@ -35,14 +35,14 @@ class ForceLimit:
         self._effort = 0.0
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model that has the present limits."""
+        """Continue with another model that has the present limits."""
         self._model = model
 
     def set(self, effort: float) -> None:
         """
         Limit the force of each actuator so that it gives its first joint no more than an effort.
 
-        :param effort: [N or N m]; 0 is the actuators' own limits
+        :param effort: [N or N m]; 0 for the actuators' own limits
         """
         if effort == self._effort:
             return

@@ -18,23 +18,23 @@ from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 
-#: A goal is reached if the joint is nearer than this part of its range; 0.8 mm of a Panda's.
+#: A goal is reached if the joint is nearer than this fraction of its range; 0.8 mm of a Panda's.
 _REACHED = 0.02
 #: The same for a joint without a range [rad or m].
 _REACHED_ENDLESS = 0.01
-#: A gripper has stalled when its fingers have stood still for so long, simulation time [ns].
+#: A gripper has stalled when its fingers have stood still for this long, simulation time [ns].
 _STALL_NS = 250_000_000
 
 
 @dataclass(frozen=True)
 class GripperRequest:
     """
-    What a client asks for.
+    A client's request.
 
     :ivar position: of the joint [rad or m]
-    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 is their own limit
-    :ivar max_velocity: of the joint [rad/s or m/s]; 0 is its own limit
-    :ivar joint: whose position it is; empty is the first driven joint
+    :ivar max_effort: of the actuators, at their joints [N or N m]; 0 for their own limits
+    :ivar max_velocity: of the joint [rad/s or m/s]; 0 for its own limit
+    :ivar joint: that the position is for; empty for the first one that takes positions
     """
 
     position: float
@@ -46,14 +46,14 @@ class GripperRequest:
 @dataclass(frozen=True)
 class GripperView:
     """
-    Where a gripper is.
+    The state of a gripper.
 
     :ivar time_ns: simulation time [ns]
-    :ivar joint: that is told of
+    :ivar joint: that the numbers are for
     :ivar position: [rad or m]
     :ivar velocity: [rad/s or m/s]
     :ivar effort: of the actuators at the joint [N or N m]
-    :ivar reached: whether the joint is where it shall be
+    :ivar reached: whether the joint is at its goal
     :ivar stalled: whether the fingers were stopped on their way
     """
 
@@ -68,11 +68,11 @@ class GripperView:
 
 class GripperGoal(Goal):
     """
-    A position of a gripper; what it holds may stop it before, and that is a success too.
+    A position of a gripper; to be stopped before it by an object is a success too.
 
-    :param robot: that has the gripper
+    :param robot: the robot with the gripper
     :param part: the gripper
-    :param request: what the client asks for
+    :param request: of the client
     :raises GoalError: if it cannot be met
     """
 

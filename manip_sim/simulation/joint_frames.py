@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Frames between a body and its parent, where several joints, or one off its origin, move it.
+Frames between a body and its parent, if several joints, or one off its origin, move it.
 
-A robot description has one joint between two links, so there such a body comes after a chain of
-links, ``<joint>_link``. Here each of them has its pose in the body's parent.
+A URDF has one joint between two links, so there such a body comes after a chain of links,
+``<joint>_link``. Here each of them has its pose in the body's parent.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class JointFrames:
 
     :param model: the compiled ``mujoco.MjModel``
     :param body: id of the body
-    :ivar joints: ids of the joints that have a frame; none where the body's own is enough
+    :ivar joints: ids of the joints that have a frame; none if the body's own frame is enough
     """
 
     def __init__(self, model: mujoco.MjModel, body: int) -> None:
@@ -38,12 +38,12 @@ class JointFrames:
         if not joints or not kinds <= {_HINGE, _SLIDE}:
             joints = []
         elif int(model.jnt_type[joints[-1]]) == _SLIDE or not model.jnt_pos[joints[-1]].any():
-            joints.pop()  # The last one ends in the frame of the body.
+            joints.pop()  # The frame of the last one is that of the body.
         self.joints = joints
 
     def poses(self, data: mujoco.MjData) -> list[tuple[FloatArray, FloatArray]]:
         """
-        Return where the frames are in the body's parent.
+        Return the poses of the frames in the body's parent.
 
         :param data: the ``mujoco.MjData``
         :returns: position [m], shape (3,), and quaternion w, x, y, z of each, in the order of

@@ -20,7 +20,7 @@ def as_numbers(values: ArrayLike, what: str) -> FloatArray:
     Return numbers of a command as an array of their own shape, a copy.
 
     :param what: what they are, for the message
-    :raises CommandError: if they are no numbers
+    :raises CommandError: if they are not numbers
     """
     return validation.as_numbers(values, what, CommandError)
 
@@ -30,14 +30,14 @@ def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:
     Return numbers of a command as an array of shape (length,), a copy.
 
     :param what: what they are, for the message
-    :raises CommandError: if they are no numbers, not as many, or one is not finite
+    :raises CommandError: if they are not numbers, not ``length`` of them, or not all finite
     """
     return validation.finite_numbers(values, length, what, CommandError)
 
 
 def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
     """
-    Bring numbers into their ranges.
+    Clamp numbers to their ranges.
 
     :param ranges: lowest and highest value, shape (2,), or (n, 2) for values of shape (..., n)
     :returns: the numbers in range, and how many were not
@@ -48,11 +48,11 @@ def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
 
 def clamped_example(names: Sequence[str], values: FloatArray, inside: FloatArray) -> str:
     """
-    Say of the first number that was brought into its range which it is, and to what.
+    Describe the first number that was clamped.
 
     :param names: of the columns of the values
-    :param values: as they came, shape (n,) or (n_points, n)
-    :param inside: the same in range
+    :param values: before clamping, shape (n,) or (n_points, n)
+    :param inside: the clamped values
     :returns: such as ``joint1 from 9 to 2.8973``; empty if all are in range
     """
     for place in map(tuple, np.argwhere(inside != values)[:1]):
@@ -61,5 +61,5 @@ def clamped_example(names: Sequence[str], values: FloatArray, inside: FloatArray
 
 
 def action_example(numbers: FloatArray, inside: FloatArray) -> str:
-    """Return what :func:`clamped_example` says of an action, whose numbers have no names."""
+    """Return the :func:`clamped_example` of an action, whose numbers have no names."""
     return clamped_example([f'data[{i}]' for i in range(len(numbers))], numbers, inside)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a mobile base has come since its joints were at zero, and how fast it goes."""
+"""The pose of a mobile base, relative to that with its joints at zero, and its velocity."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from manip_sim.simulation.poses import Pose
 @dataclass(frozen=True)
 class Odometry:
     """
-    A base at one instant.
+    The pose and the twist of a base at one instant.
 
     :ivar position: in the frame of the odometry [m], shape (3,)
-    :ivar quat_xyzw: how it is turned there, shape (4,)
+    :ivar quat_xyzw: orientation in that frame, shape (4,)
     :ivar linear: velocity in the base's own axes [m/s], shape (3,)
-    :ivar angular: in the base's own axes [rad/s], shape (3,)
+    :ivar angular: velocity in the base's own axes [rad/s], shape (3,)
     """
 
     position: FloatArray
@@ -35,19 +35,19 @@ class Odometry:
 
 class OdometryReader:
     """
-    Reads a mobile base; the frame of its odometry is fixed in ``world``.
+    A reader of a mobile base; the frame of its odometry is fixed in ``world``.
 
     That frame is where the base's frame is while the base's joints are at zero.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param joints: by which the base moves, such as ``SimulatedRobot.twist_joints``
-    :ivar base: the body that moves, by its name
-    :ivar origin: where the frame of the odometry is in ``world``
+    :param joints: that move the base, such as ``SimulatedRobot.twist_joints``
+    :ivar base: name of the body that moves
+    :ivar origin: pose of the frame of the odometry in ``world``
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[str]) -> None:
         moved_by = [model.joint(name) for name in joints]
-        # Bodies come after those they hang on.
+        # Bodies come after their parents.
         self._body = max(int(joint.bodyid[0]) for joint in moved_by)
         self.base: str = model.body(self._body).name
         data = mujoco.MjData(model)
@@ -60,9 +60,9 @@ class OdometryReader:
 
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> Odometry:
         """
-        Return the base at the instant of the last ``mj_forward``.
+        Return the state of the base at the instant of the last ``mj_forward``.
 
-        :param model: the ``mujoco.MjModel``, in which the robot is what and where it was
+        :param model: the ``mujoco.MjModel``, in which the robot is unchanged
         :param data: its ``mujoco.MjData``
         """
         inverse, quat_wxyz = np.empty(4), np.empty(4)

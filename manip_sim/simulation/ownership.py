@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which command took each joint last; it outlives the command, unlike who moves the joint."""
+"""Which command took each joint last, which is remembered after the command has ended."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class JointOwners:
             self._owners[index] = handle
 
     def release(self, indices: IntArray, reason: str) -> None:
-        """Let joints belong to no command, and remember why."""
+        """Take joints from all commands, and remember why."""
         self.take(indices, CommandHandle(Status.ABORTED, reason))
 
     def of(self, handle: CommandHandle) -> IntArray:
@@ -36,6 +36,6 @@ class JointOwners:
                         dtype=np.int64)
 
     def rival(self, handle: CommandHandle, indices: IntArray) -> CommandHandle | None:
-        """Return what took one of some joints after a command, or None if they are all its own."""
+        """Return what took a joint from a command, or None if all the joints are its own."""
         owners = (self._owners[index] for index in indices.tolist())
         return next((owner for owner in owners if owner is not handle), None)

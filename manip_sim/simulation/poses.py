@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where frames are in the world and how they move."""
+"""Poses and twists of frames."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation.numbers import finite_numbers
 
-#: What is farther from the origin is lost [m].
+#: Largest coordinate of a position that is accepted [m].
 MAX_DISTANCE_M = 1e4
-#: What is faster flies through everything in a step [m/s, rad/s].
+#: Largest component of a velocity that is accepted; faster ones tunnel in a step [m/s, rad/s].
 MAX_VELOCITY = 1e3
 #: How far the square of a quaternion's norm may be from one, as in tf2's ``BufferCore``.
 _NORM_TOLERANCE = 1e-2
@@ -26,7 +26,7 @@ _NORM_TOLERANCE = 1e-2
 @dataclass(frozen=True)
 class Pose:
     """
-    Where the frame of a body is in ``world``.
+    The pose of a frame, in ``world`` unless another frame is named.
 
     :ivar position: [m], shape (3,)
     :ivar quat_xyzw: of unit length, shape (4,)
@@ -38,17 +38,17 @@ class Pose:
     @classmethod
     def checked(cls, position: ArrayLike, quat_xyzw: ArrayLike) -> Pose:
         """
-        Return a pose of numbers that somebody else gave.
+        Return a pose of numbers from outside.
 
-        :raises CommandError: if a number is not finite, the position is too far or the quaternion
-            is not of unit length
+        :raises CommandError: if a number is not finite, the position is too far away or the
+            quaternion is not of unit length
         """
         place = finite_numbers(position, 3, 'position')
         quat = finite_numbers(quat_xyzw, 4, 'orientation')
         if np.abs(place).max() > MAX_DISTANCE_M:
             raise CommandError(f'position must be within {MAX_DISTANCE_M:g} m of the origin, got '
                                f'{place.tolist()}')
-        norm = math.hypot(*quat)  # That of numpy warns of an overflow.
+        norm = math.hypot(*quat)  # The norm of numpy warns of an overflow.
         if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
             raise CommandError('orientation must be a quaternion x, y, z, w of length 1, got '
                                f'{quat.tolist()} of length {norm:g}')
@@ -58,7 +58,7 @@ class Pose:
 @dataclass(frozen=True)
 class Twist:
     """
-    How the frame of a body moves, in the axes of ``world``.
+    The velocity of a frame, in the axes of ``world`` unless another frame is named.
 
     :ivar linear: of the frame's origin [m/s], shape (3,)
     :ivar angular: [rad/s], shape (3,)
@@ -70,7 +70,7 @@ class Twist:
     @classmethod
     def checked(cls, linear: ArrayLike, angular: ArrayLike) -> Twist:
         """
-        Return a twist of numbers that somebody else gave.
+        Return a twist of numbers from outside.
 
         :raises CommandError: if a number is not finite or too great
         """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How far joints may be from where they shall be, as clients of FollowJointTrajectory say it."""
+"""Tolerances of joints, as clients of FollowJointTrajectory give them."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from manip_sim.arrays import FloatArray
 from manip_sim.quoting import quoted
 from manip_sim.simulation.goals import GoalCode, GoalError
 
-#: What stands for no tolerance at all.
+#: The value that erases a tolerance: the error is not limited.
 ERASE = -1.0
 
 
 @dataclass(frozen=True)
 class JointTolerance:
     """
-    How far a joint may be from where it shall be; 0 is the default, -1 is as far as it likes.
+    The largest errors of a joint; 0 for the default, -1 for no limit.
 
     :ivar name: of the joint
     :ivar position: [rad or m]
     :ivar velocity: [rad/s or m/s]
-    :ivar acceleration: is checked as a number, and then not used: accelerations are not measured
+    :ivar acceleration: validated, but not used: accelerations are not measured
     """
 
     name: str
@@ -38,13 +38,13 @@ class JointTolerance:
 
 class Tolerances:
     """
-    Tolerances of joints in one order, infinite where there is none.
+    Tolerances of joints in a given order, infinite where there is none.
 
-    :param joints: in whose order they are
+    :param joints: the joints, in order
     :param part: the joints that may be named
-    :param given: what the client asks for
+    :param given: by the client
     :param velocity: the default [rad/s or m/s]
-    :raises GoalError: if a joint is not there, or a number is no tolerance
+    :raises GoalError: if a joint is not in the part, or a number is not a tolerance
     """
 
     def __init__(self, joints: Sequence[str], part: Sequence[str],
@@ -62,7 +62,7 @@ class Tolerances:
                 self.velocity[index] = _resolved(tolerance.name, tolerance.velocity, velocity)
 
     def violated(self, position_error: FloatArray, velocity_error: FloatArray) -> str:
-        """Say which joint is outside its tolerance by the largest factor; empty if none is."""
+        """Return which joint exceeds its tolerance by the largest factor; empty if none does."""
         errors = np.abs([position_error, velocity_error])
         limits = np.array([self.position, self.velocity])
         with np.errstate(invalid='ignore'):

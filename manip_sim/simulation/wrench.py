@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read a gripper's force/torque sensor, its pose and what the world does to it."""
+"""Read a gripper's force/torque sensor, its pose and twist, and the external wrench."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 
 class EndEffectorReader:
     """
-    Reads one gripper; all addresses are resolved once.
+    A reader of one gripper, whose addresses are resolved once.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param gripper: a gripper that is mounted in it
+    :param gripper: a gripper of the model
     """
 
     def __init__(self, model: mujoco.MjModel, gripper: GripperModel) -> None:
@@ -40,7 +40,7 @@ class EndEffectorReader:
         self._tare = np.zeros(6)
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which the gripper is what and where it was."""
+        """Continue with another model in which the gripper is unchanged."""
         self._model = model
 
     @property
@@ -70,7 +70,7 @@ class EndEffectorReader:
 
     def pose(self, data: mujoco.MjData) -> FloatArray:
         """
-        Return where ``grip_site`` is in ``world``.
+        Return the pose of ``grip_site`` in ``world``.
 
         :param data: the ``mujoco.MjData``
         :returns: position [m] and quaternion x, y, z, w, shape (7,)
@@ -81,7 +81,7 @@ class EndEffectorReader:
 
     def twist(self, data: mujoco.MjData) -> FloatArray:
         """
-        Return how ``grip_site`` moves, in the axes of ``world``.
+        Return the twist of ``grip_site``, in the axes of ``world``.
 
         :param data: the ``mujoco.MjData``
         :returns: linear [m/s] and angular velocity [rad/s], shape (6,)
@@ -102,7 +102,7 @@ class EndEffectorReader:
 
     def external_wrench(self, data: mujoco.MjData) -> FloatArray:
         """
-        Return what the world does to the tool, tared, in ``ft_frame``.
+        Return what the world exerts on the tool, tared, in ``ft_frame``.
 
         :param data: the ``mujoco.MjData``
         :returns: force [N] and torque [N m], shape (6,)
@@ -118,9 +118,9 @@ class EndEffectorReader:
         self._tare = np.zeros(6)
 
     def _external(self, data: mujoco.MjData) -> FloatArray:
-        # By Newton's second law the sensor's reading with turned sign, less weight and inertia of
-        # the tool, is the sum of the outer forces on the bodies beyond the sensor. MuJoCo keeps
-        # it in cfrc_ext: torque and force in world axes, about the tree's centre of mass.
+        # The negated sensor reading minus gravity and inertia of the tool is the sum of the
+        # external forces on the bodies beyond the sensor. MuJoCo keeps it in cfrc_ext: torque and
+        # force in world axes, about the tree's centre of mass.
         torque, force = data.cfrc_ext[self._bodies].sum(axis=0).reshape(2, 3)
         lever = data.subtree_com[self._root] - data.site_xpos[self._ft_frame]
         moment = np.empty(3)
