@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cartesian commands after validation; where frames are is looked up when they take effect."""
+"""Validated Cartesian commands; the poses of frames are looked up when they take effect."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from manip_sim.simulation.commands import Command
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CartesianCommand(Command):
     """
-    A command for the ``grip_site`` of an arm, by the joints of the arm alone.
+    A command for the ``grip_site`` of an arm, carried out by the joints of the arm alone.
 
     A newer command may take some of the joints; the others go on as well as they can.
 
@@ -28,10 +28,10 @@ class CartesianCommand(Command):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CartesianPose(CartesianCommand):
     """
-    A pose that ``grip_site`` shall come to and keep.
+    A pose that ``grip_site`` comes to and keeps.
 
-    The pose is that in the frame at the moment when the command takes effect. It stays with a link
-    that the arm does not move, such as a mobile base, and in ``world`` otherwise.
+    The frame is looked up when the command takes effect. If the arm does not move the frame, such
+    as that of a mobile base, the pose then stays fixed in it, otherwise in ``world``.
 
     :ivar frame: of the pose
     :ivar position: [m], shape (3,)
@@ -46,9 +46,9 @@ class CartesianPose(CartesianCommand):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CartesianTwist(CartesianCommand):
     """
-    A velocity of ``grip_site``, until none has come for the time-out.
+    A velocity of ``grip_site``, which lasts until no fresh one has come for the time-out.
 
-    :ivar frame: whose axes the numbers are for; the origin is that of ``grip_site``
+    :ivar frame: whose axes the twist is in; the linear velocity is that of ``grip_site``
     :ivar twist: linear [m/s] and angular [rad/s], shape (6,)
     """
 
@@ -63,7 +63,7 @@ class PoseAction(CartesianCommand):
 
     The goal is the present measured pose of ``grip_site``, not the last goal, moved by 0.05 m and
     turned by 0.5 rad for an action of 1, along and about the axes of the arm's site
-    ``<arm>_center``, with which it stays. The turn is a rotation vector. This is
+    ``<arm>_center``, in which it stays fixed. The turn is a rotation vector. This is
     ``input_type`` delta, ``input_ref_frame`` base, ``goal_update_mode`` achieved (robosuite 1.5,
     ``controllers/parts/arm/osc.py``).
 

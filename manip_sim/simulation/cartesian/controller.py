@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Turn Cartesian commands that run into joint velocities or efforts, arm by arm."""
+"""Turn running Cartesian commands into joint velocities or efforts, arm by arm."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
 
-#: Where control periods are longer, inverse kinematics is solved so often [s].
+#: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012
-#: A pose is reached by setpoints within this [m, rad].
+#: A pose is reached if the setpoints are within this of it [m, rad].
 _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
-#: Setpoints that are slower rest, as a share of joint velocity limits.
+#: And if they are slower than this share of the joint velocity limits.
 _SLOW_PACE = 0.005
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
-#: What carries an arm has moved if it is farther from where it was [m, rad].
+#: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
 
 
@@ -51,7 +51,7 @@ class CartesianController:
     of the physics, on the measured joints.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param data: the ``mujoco.MjData`` at the start, whose arm positions are the posture
+    :param data: the ``mujoco.MjData`` at the start, whose joint positions are the posture
     :param hands: by arm
     :param names: of the joints
     :param servos: of all driven joints
@@ -77,7 +77,7 @@ class CartesianController:
         self.rebind(model)
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which the robot is what and where it was."""
+        """Continue with another model in which the robot is unchanged."""
         self._model = model
         self._scratch: Any = mujoco.MjData(model) if self._hands else None
         self._operational.rebind(model)
@@ -95,7 +95,7 @@ class CartesianController:
 
     def goal(self, arm: str, data: mujoco.MjData) -> Pose | None:
         """
-        Return where the hand of an arm shall be in ``world``, or None before the first command.
+        Return the goal of the hand of an arm in ``world``, or None before the first command.
 
         :raises UnknownNameError: if there is no such arm
         """
@@ -116,7 +116,7 @@ class CartesianController:
 
     def begin(self, command: CartesianCommand, data: mujoco.MjData, now_s: float) -> None:
         """
-        Take a command over, at the beginning of a control period.
+        Start a command, at the beginning of a control period.
 
         :param data: after ``mj_forward``
         :param now_s: simulation time [s]
@@ -136,7 +136,7 @@ class CartesianController:
                 or bool(self._servos.gives_effort(command.indices).any()))
 
     def begin_period(self, command: CartesianCommand, data: mujoco.MjData) -> None:
-        """Solve anew in this control period, and see whether what carries the arm has moved."""
+        """Let this control period solve anew, and check whether the arm's mount has moved."""
         target = self._targets[command.arm]
         target.solve_s = -math.inf
         if target.settled_in is not None:
@@ -224,7 +224,7 @@ class CartesianController:
 
     def _look(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
               error: FloatArray, reached: bool, progress: float) -> None:
-        """See whether the pose is reached, or the hand comes no nearer."""
+        """Check whether the pose is reached, and report a hand that comes no nearer."""
         if reached and command.handle.is_active:
             here = self._hands[command.arm].tip.pose(data)
             command.handle.end(Status.DONE, error=pose_error(target.goal(data), here))

@@ -24,8 +24,8 @@ class Frame:
     A body, or a site on it.
 
     :ivar name: in the model
-    :ivar body: its number
-    :ivar site: the number of the site, or None
+    :ivar body: id of the body
+    :ivar site: id of the site, or None
     """
 
     name: str
@@ -44,7 +44,7 @@ class Frame:
 
     def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
         """
-        Return how it moves and turns in the world with joints, shape (6, n).
+        Return the Jacobian of its position and rotation in the world, shape (6, n).
 
         :param data: the ``mujoco.MjData`` after ``mj_kinematics`` and ``mj_comPos``
         :param dofs: addresses of the joints in ``qvel``, shape (n,)
@@ -75,8 +75,8 @@ class Frames:
         """
         Return a frame.
 
-        :param name: empty is ``world``
-        :param what: who asks, for the message
+        :param name: of the frame; empty for ``world``
+        :param what: what needs it, for the message
         :raises CommandError: naming the nearest frames if there is none of this name
         """
         frame = self._frames.get(name or WORLD)
@@ -87,7 +87,7 @@ class Frames:
 
 
 def rotation_of(quat_wxyz: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a quaternion, shape (3, 3)."""
+    """Return the rotation matrix of a quaternion w, x, y, z, shape (3, 3)."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quat_wxyz)
     return matrix.reshape(3, 3)
@@ -102,7 +102,7 @@ def rotation_of_vector(vector: FloatArray) -> FloatArray:
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Return axis times angle of a rotation matrix [rad], shape (3,)."""
+    """Return the rotation vector of a rotation matrix [rad], shape (3,)."""
     quat_wxyz, vector = np.empty(4), np.empty(3)
     mujoco.mju_mat2Quat(quat_wxyz, np.ascontiguousarray(rotation).reshape(9))
     mujoco.mju_quat2Vel(vector, quat_wxyz, 1.0)

@@ -14,7 +14,7 @@ from manip_sim.simulation.cartesian.commands import (
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, WORLD
 from manip_sim.simulation.cartesian.targets import Hand, Target
 
-#: What an action of 1 moves the goal by [m], [rad]; robosuite's defaults for OSC_POSE.
+#: How far an action of 1 moves and turns the goal [m], [rad]; robosuite's defaults for OSC_POSE.
 _ACTION_STEP, _ACTION_TURN = 0.05, 0.5
 
 
@@ -23,10 +23,10 @@ def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data
     """
     Return the target of a command.
 
-    :param hand: whose target
+    :param hand: the hand that the target is for
     :param model: the ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` after ``mj_forward``
-    :param before: what a stream of twists has moved until now, or None
+    :param before: the target that a stream of twists has moved until now, or None
     :param until_s: simulation time when a twist ends [s]
     """
     if isinstance(command, CartesianPose):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Differential inverse kinematics: which joint velocities bring a hand nearer to where it shall be.
+Differential inverse kinematics: joint velocities that bring a hand nearer to its target.
 
 Damped least squares by singular values (Nakamura and Hanafusa 1986; the damping varies as in
 Chiaverini 1997). Nothing here knows of time, commands or MuJoCo.
@@ -19,11 +19,11 @@ from manip_sim.arrays import BoolArray, FloatArray
 
 #: Singular values of the Jacobian [m/rad and 1] below this are damped.
 _SINGULAR = 0.04
-#: Of a larger error a part is looked at, and braking begins as if that were all [m], [rad].
+#: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
-#: What of the acceleration limits braking may take: the path is not straight in joint space.
+#: Share of the acceleration limits that braking may use: the path is not straight in joint space.
 _BRAKING = 0.5
-#: Rate of the approach in the end, times the interval: critical damping of x[n+1] = x[n] - T
+#: Final rate of the approach, times the interval: critical damping of x[n+1] = x[n] - T
 #: (v[n] + v[n+1]) / 2 with v[n+1] = k x[n] is at k T = 6 - 4 sqrt(2).
 _APPROACH = 6.0 - 4.0 * math.sqrt(2.0)
 _MAX_RATE = 40.0
@@ -36,7 +36,7 @@ _HORIZON_S = 0.1
 @dataclass(frozen=True)
 class JointState:
     """
-    The joints of an arm where its setpoints are, and their limits; all of shape (n,).
+    Setpoints and limits of the joints of an arm, all of shape (n,).
 
     :ivar position: [rad]
     :ivar velocity: [rad/s]
@@ -44,7 +44,7 @@ class JointState:
     :ivar high: highest position [rad]
     :ivar velocity_limit: [rad/s]
     :ivar acceleration_limit: [rad/s^2]
-    :ivar posture: where a redundant arm tends to [rad]
+    :ivar posture: positions that a redundant arm tends to [rad]
     """
 
     position: FloatArray
@@ -63,8 +63,8 @@ class Solution:
 
     :ivar velocity: [rad/s], shape (n,)
     :ivar pace: of the motion for the task, as a share of the velocity limits
-    :ivar progress: which share of the motion that is wanted the joints can make
-    :ivar held: joints that their limit keeps from doing more, shape (n,)
+    :ivar progress: share of the wanted motion that the joints can make
+    :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
     :ivar slowed: whether joint velocity limits slow a twist down
     """
@@ -86,10 +86,10 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     velocity and acceleration limits and those of the hand allow.
 
     :param jacobian: of position and rotation of the hand, shape (6, n)
-    :param error: way [m] and rotation vector [rad] to the pose, shape (6,)
-    :param interval_s: for which the velocities are [s]
-    :param linear_velocity: of the hand at most [m/s]
-    :param angular_velocity: of the hand at most [rad/s]
+    :param error: translation [m] and rotation vector [rad] to the pose, shape (6,)
+    :param interval_s: interval that the velocities are for [s]
+    :param linear_velocity: limit for the hand [m/s]
+    :param angular_velocity: limit for the hand [rad/s]
     """
     way, turn = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     part = min(1.0, _LARGEST_STEP / max(way, 1e-12), _LARGEST_TURN / max(turn, 1e-12))
@@ -110,7 +110,7 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
 
     :param jacobian: of position and rotation of the hand, shape (6, n)
     :param twist: linear [m/s] and angular [rad/s], shape (6,)
-    :param interval_s: for which the velocities are [s]
+    :param interval_s: interval that the velocities are for [s]
     """
     step, drift, held, singular = _displacements(jacobian, _HORIZON_S * twist, joints)
     velocity = step / _HORIZON_S
@@ -126,16 +126,16 @@ def _progress(made: FloatArray, wanted: FloatArray) -> float:
 
 
 def stop(joints: JointState, interval_s: float) -> FloatArray:
-    """Return the velocities on the straight way to rest [rad/s], shape (n,)."""
+    """Return the velocities that bring each joint to rest soonest [rad/s], shape (n,)."""
     return _reached(np.zeros(len(joints.velocity)), joints, interval_s)
 
 
 def _displacements(jacobian: FloatArray, task: FloatArray, joints: JointState
                    ) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
     """
-    Return the joint displacements for a task, and those of the null space to the posture.
+    Return the joint displacements for a task, and those in the null space towards the posture.
 
-    Joints that would leave their range go to its end, and the others do what is left.
+    Joints that would leave their range go to its end, and the others do the rest.
     """
     low, high = joints.low - joints.position, joints.high - joints.position
     free = np.ones(len(low), dtype=bool)
@@ -169,20 +169,20 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     """Return how fast to go along a displacement, as a share of it per second."""
     size = np.maximum(np.abs(step), 1e-12)
     present = float(joints.velocity @ step) / float(size @ size)
-    # Of v at the end of the interval the way to brake is v^2 / (2 a), and until then the mean of
-    # the velocities is made, along the whole way of 1.
+    # Braking from v at the end of the interval takes v^2 / (2 a), and until then the mean of the
+    # two velocities counts; together they make the whole displacement, which is 1.
     possible = float((joints.acceleration_limit / size).min())
     limit = _BRAKING * possible
     bend = limit * interval_s / 2.0
     root = bend**2 + 2.0 * limit * (1.0 - present * interval_s / 2.0)
     braking = math.sqrt(max(root, 0.0)) - bend
-    # All joints gain speed evenly, so that the way is straight from the beginning.
+    # All joints gain speed evenly, so that the path is straight from the beginning.
     return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
                _APPROACH / interval_s, _MAX_RATE, float((joints.velocity_limit / size).min()))
 
 
 def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
-    """Add what a redundant arm can do besides."""
+    """Add the motion towards the posture for which the velocity limits leave room."""
     wanted = _POSTURE_RATE * drift
     room = joints.velocity_limit - np.abs(velocity)
     share = float((room / np.maximum(np.abs(wanted), 1e-12)).min())
@@ -190,6 +190,6 @@ def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> 
 
 
 def _reached(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
-    """Return the velocity that can be had in an interval."""
+    """Return the nearest velocity that the acceleration limits allow in an interval."""
     change = joints.acceleration_limit * interval_s
     return np.asarray(np.clip(velocity, joints.velocity - change, joints.velocity + change))

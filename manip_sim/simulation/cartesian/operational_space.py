@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Operational space control: which efforts let a hand behave like a mass on a spring and damper.
+Operational space control: efforts that make a hand behave like a mass on a spring and damper.
 
-After Khatib (1987): the force at the hand is its inertia as seen by the arm times the acceleration
-that is wanted, and a redundant arm is drawn to a posture by efforts that do not move the hand.
+After Khatib (1987): the force at the hand is the arm's inertia as seen from the hand times the
+wanted acceleration, and efforts that do not move the hand draw a redundant arm to a posture.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ _POSTURE = 10.0
 def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, wanted: FloatArray,
            posture_error: FloatArray, damping: float) -> FloatArray:
     """
-    Return joint efforts beside those against gravity, damping and Coriolis forces.
+    Return joint efforts, without those against gravity, damping and Coriolis forces.
 
-    The hand accelerates as damping times what it lacks of a velocity, in all six directions.
+    The acceleration of the hand is damping times its velocity error, in all six directions.
 
     :param jacobian: of position and rotation of the hand, shape (6, n)
     :param inertia: of the joints, shape (n, n)
     :param velocity: of the joints [rad/s], shape (n,)
-    :param wanted: velocity of the hand, such as :func:`wanted_motion` [m/s, rad/s], shape (6,)
-    :param posture_error: way of the joints to the posture [rad], shape (n,)
+    :param wanted: velocity of the hand, as of :func:`wanted_motion` [m/s, rad/s], shape (6,)
+    :param posture_error: posture minus position of the joints [rad], shape (n,)
     :param damping: [1/s]
     :returns: [N m], shape (n,)
     """
     acceleration = damping * (wanted - jacobian @ velocity)
     mobility = np.linalg.solve(inertia, jacobian.T)
     task_inertia = np.linalg.inv(jacobian @ mobility + _regular(jacobian, inertia))
-    # What is left of posture efforts once the part that moves the hand is taken away.
+    # Efforts towards the posture; the force at the hand cancels the motion that they cause there.
     own = inertia @ (_POSTURE * posture_error - 2.0 * math.sqrt(_POSTURE) * velocity)
     force = task_inertia @ (acceleration - mobility.T @ own)
     return np.asarray(jacobian.T @ force + own)
@@ -51,7 +51,7 @@ def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, want
 @dataclass(frozen=True)
 class WantedMotion:
     """
-    How a hand shall move.
+    The motion wanted of a hand.
 
     :ivar twist: in the world [m/s, rad/s], shape (6,)
     :ivar joints: velocities of the joints that give it [rad/s], shape (n,)
@@ -74,8 +74,8 @@ def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     near a singularity.
 
     :param jacobian: of position and rotation of the hand, shape (6, n)
-    :param error: way [m] and rotation vector [rad] to where the hand shall be, shape (6,)
-    :param twist: velocity that it shall have there [m/s, rad/s], shape (6,)
+    :param error: translation [m] and rotation vector [rad] to the target, shape (6,)
+    :param twist: velocity of the target [m/s, rad/s], shape (6,)
     :param velocity_limit: of the joints [rad/s], shape (n,)
     """
     wanted = settings.stiffness / settings.damping * error
@@ -94,10 +94,10 @@ def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
 
 
 def _regular(jacobian: FloatArray, inertia: FloatArray) -> FloatArray:
-    """Return what to add to the inverse inertia at the hand where it is near a singularity."""
+    """Return what to add to the inverse inertia at the hand, zero far from singularities."""
     squares = jacobian @ jacobian.T
     try:
-        # The smallest singular value is no less than the root of the inverse trace.
+        # The smallest squared singular value is at least 1 / trace of the inverse.
         if 0.0 < np.trace(np.linalg.inv(squares)) < _SINGULAR**-2:
             return np.zeros_like(squares)
     except np.linalg.LinAlgError:  # It is exactly singular.

@@ -20,20 +20,20 @@ from manip_sim.simulation.servos import Servos
 #: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
 _REACHED = np.array([1e-3] * 3 + [1e-2] * 3)
 _SLOW_TWIST = 2e-3
-#: A joint is at the end of its range, or beyond, from here on [rad].
+#: A joint that is nearer than this to an end of its range is at the end [rad].
 _END = 1e-3
 
 
 @dataclass(frozen=True)
 class EffortSolution:
     """
-    Efforts of the joints of an arm, and how near its hand is to where it shall be.
+    Efforts of the joints of an arm, and how near its hand is to its target.
 
     :ivar effort: [N m], shape (n,)
-    :ivar error: way [m] and rotation vector [rad] to the target, shape (6,)
-    :ivar rests: whether the hand is there and rests
-    :ivar progress: which share of the motion that is wanted the hand makes
-    :ivar held: joints that the end of their range keeps from doing more, shape (n,)
+    :ivar error: translation [m] and rotation vector [rad] to the target, shape (6,)
+    :ivar rests: whether the hand is at the target and rests
+    :ivar progress: share of the wanted motion that the hand makes
+    :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
     :ivar slowed: whether joint velocity limits slow the motion down
     """
@@ -49,11 +49,11 @@ class EffortSolution:
 
 class OperationalSpaceController:
     """
-    Computes the efforts that let hands follow targets.
+    A controller that computes the efforts with which hands follow targets.
 
     :param model: the compiled ``mujoco.MjModel``
     :param servos: of all driven joints
-    :param posture: which redundant arms are drawn to [rad], shape (n,)
+    :param posture: positions that redundant arms are drawn to [rad], shape (n,)
     """
 
     def __init__(self, model: mujoco.MjModel, servos: Servos, posture: FloatArray) -> None:
@@ -64,14 +64,14 @@ class OperationalSpaceController:
         self.rebind(model)
 
     def rebind(self, model: mujoco.MjModel) -> None:
-        """Go on with a model in which the robot is what and where it was."""
+        """Continue with another model in which the robot is unchanged."""
         self._model = model
         self._unit, self._column = np.zeros(model.nv), np.zeros(model.nv)
 
     def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
                duration_s: float, settings: CartesianSettings) -> EffortSolution:
         """
-        Return the efforts for the next interval; the goal of a target with a twist moves.
+        Return the efforts for the next interval; a twist moves the goal of its target.
 
         :param tip: of the hand
         :param indices: of the joints of the arm, shape (n,)
@@ -88,7 +88,7 @@ class OperationalSpaceController:
                                self._servos.velocity_limit[indices])
         given = effort(jacobian, self._inertia(data, dofs), velocity, wanted.twist,
                        self._posture[indices] - position, settings.damping)
-        # Gravity that is compensated counts as none.
+        # Gravity that is compensated needs no effort here.
         given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
         given += self._servos.passive_damping[indices] * velocity
         moved, goes = jacobian @ velocity, settings.stiffness / settings.damping * error

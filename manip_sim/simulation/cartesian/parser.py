@@ -23,9 +23,9 @@ from manip_sim.simulation.poses import Pose, Twist
 
 class CartesianParser:
     """
-    Makes Cartesian commands for the arms of a robot.
+    A parser of Cartesian commands for the arms of a robot.
 
-    :param joints: controls the joints; only read
+    :param joints: controller of the joints; only read
     :param frames: of the robot
     """
 
@@ -44,7 +44,7 @@ class CartesianParser:
 
         :param position: in the frame [m]
         :param quat_xyzw: in the frame, of length 1
-        :param frame: a link of the robot; empty is ``world``
+        :param frame: a link of the robot or a frame on one; empty for ``world``
         :raises CommandError: if the frame is unknown, or the numbers are not those of a pose
         :raises UnknownNameError: if there is no such arm with a gripper
         """
@@ -58,14 +58,14 @@ class CartesianParser:
     def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
               ) -> CartesianTwist:
         """
-        Return the command of a velocity of ``grip_site`` of an arm.
+        Return the command for a velocity of ``grip_site`` of an arm.
 
-        What is faster than the settings allow is slowed down, in its direction, and counted.
+        A velocity above the limit of the settings is clamped in its direction, and counted.
 
         :param linear: [m/s]
         :param angular: [rad/s]
-        :param frame: along and about whose axes; empty is ``world``
-        :raises CommandError: if the frame is unknown, or a number is not finite or absurd
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :raises CommandError: if the frame is unknown, or a number is not finite or too great
         :raises UnknownNameError: if there is no such arm with a gripper
         """
         indices = self._indices_of(arm)
@@ -81,7 +81,7 @@ class CartesianParser:
 
     def action(self, arm: str, action: ArrayLike) -> PoseAction:
         """
-        Return the command of an action of robosuite's OSC_POSE.
+        Return the command for an action of robosuite's OSC_POSE.
 
         :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z
         :raises CommandError: if the length is wrong or a number is not finite

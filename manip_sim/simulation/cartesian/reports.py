@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What keeps the hand of an arm from where it shall be: counted, and told in words."""
+"""What keeps the hand of an arm from its target: counted, and described in words."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 
-#: What is farther from its target [m, rad] and does not come nearer for a while [s], by this share
-#: of the motion that is wanted, is out of reach.
+#: A target is unreachable if the hand is farther from it than this [m, rad], and for this time [s]
+#: makes no more than this share of the wanted motion.
 _MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
 _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
 
@@ -22,12 +22,12 @@ _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
 @dataclass
 class CartesianReport:
     """
-    What keeps a hand from where it should be, counted when it begins.
+    Counts of what keeps a hand from its target, each counted when it begins.
 
     :ivar arm: whose hand
     :ivar unreachable: targets that were not reached
     :ivar joint_limit: how often the range of a joint shortened a motion
-    :ivar singular: how often the hand could hardly move where it should
+    :ivar singular: how often the hand could hardly move in the wanted direction
     :ivar slowed: how often joint velocity limits slowed a twist down
     :ivar texts: what happened last, in words, by counter
     """
@@ -39,23 +39,23 @@ class CartesianReport:
     slowed: int = 0
     texts: dict[str, str] = field(default_factory=dict)
     _active: set[str] = field(default_factory=set)
-    #: When the hand was looked at last, and since when it has come no nearer to its target.
+    #: When the hand was checked last, and since when it has come no nearer to its target.
     _seen_s: float = -math.inf
     _stalled_s: float = 0.0
 
     @property
     def counts(self) -> dict[str, int]:
-        """How often what happened."""
+        """The four counts by name."""
         return {kind: getattr(self, kind)
                 for kind in ('unreachable', 'joint_limit', 'singular', 'slowed')}
 
     def see_motion(self, what: str, held: Sequence[str], singular: bool, slowed: bool) -> None:
         """
-        See what limits a motion.
+        Record what limits a motion.
 
         :param what: the motion, in words
         :param held: names of the joints that are at the end of their range
-        :param singular: whether the hand can hardly move so
+        :param singular: whether the hand can hardly move in the wanted direction
         :param slowed: whether joint velocity limits slow a twist down
         """
         self._note('joint_limit', bool(held),
@@ -67,10 +67,10 @@ class CartesianReport:
 
     def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:
         """
-        See whether the hand comes nearer to its target; a stream of targets is one.
+        Record whether the hand comes nearer to its target; a stream of targets counts as one.
 
-        :param error: way [m] and rotation vector [rad] to the target, shape (6,)
-        :param progress: share of the motion that is wanted that is made
+        :param error: translation [m] and rotation vector [rad] to the target, shape (6,)
+        :param progress: share of the wanted motion that is made
         :param now_s: simulation time [s]
         """
         first = now_s - self._seen_s > _STALLED_S

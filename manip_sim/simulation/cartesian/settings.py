@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What may be set of the Cartesian control of an arm, also while it runs."""
+"""Settings of the Cartesian control of an arm, which may change while it runs."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class CartesianSettings:
 
     :ivar stiffness: acceleration of ``grip_site`` per error, robosuite's kp [1/s^2]
     :ivar damping_ratio: 1 is critical damping
-    :ivar linear_velocity: of ``grip_site`` at most [m/s]
-    :ivar angular_velocity: of ``grip_site`` at most [rad/s]
-    :ivar twist_timeout: without a newer twist for so long the hand stops, simulation time [s]
+    :ivar linear_velocity: limit for ``grip_site`` [m/s]
+    :ivar angular_velocity: limit for ``grip_site`` [rad/s]
+    :ivar twist_timeout: how long a twist lasts if no fresh one comes, simulation time [s]
     """
 
     stiffness: float = 150.0
@@ -36,7 +36,7 @@ class CartesianSettings:
 
     def changed(self, name: str, value: float) -> CartesianSettings:
         """
-        Return settings of which one has another value.
+        Return the settings with another value for one of them.
 
         :raises CommandError: if the value is not positive and finite
         :raises UnknownNameError: if there is no such setting

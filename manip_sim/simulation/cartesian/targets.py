@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the hand of an arm shall be."""
+"""The hand of an arm, and its target."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Hand:
     The hand of an arm.
 
     :ivar tip: its ``grip_site``
-    :ivar origin: what the arm is mounted on, ``<arm>_center`` where that is there
+    :ivar origin: site ``<arm>_center``, or else the body that the arm is mounted on
     :ivar qpos: addresses of the arm's joints in ``qpos``, shape (n,)
     """
 
@@ -38,14 +38,14 @@ class Target:
     """
     A goal pose, or a twist that moves it.
 
-    :ivar anchor: frame that the goal stays with
+    :ivar anchor: frame that the goal stays fixed in
     :ivar position: of the goal in the anchor [m], shape (3,)
     :ivar rotation: of the goal in the anchor, shape (3, 3)
     :ivar axes: frame of the twist
     :ivar twist: in those axes [m/s, rad/s], shape (6,), or None
     :ivar until_s: simulation time when the twist ends [s]
     :ivar solve_s: simulation time of the next solution [s]
-    :ivar settled_in: where what carries the arm was when it came to rest, or None
+    :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
     """
 
     anchor: Frame
@@ -61,7 +61,7 @@ class Target:
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
            ) -> Target:
         """
-        Return the target of a pose, which stays with a frame.
+        Return the target of a pose that stays fixed in a frame.
 
         :param position: in the world [m], shape (3,)
         :param rotation: in the world, shape (3, 3)
@@ -72,7 +72,7 @@ class Target:
 
     def stay_at(self, pose: tuple[FloatArray, FloatArray], data: mujoco.MjData) -> None:
         """
-        Put the goal somewhere else.
+        Set the goal.
 
         :param pose: position [m] and rotation matrix in the world
         """
@@ -80,7 +80,7 @@ class Target:
         self.position, self.rotation = turned.T @ (pose[0] - origin), turned.T @ pose[1]
 
     def goal(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
-        """Return position [m] and rotation of the goal in the world."""
+        """Return position [m] and rotation matrix of the goal in the world."""
         origin, turned = self.anchor.pose(data)
         return origin + turned @ self.position, turned @ self.rotation
 
@@ -96,7 +96,7 @@ class Target:
         Move the goal with a twist, not far ahead of the hand.
 
         :param twist: in the world [m/s, rad/s], shape (6,)
-        :param duration_s: [s]
+        :param duration_s: length of the motion [s]
         """
         position, rotation = self.goal(data)
         here, turned = tip.pose(data)
@@ -111,5 +111,5 @@ def _bounded(vector: FloatArray, limit: float) -> FloatArray:
 
 def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, FloatArray]
                ) -> FloatArray:
-    """Return way [m] and rotation vector [rad] from a pose to another in the world, shape (6,)."""
+    """Return translation [m] and rotation vector [rad] from here to the goal, shape (6,)."""
     return np.concatenate([goal[0] - here[0], rotation_vector(goal[1] @ here[1].T)])
