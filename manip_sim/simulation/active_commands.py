@@ -34,7 +34,7 @@ class ActiveCommands:
 
     @property
     def trajectories(self) -> list[JointTrajectory]:
-        """All trajectories, also those that start later."""
+        """All trajectories, including those that start later."""
         return [*self.waiting, *(c for c in self.running if isinstance(c, JointTrajectory))]
 
     def release(self, indices: IntArray, status: Status, reason: str = '') -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Validate input from outside and make commands of it; nothing is changed here."""
+"""Validate input from outside and turn it into commands; nothing is changed here."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class CommandParser:
                       velocity: ArrayLike = (), effort: ArrayLike = (), part: str | None = None
                       ) -> list[Command]:
         """
-        Return the commands for goals of some joints; one that is invalid rejects them all.
+        Return the commands for goals of some joints; one invalid goal rejects them all.
 
         Each joint uses the field of its control mode; NaN means no command for the joint. A field
         may also have numbers only for the joints whose mode uses it, in the order of their names;
@@ -166,8 +166,7 @@ class CommandParser:
         :param forward: along x [m/s]
         :param side: along y [m/s]
         :param yaw: about z [rad/s]
-        :raises CommandError: if the robot has no such base, a number is not finite, or the base is
-            not in velocity mode
+        :raises CommandError: if a number is not finite, or there is no base in velocity mode
         """
         indices = self._joints.twist_indices
         if indices is None:

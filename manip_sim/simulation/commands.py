@@ -193,7 +193,7 @@ class GripperGrasp(GripperSetpoint):
     """
     A position for one joint; all other fingers close by the same fraction of their range.
 
-    Fingers that are stopped on the way to an end of their range press with all force allowed.
+    Fingers that are stopped on the way to an end of their range press with all the force allowed.
 
     :ivar max_effort: of the actuators, at their joints [N or N m]; 0 for their own limits
     :ivar max_velocity: of the joint [rad/s or m/s]; 0 for its own limit

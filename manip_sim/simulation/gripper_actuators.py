@@ -42,8 +42,7 @@ class GripperActuators:
     :ivar terms: by actuator, the joints that make up its length, with their coefficients; empty
         where the length is no sum of joint positions
     :ivar couplings: among the joints of the gripper
-    :raises ModelError: naming an actuator without a range, or a position servo and another
-        actuator that drive the same joint or tendon
+    :raises ModelError: naming an actuator without a range, or another on a servo's joint or tendon
     """
 
     def __init__(self, model: mujoco.MjModel, part: Part) -> None:

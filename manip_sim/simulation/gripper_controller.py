@@ -35,7 +35,7 @@ _SAME = 1e-9
 
 class GripperController:
     """
-    A controller that calls a gripper's ``format_action`` at robosuite's 20 Hz, simulation time.
+    A controller that calls a gripper's ``format_action`` at robosuite's 20 Hz of simulation time.
 
     An action lasts until the next one, so one message closes fully, and how often it is repeated
     does not matter. Actions and joint commands set goals; the setpoints approach them no faster

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make commands of goals for named joints, such as those of ``sensor_msgs/JointState``."""
+"""Turn goals of named joints into commands, such as those of ``sensor_msgs/JointState``."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class JointCommandParser:
     def parse(self, names: Sequence[str], fields: Mapping[str, ArrayLike], part: str | None
               ) -> list[Command]:
         """
-        Return the commands for goals of some joints; one that is invalid rejects them all.
+        Return the commands for goals of some joints; one invalid goal rejects them all.
 
         :param names: of the joints
         :param fields: by control mode, goals in SI units; empty where there are none

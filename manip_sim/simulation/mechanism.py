@@ -103,7 +103,7 @@ def _coupled(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
 
 
 def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
-    """Yield the joints that a constraint holds by themselves, or by a weld to the world."""
+    """Yield the joints that each constraint holds on their own, or by a weld to the world."""
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
         if other < 0:
             yield (one,)

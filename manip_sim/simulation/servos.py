@@ -219,9 +219,8 @@ class Servos:
         """
         Let the setpoints move linearly to new ones within an interval.
 
-        The activation of a servo is the position, plus a force over its stiffness: that for the
-        velocity, for dry friction, for the acceleration with the present inertia matrix, and, on
-        bodies with gravity compensation, for centrifugal and Coriolis forces.
+        The activation of a servo is the position plus force over stiffness, for velocity, friction,
+        acceleration (present inertia matrix) and, with gravity compensation, for Coriolis forces.
 
         :param duration_s: length of the interval [s]
         :param position: at its end [rad or m], shape (n,)

@@ -26,7 +26,7 @@ _AT_END = 1e-3
 #: A joint is blocked if contacts leave less than this share of its acceleration; one that can move
 #: away from its neighbour keeps half of it.
 _BLOCKED = 0.25
-#: Armature that holds the other joints still while one is tried, per largest joint inertia.
+#: Armature that holds other joints still while one is tried, as a multiple of the largest inertia.
 _HELD = 1e3
 #: Acceleration by the trial force of a joint without a force limit [rad/s^2 or m/s^2].
 _TRIAL_ACCELERATION = 100.0

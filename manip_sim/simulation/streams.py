@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Estimate the velocity of goals that come as a stream, also if their messages jitter."""
+"""Estimate the velocity of goals that come as a stream, even if their messages jitter."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class StreamEstimator:
         elapsed_s = np.where(streams, since_s, period_s)
         step = np.where(streams, goal - self._goal[indices], 0.0)
         before = self._step[indices]
-        # A smooth stream accelerates about as it did before, also where its velocity changes sign.
+        # A smooth stream accelerates about as it did before, even where its velocity changes sign.
         slack = elapsed_s * (2.0 * limit * period_s + _JUMP * self._change[indices])
 
         def usual(factor: FloatArray | float) -> FloatArray:

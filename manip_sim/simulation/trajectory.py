@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A spline through the points of a joint trajectory; who follows it is not decided here."""
+"""A spline through the points of a joint trajectory; what follows it is not decided here."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ class CartesianPose(CartesianCommand):
     """
     A pose that ``grip_site`` comes to and keeps.
 
-    The frame is looked up when the command takes effect. If the arm does not move the frame, such
-    as that of a mobile base, the pose then stays fixed in it, otherwise in ``world``.
+    The frame's pose is that when the command takes effect. If the arm does not move the frame,
+    such as that of a mobile base, the goal then stays fixed in it, otherwise in ``world``.
 
     :ivar frame: of the pose
     :ivar position: [m], shape (3,)

@@ -43,7 +43,7 @@ _MOVED = 1e-5
 
 class CartesianController:
     """
-    Controls the hands of a robot through the servos and setpoints of its arm joints.
+    A controller of the hands of a robot, through the servos and setpoints of its arm joints.
 
     In position and velocity mode inverse kinematics runs on the setpoints, not on the measured
     joints: a force at the hand does not change where the setpoints go, and one that deflects the

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make targets of Cartesian commands, at the moment when they take effect."""
+"""Turn Cartesian commands into targets, at the moment when they take effect."""
 
 from __future__ import annotations
 
