@@ -67,7 +67,7 @@ class Outcome:
 
 class Goal(ABC):
     """
-    A command that the simulation's thread watches; any thread may read its attributes.
+    A command that the simulation's thread watches; any thread may read its outcome and view.
 
     :param robot: the robot that is commanded
     :param command: the command, not yet applied

@@ -219,8 +219,8 @@ class Servos:
         """
         Let the setpoints move linearly to new ones within an interval.
 
-        The activation of a servo is the position plus force over stiffness, for velocity, friction,
-        acceleration (present inertia matrix) and, with gravity compensation, for Coriolis forces.
+        The activation of a servo is position plus force over stiffness, for velocity, friction,
+        acceleration (present inertia matrix) and, with gravity compensation, Coriolis forces.
 
         :param duration_s: length of the interval [s]
         :param position: at its end [rad or m], shape (n,)
