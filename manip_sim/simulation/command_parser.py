@@ -170,7 +170,7 @@ class CommandParser:
         """
         indices = self._joints.twist_indices
         if indices is None:
-            raise CommandError('base: this robot has none that takes a twist')
+            raise CommandError('base: this robot has no base that takes a twist')
         values = finite_numbers([forward, side, yaw], 3, 'base: a twist')
         mode = self._joints.modes_of(indices)[0]
         if mode != 'velocity':

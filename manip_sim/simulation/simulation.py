@@ -111,7 +111,7 @@ class Simulation:
         :raises ModelError: if there are several, or none
         """
         if len(self.robots) != 1:
-            raise ModelError('one robot is meant, but the world has '
+            raise ModelError('expected one robot, but the world has '
                              + (', '.join(self.robots) or 'none'))
         return next(iter(self.robots.values()))
 

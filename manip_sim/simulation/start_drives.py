@@ -79,7 +79,7 @@ def _undriven(model: mujoco.MjModel, joints: list[int]) -> Iterator[StartDefect]
             f'write <motor joint="{names[0]}" ctrlrange="-LIMIT LIMIT"/> into <actuator>, with '
             'the torque limit [N m or N]'
             + ('' if one else ', and so for each of them')
-            + '; a joint that shall not move needs no <joint>')
+            + '; a body that must not move needs no <joint>')
 
 
 def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int]
@@ -129,8 +129,8 @@ def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int],
         yield StartDefect(
             'effort', f"actuator '{name}' starts with its full force of {force:.4g} {unit}: its "
             f'control is {float(data.ctrl[actuator]):.4g} where the start is at {length:.4g}',
-            f'let both agree: write {length:.4g} for it into ctrl of the keyframe, or start the '
-            'joint where the control wants it')
+            f'make both agree: write {length:.4g} for it into ctrl of the keyframe, or start the '
+            'joint where the control holds it')
 
 
 def _unit(model: mujoco.MjModel, joint: int) -> str:

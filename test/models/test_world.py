@@ -100,8 +100,8 @@ def test_two_robots_of_one_idn_are_rejected(panda):
 def test_two_grippers_of_one_idn_in_a_world_are_rejected(panda):
     other = Panda(idn=1)
     other.add_gripper(PandaGripper(idn='0_right'))
-    with pytest.raises(ModelError, match=r"^body 'gripper0_right_right_gripper' is there "
-                                         r'already, PandaGripper0_right cannot bring another'):
+    with pytest.raises(ModelError, match=r"^body 'gripper0_right_right_gripper' already "
+                                         r'exists, PandaGripper0_right cannot bring another'):
         World([panda, other]).compile()
 
 

@@ -260,5 +260,5 @@ def test_trajectory_needs_position_mode(panda_sim, parse):
 
 
 def test_twist_is_only_for_bases(parse):
-    with pytest.raises(CommandError, match=r'^base: this robot has none that takes a twist$'):
+    with pytest.raises(CommandError, match=r'^base: this robot has no base that takes a twist$'):
         parse.twist(0.0, 0.0, 0.0)

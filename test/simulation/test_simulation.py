@@ -154,7 +154,7 @@ def test_each_of_two_robots_is_commanded_for_itself(panda, run):
 def test_the_only_robot_is_asked_for_where_there_are_two(panda):
     other = compose_robot('UR5e', idn=1)
     other.set_base_xpos([0.0, 3.0, 0.0])
-    with pytest.raises(ModelError, match='one robot is meant, but the world has robot0, robot1'):
+    with pytest.raises(ModelError, match='expected one robot, but the world has robot0, robot1'):
         _ = Simulation(World([panda, other])).robot
 
 

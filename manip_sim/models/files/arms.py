@@ -87,8 +87,8 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[s
                     for of_side in found.values())
     if set(found) != {'right', 'left'} or ambiguous:
         names = quoted_names([tree.name(tip) for tip in tips])
-        raise ModelError(f'{len(tips)} chains of joints could be arms, they end at {names}: tell '
-                         "'arms' with the 'mount' of 'right' and 'left' in a YAML file")
+        raise ModelError(f'{len(tips)} chains of joints could be arms, they end at {names}: '
+                         "declare 'arms' with the 'mount' of 'right' and 'left' in a YAML file")
     return {side: of_side[0] for side, of_side in found.items() if side is not None}
 
 
