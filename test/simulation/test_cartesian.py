@@ -381,6 +381,20 @@ def test_a_stream_of_twists_goes_on_where_it_is_when_the_mode_changes():
     assert op.twist[1] == pytest.approx(0.1, abs=0.01)
 
 
+def test_a_twist_long_after_the_last_one_begins_where_the_hand_is_now():
+    op = hand_of('Panda', mode='effort')
+    op.run(0.3, lambda: op.move_at([0.0, 0.1, 0.0]))
+    op.robot.set_control_mode('arm', 'position')
+    joint = op.part.joints[0]
+    op.robot.apply(*op.robot.parse.joint_command([joint], [-0.5]), period_s=0.01)
+    op.run(2.0)
+    op.robot.set_control_mode('arm', 'effort')
+    here = op.pose
+    op.run(0.5, lambda: op.move_at([0.0, 0.0, 0.0]))
+    way, turn = distance(op.pose, here)
+    assert way < 1e-3 and turn < 5e-3
+
+
 def test_after_a_reset_a_twist_begins_at_the_start():
     op = hand_of('Panda', mode='effort')
     start = op.pose

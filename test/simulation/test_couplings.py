@@ -65,3 +65,16 @@ def test_ratios_are_the_derivative_of_the_polynomial_over_the_whole_range():
         assert found[0] == pytest.approx(1.0, abs=1e-6)
         assert found[1] == pytest.approx(
             0.2 + 0.6 * place + 1.2 * place**2 + 2.0 * place**3, abs=1e-3)
+
+
+def test_the_leader_of_a_cubic_is_found_from_the_follower():
+    # Of the three roots two are complex, with real parts that are nearer to zero.
+    pair = couplings('<joint joint1="j1" joint2="j0" polycoef="0 1 0 1 0"/>')
+    assert pair.follow({1: 0.5 + 0.5**3})[0] == pytest.approx(0.5)
+    assert pair.follow({1: -0.4 - 0.4**3})[0] == pytest.approx(-0.4)
+
+
+def test_a_position_that_a_polynomial_never_has_moves_no_leader():
+    pair = couplings('<joint joint1="j1" joint2="j0" polycoef="0.1 0 1 0 0"/>')
+    assert abs(pair.follow({1: 0.1 + 0.3**2})[0]) == pytest.approx(0.3)
+    assert pair.follow({1: 0.05}) == {1: 0.05}

@@ -26,7 +26,7 @@ ACTUATORS = {
     'position servo without damping': '<position name="a" joint="joint1" kp="2000" gear="2"/>',
     'velocity servo': '<velocity name="a" joint="joint1" kv="30" ctrlrange="-1 1"/>',
     'velocity servo with gear': '<velocity name="a" joint="joint1" kv="2" gear="4" '
-                                'ctrlrange="-4 4"/>',
+                                'ctrlrange="-3 3"/>',
     'integrated velocity servo': '<intvelocity name="a" joint="joint1" kp="2000" kv="40" '
                                  'actrange="-2 2" ctrlrange="-1 1"/>'}
 
@@ -201,7 +201,7 @@ def test_gear_does_not_change_the_motion_of_a_motor(sim_of, run):
 
 @pytest.mark.parametrize(('actuator', 'limits'), [
     ('motor with slow gear', {'velocity': np.pi, 'effort': 30.0, 'position': 2.0}),
-    ('velocity servo', {'velocity': 1.0}), ('velocity servo with gear', {'velocity': 1.0}),
+    ('velocity servo', {'velocity': 1.0}), ('velocity servo with gear', {'velocity': 0.75}),
     ('position servo', {'effort': 30.0}), ('integrated velocity servo', {'position': 2.0})])
 def test_limits_are_those_at_the_joint(sim_of, actuator, limits):
     simulation = sim_of(ACTUATORS[actuator])
