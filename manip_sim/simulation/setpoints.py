@@ -242,8 +242,8 @@ class SetpointGenerator:
         return np.maximum(pace, away) < _ARRIVED
 
     def _end_streams(self) -> None:
-        if self._until_s.min(initial=np.inf) <= self.now_s + 1e-9:
-            ended = self._until_s <= self.now_s + 1e-9
+        ended = self._until_s <= self.now_s + 1e-9
+        if ended.any():
             self._stream_goal[ended] = 0.0
             self._ramp[ended] = np.maximum(
                 np.abs(self._stream[ended]) / self._estimator.interval_s[ended], 1e-9)
