@@ -25,10 +25,9 @@ class ForceLimit:
         self._actuators = actuators
         ids = actuators.ids
         self._limited = model.actuator_forcelimited[ids].copy()
+        self._ranges = model.actuator_forcerange[ids].copy()
         # The range of an actuator without a force limit may be empty.
-        endless = np.array([-np.inf, np.inf])
-        self._ranges = np.where(self._limited[:, None] != 0, model.actuator_forcerange[ids],
-                                endless)
+        self._widest = np.where(self._limited[:, None] != 0, self._ranges, [-np.inf, np.inf])
         self._per_effort = np.array([
             model.actuator_gear[actuator, 0] * (terms[0][1] if terms else 1.0)
             for actuator, terms in zip(ids, actuators.terms)])
@@ -49,9 +48,8 @@ class ForceLimit:
         self._effort, ids = effort, self._actuators.ids
         if effort:
             most = (effort / np.abs(self._per_effort))[:, None]
-            self._model.actuator_forcerange[ids] = np.clip(self._ranges, -most, most)
+            self._model.actuator_forcerange[ids] = np.clip(self._widest, -most, most)
             self._model.actuator_forcelimited[ids] = 1
         else:
-            self._model.actuator_forcerange[ids] = np.where(
-                np.isfinite(self._ranges), self._ranges, 0.0)
+            self._model.actuator_forcerange[ids] = self._ranges
             self._model.actuator_forcelimited[ids] = self._limited

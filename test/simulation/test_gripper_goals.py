@@ -204,7 +204,8 @@ def test_more_than_the_actuators_can_give_is_no_more(panda):
 def test_actuators_without_a_limit_are_limited_for_a_goal_only(hand_sim):
     simulation = hand_sim('<position name="l" joint="left" kp="900" kv="9" ctrlrange="0 0.04"/>'
                           '<position name="r" joint="right" kp="900" kv="9" gear="2"'
-                          ' ctrlrange="0 0.08"/>', coupled=False)
+                          ' ctrlrange="0 0.08" forcelimited="false" forcerange="-1 1"/>',
+                          coupled=False)
     actor, ids = Actor(simulation), simulation.robot.parts[GRIPPER].actuator_ids
     actor.start(0.0, max_effort=4.0)
     # At the joint, behind a gear of two.
@@ -213,6 +214,8 @@ def test_actuators_without_a_limit_are_limited_for_a_goal_only(hand_sim):
     assert simulation.model.actuator_forcelimited[ids].all()
     actor.start(0.0)
     assert not simulation.model.actuator_forcelimited[ids].any()
+    # What the file says of them is there again, though it limits nothing.
+    np.testing.assert_array_equal(simulation.model.actuator_forcerange[ids], [[0, 0], [-1, 1]])
 
 
 def test_goal_is_approached_no_faster_than_the_client_wants(panda):
