@@ -9,7 +9,8 @@ import pytest
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.commands import GripperSetpoint, JointSetpoint, Status
+from manip_sim.simulation.commands import (
+    Command, GripperAction, GripperSetpoint, JointSetpoint, Status)
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'
 FINGER = 'gripper0_right_finger_joint1'
@@ -188,6 +189,26 @@ def test_what_commands_for_the_same_joints_share_cannot_be_changed(parse):
         assert one.indices is other.indices and one.values is not other.values
         with pytest.raises(ValueError, match='read-only'):
             one.indices[0] = 5
+
+
+def test_equal_numbers_make_commands_that_are_told_apart(parse):
+    for make in (lambda: parse.action('arm', [0.5] * 7),
+                 lambda: parse.action('right/gripper', [1.0]),
+                 lambda: parse.joint_command([J1], position=[0.1])[0],
+                 lambda: parse.joint_command([FINGER], position=[0.01])[0],
+                 lambda: parse.trajectory('arm', [J1], [1.0], [[0.1]])):
+        first, second = make(), make()
+        assert first == first and first != second
+        assert {first: 'first', second: 'second'}[first] == 'first'
+
+
+def test_what_a_command_holds_is_given_by_name_alone():
+    kinds = [Command]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        with pytest.raises(TypeError, match='takes 1 positional argument but 2 were given'):
+            kind(frozenset({'arm'}))
+    assert {GripperAction, GripperSetpoint, JointSetpoint} < set(kinds)
 
 
 def test_the_same_names_mean_something_else_in_another_mode(panda_sim, parse):

@@ -225,7 +225,11 @@ def test_motors_take_actions_as_forces(hand_sim, run):
 @pytest.mark.parametrize(('actuators', 'reason'), [
     (MOTORS, "actuator 'gripper0_left_motor' is no position servo, its control is a force"),
     ('<velocity name="wheel" joint="left" kv="5" ctrlrange="-1 1"/>',
-     "actuator 'gripper0_wheel' is no position servo, its control is a velocity")])
+     "actuator 'gripper0_wheel' is no position servo, its control is a velocity"),
+    # A spring, on which no control acts.
+    ('<general name="spring" joint="left" gainprm="0" biastype="affine" biasprm="0 -100 0"'
+     ' ctrlrange="0 0.04"/>',
+     "actuator 'gripper0_spring' is no position servo, its control is a force")])
 def test_joint_command_to_what_is_no_position_servo_is_rejected(hand_sim, actuators, reason):
     simulation = hand_sim(actuators)
     with pytest.raises(CommandError, match=f"^right/gripper: joint '{LEFT}' takes no position, "
