@@ -4,6 +4,8 @@
 """Tests of adding objects to a world that runs, and of deleting them."""
 
 import copy
+import gc
+import weakref
 
 import mujoco
 from mujoco.introspect import structs
@@ -98,6 +100,15 @@ def test_an_object_that_was_spawned_goes_back_to_its_place_with_a_reset():
     assert simulation.data.body('box').xpos[2] < 0.5
     simulation.reset()
     np.testing.assert_array_equal(simulation.data.body('box').xpos, [3.0, 3.0, 1.0])
+
+
+def test_nothing_keeps_the_model_of_before_in_memory():
+    simulation = Simulation(compose('Panda', arena='table'))
+    simulation.advance(5)
+    before = weakref.ref(simulation.model)
+    simulation.change_objects(plan_with(simulation.plan, box()))
+    gc.collect()
+    assert before() is None
 
 
 def test_what_a_simulation_set_in_its_model_is_carried():

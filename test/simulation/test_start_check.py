@@ -112,6 +112,23 @@ def test_joint_that_can_leave_its_neighbour_is_not_told():
     assert told_of(worldbody, ACTUATORS) == []
 
 
+@pytest.mark.parametrize('mass', [0.02, 0.2, 2.0, 20.0])
+@pytest.mark.parametrize(('push', 'blocked'), [(30.0, False), (300.0, True)])
+def test_joint_without_a_force_limit_is_tried_with_an_acceleration_whatever_its_mass(
+        mass, push, blocked):
+    # A stop inside the tip pushes it away: MuJoCo's reference acceleration k * depth, where k is
+    # 1 / (dmax * timeconst * dampratio)^2. While the trial, of 100 m/s^2, cannot overcome it, the
+    # joint feels the stop in both directions.
+    depth = push * (0.95 * 0.005)**2
+    worldbody = f"""<body name="root"><geom name="root" type="box" size="0.05 0.1 0.1"
+          solref="0.005 1"/>
+        <body name="tip" pos="{0.1 - depth} 0 0"><joint name="tip" type="slide" axis="1 0 0"/>
+          <geom name="tip" size="0.05" mass="{mass}" solref="0.005 1"/></body></body>"""
+    kinds = [defect.kind for defect in defects_of(
+        worldbody, '<actuator><motor joint="tip"/></actuator>')]
+    assert ('blocked' in kinds) is blocked
+
+
 def test_joint_without_an_actuator_is_not_told_as_blocked():
     stops = block(0.3001) + block(0.4999)
     assert told_of(arm(BALL.format('tip', 0), outer=f'<body name="stops">{stops}</body>')) == []
@@ -315,6 +332,17 @@ def test_a_servo_whose_control_is_far_from_the_start_is_told():
                            'where the start is at 1.2')
     assert 'write 1.2 for it into ctrl of the keyframe' in defect.remedy
     assert efforts(servo[0], servo[1] + key.format('ctrl="1.2"')) == []
+
+
+def test_each_servo_that_pushes_is_told_whatever_those_before_it_do():
+    servos = ''.join(f'<position name="{name}" joint="{name}" kp="1000" forcerange="-50 50"/>'
+                     for name in ('door', *'abcd'))
+    door = '<body pos="0 5 0"><joint name="door"/><geom size="0.1"/></body>'
+    sections = f'<actuator>{servos}</actuator><keyframe><key qpos="1 0 1 0.01 1"/></keyframe>'
+    defects = defects_of(door + chain('"a"', '"b"', '"c"', '"d"'), sections)
+    # The door is no robot; a and c need less than their full force.
+    assert [defect.text.split(' starts')[0] for defect in defects if defect.kind == 'effort'] == [
+        "actuator 'b'", "actuator 'd'"]
 
 
 def test_an_actuator_that_is_too_weak_is_told_once_though_its_servo_pushes_too():
