@@ -226,5 +226,6 @@ class GripperActuators:
         if not limits or not self.is_servo[index] or model.actuator_actlimited[actuator]:
             return 0.0, 0.0
         low, high = np.max(limits, axis=0)[0], np.min(limits, axis=0)[1]
-        return (float(max(-low, 0.0) / self._gain[index]),
-                float(max(high, 0.0) / self._gain[index]))
+        below, above = (max(force, 0.0) / self._gain[index] if np.isfinite(force) else 0.0
+                        for force in (-low, high))
+        return float(below), float(above)

@@ -83,6 +83,16 @@ def test_unnamed_finger_follows_the_one_that_it_is_coupled_to(one_joint_arm, run
     assert (np.abs(simulation.data.actuator_force[ids]) < 0.02 * limit).all()
 
 
+@pytest.mark.parametrize('forces', ['-inf 20', '-20 inf'])
+def test_a_servo_whose_force_has_no_limit_on_one_side_goes_and_presses_as_others_do(
+        forces, hand_sim, run):
+    simulation = hand_sim(SERVOS.replace('-20 20', forces))
+    for goal in (0.03, 0.0, 0.04):
+        command(simulation, left=goal)
+        run(simulation, 1.5)
+        np.testing.assert_allclose(fingers(simulation), goal, atol=5e-4)
+
+
 def test_fingers_that_nothing_couples_move_one_by_one(hand_sim, run):
     simulation = hand_sim(SERVOS, coupled=False)
     command(simulation, left=0.035)
