@@ -3,6 +3,8 @@
 
 """Tests of hands from files: where they grasp, which way they close, what YAML says of them."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -40,6 +42,35 @@ def test_a_hand_gets_a_grasp_frame_between_its_fingertips(tmp_path):
     assert hand.name == 'hand0'
     assert hand.important_sensors == {'force_ee': 'gripper0_force_ee',
                                       'torque_ee': 'gripper0_torque_ee'}
+
+
+@pytest.mark.parametrize(('sites', 'found'), [
+    (['tcp'], 'tcp'), (['tcp', 'finger_grip', 'pinch_site'], 'pinch_site'),
+    (['tcp', 'gripping', 'left_grasp2'], 'left_grasp2')], ids=str)
+def test_a_site_that_is_named_as_the_grasp_is_the_grasp_frame(tmp_path, sites, found):
+    places = {name: [0.01, 0.02, 0.03 + 0.01 * n] for n, name in enumerate(sites)}
+    text = HAND.replace('<body name="left_tip"', ''.join(
+        f'<site name="{name}" pos="{x} {y} {z}" euler="0 0 0.4"/>'
+        for name, (x, y, z) in places.items()) + '<body name="left_tip"')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    assert f"grasp frame: site '{found}'" in hand.inferred
+    model = hand.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    palm, grip = data.body('gripper0_palm'), data.site('gripper0_grip_site')
+    turn = palm.xmat.reshape(3, 3)
+    np.testing.assert_allclose(grip.xpos, palm.xpos + turn @ places[found], atol=1e-9)
+    about_z = [[np.cos(0.4), -np.sin(0.4), 0.0], [np.sin(0.4), np.cos(0.4), 0.0], [0.0, 0.0, 1.0]]
+    np.testing.assert_allclose(grip.xmat.reshape(3, 3), turn @ about_z, atol=1e-9)
+
+
+def test_a_grasp_frame_is_told_where_nobody_declared_it(tmp_path):
+    hand = load_gripper(write(tmp_path / 'hand.xml', HAND))
+    (told,) = [said for said in hand.inferred if 'grasp frame' in said]
+    place = re.fullmatch(r"grasp frame: the middle of the fingertips, (.*) m in 'palm'", told)
+    np.testing.assert_allclose([float(number) for number in place[1].split()], [0.0, 0.0, 0.05])
+    hand = described(tmp_path, 'grasp_point: {at: palm, position: [0, 0, 0.2]}')
+    assert not any('grasp frame' in said for said in hand.inferred)
 
 
 def test_closing_is_where_the_fingertips_meet(tmp_path):

@@ -250,6 +250,20 @@ def test_a_root_on_rails_is_a_base(tmp_path):
     assert len(robot.arm_joints) == 3
 
 
+@pytest.mark.parametrize('joints', [
+    {'rail_x': 'slide'}, {'pan': 'hinge', 'tilt': 'hinge'}, {'rail_x': 'slide', 'lean': 'hinge'}],
+    ids=list)
+def test_a_root_on_one_rail_or_on_joints_of_other_names_is_of_the_arm(tmp_path, joints):
+    axes = ('1 0 0', '0 1 0')
+    text = ARM.replace('<geom name="foot"', ''.join(
+        f'<joint name="{name}" type="{kind}" axis="{axis}"/>'
+        for (name, kind), axis in zip(joints.items(), axes)) + '<geom name="foot"')
+    text = text.replace('qpos="', 'qpos="' + '0 ' * len(joints))
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert robot.base_joints == []
+    assert robot.arm_joints[:len(joints)] == [f'robot0_{name}' for name in joints]
+
+
 def test_actuators_that_are_no_servos_of_a_joint_hold_still_where_the_robot_starts(tmp_path):
     text = ARM.replace('<actuator>', """<tendon><fixed name="both">
     <joint joint="lift" coef="0.5"/><joint joint="bend" coef="1"/></fixed></tendon><actuator>
