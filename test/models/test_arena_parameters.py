@@ -49,6 +49,17 @@ def test_a_value_outside_the_limits_is_rejected(name, parameter):
             create_arena(name, **{parameter.name: value})
 
 
+@pytest.mark.parametrize('name', arena_names())
+def test_no_colour_exceeds_full_intensity(name):
+    # As in std_msgs/ColorRGBA; a renderer would cut what is beyond and shift the hue.
+    switched_on = {parameter.name: True for parameter in arena_parameters(name)
+                   if isinstance(parameter.default, bool)}
+    model = model_of(name, **switched_on)
+    colours = np.vstack([model.geom_rgba, model.mat_rgba])
+    assert colours.min() >= 0.0
+    assert colours.max() <= 1.0
+
+
 def test_a_table_has_the_edges_asked_for_and_legs_below_it():
     model = model_of('table', table_length=1.2, table_width=0.6, table_height=0.5)
     np.testing.assert_allclose(2.0 * model.geom('table_collision').size[:2], [1.2, 0.6])

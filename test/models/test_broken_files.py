@@ -294,3 +294,11 @@ def test_what_is_not_broken_is_loaded(content, tmp_path):
     file = tmp_path / 'main.xml'
     file.write_text(content, encoding='utf-8')
     assert MujocoXMLModel(file).compile().ngeom >= 1
+
+
+def test_elements_that_are_written_out_do_not_count_as_made_by_others(tmp_path):
+    written = '<option timestep="0.004"/>' * 20_001
+    file = tmp_path / 'main.xml'
+    file.write_text(mjcf(BODY + REPLICATE.format(2, GEOM), written))
+    model = MujocoXMLModel(file).compile()
+    assert (model.opt.timestep, model.ngeom) == (0.004, 3)

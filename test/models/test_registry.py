@@ -10,6 +10,10 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import arenas, bases, grippers, robots
 from manip_sim.models.arenas import TableArena
+from manip_sim.models.files.base import FileMobileBase, FileMount
+from manip_sim.models.files.gripper import FileGripper
+from manip_sim.models.files.own_hand import OwnHand
+from manip_sim.models.files.robot import FileManipulator, FileRobot
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import Panda
 
@@ -27,6 +31,15 @@ def test_every_name_creates_a_model_of_that_class(kind, name):
     assert type(model) is getattr(module, name)
     assert model.name == f'{name}4'
     assert '4_' in model.naming_prefix
+
+
+@pytest.mark.parametrize(('kind', 'name'), ALL)
+def test_a_model_without_a_number_has_number_zero(kind, name):
+    _, create, module = CATALOGUES[kind]
+    model, numbered = getattr(module, name)(), create(name, idn=0)
+    assert model.name == numbered.name == f'{name}0'
+    assert model.naming_prefix == numbered.naming_prefix
+    assert create(name).name == f'{name}0'
 
 
 @pytest.mark.parametrize(('kind', 'name', 'nearest'), [
@@ -57,6 +70,15 @@ def test_abstract_classes_and_variants_are_not_offered():
     assert {'ManipulatorModel', 'RobotModel'}.isdisjoint(robots.robot_names())
     assert {'GripperModel', 'PandaGripperBase'}.isdisjoint(grippers.gripper_names())
     assert {'MountModel', 'MobileBaseModel', 'RobotBaseModel'}.isdisjoint(bases.base_names())
+
+
+@pytest.mark.parametrize(('kind', 'cls'), [
+    ('robot', FileRobot), ('robot', FileManipulator), ('gripper', FileGripper),
+    ('gripper', OwnHand), ('base', FileMount), ('base', FileMobileBase)])
+def test_classes_that_models_from_files_are_made_of_have_no_name_in_a_catalogue(kind, cls):
+    _, create, _ = CATALOGUES[kind]
+    with pytest.raises(UnknownNameError, match=f"^unknown {kind} '{cls.__name__}': "):
+        create(cls.__name__)
 
 
 @pytest.mark.parametrize('module', [robots, grippers, bases])
