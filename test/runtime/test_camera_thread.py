@@ -192,3 +192,15 @@ def test_a_snapshot_is_a_copy(simulation):
     simulation.data.qpos[:] = 0.5
     np.testing.assert_array_equal(snapshot.qpos, before)
     assert not snapshot.shows_the_same_as(take_snapshot(simulation))
+
+
+def test_snapshots_of_one_instant_are_the_same_until_an_object_is_replaced(simulation):
+    before = take_snapshot(simulation)
+    assert before.shows_the_same_as(take_snapshot(simulation))
+    # A ball of another size at the same place: no number of the state tells of it.
+    simulation.change_objects(plan_without(simulation.plan, 'ball'))
+    simulation.change_objects(plan_with(simulation.plan, create_object({**BALL, 'size': 0.3})))
+    after = take_snapshot(simulation)
+    np.testing.assert_array_equal(after.qpos, before.qpos)
+    assert after.time_ns == before.time_ns
+    assert not after.shows_the_same_as(before)
