@@ -94,14 +94,17 @@ def test_where_numbers_are_not_taken_as_they_are_the_message_itself_is_returned(
     assert message.at(7, numbers) == make(messages.stamp_of(7), numbers)
 
 
-def test_where_the_encoding_is_another_one_the_message_itself_is_returned(monkeypatch):
-    # As in XCDR2, where doubles are aligned to four bytes.
+@pytest.mark.parametrize('kind', ['wrench', 'joint_state'])
+def test_where_the_encoding_is_another_one_the_message_itself_is_returned(kind, monkeypatch):
+    # As in XCDR2, where doubles are aligned to four bytes. Taken for CDR, these bytes are another
+    # wrench, and no joint state at all, whose reading fails.
     monkeypatch.setattr('manip_sim.ros.serialized.serialize_message',
                         lambda message: b'\0\7\0\0\0\0\0\0' + serialize_message(message)[4:])
-    make = partial(messages.wrench_stamped, 'ft_frame')
-    message = SerializedMessage(make, 6)
+    of_prefix, count = KINDS[kind]
+    make = of_prefix('')
+    message = SerializedMessage(make, count)
     assert not message.patches
-    assert message.at(7, np.ones(6)) == make(messages.stamp_of(7), np.ones(6))
+    assert message.at(7, np.ones(count)) == make(messages.stamp_of(7), np.ones(count))
 
 
 def test_what_is_no_message_is_made_each_time():
