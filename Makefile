@@ -21,7 +21,7 @@ VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
 VIEW_ARGS ?=
 PYTEST_ARGS ?=
-TEST_JOBS ?= 2
+TEST_JOBS ?= 3
 # The files begin in the order of test/conftest.py.
 TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150

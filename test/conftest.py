@@ -46,16 +46,16 @@ ARM_WORLDBODY = """
 MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 
 
-#: Files with much to do, the longest first. With two workers and a file for one of them, a long
-#: file that comes last keeps one worker waiting for the other.
+#: Files with much to do, the longest first. With a few workers and a file for one of them, a long
+#: file that comes last keeps one worker busy and the others waiting for it.
 LONGEST = (
-    'ros/test_viewer.py', 'simulation/test_control_figures.py', 'ros/test_lockstep.py',
-    'ros/test_pick_cube.py', 'models/test_add_your_own.py', 'ros/test_process.py',
-    'rendering/test_catalogue_cameras.py', 'cli/test_cli_render.py',
-    'ros/test_cartesian_lockstep.py', 'ros/test_hand_over.py', 'ros/test_diagnostics.py',
-    'ros/test_neighbours.py', 'models/test_catalogue_matrix.py', 'ros/test_soak.py',
-    'ros/test_parameter_effects.py', 'ros/test_stepping.py', 'cli/test_cli_describe.py',
-    'test_typing.py', 'ros/test_parameters.py', 'ros/test_start.py')
+    'ros/test_pick_cube.py', 'ros/test_viewer.py', 'simulation/test_control_figures.py',
+    'ros/test_process.py', 'ros/test_diagnostics.py', 'ros/test_neighbours.py',
+    'ros/test_documentation.py', 'models/test_catalogue_grasps.py', 'ros/test_lockstep.py',
+    'ros/test_hand_over.py', 'ros/test_soak.py', 'ros/test_camera_topics.py', 'ros/test_start.py',
+    'ros/test_commands.py', 'models/test_add_your_own.py', 'moveit/test_moveit_package.py',
+    'ros/test_parameters.py', 'cli/test_cli_render.py', 'rendering/test_catalogue_cameras.py',
+    'test_typing.py')
 
 
 def pytest_collection_modifyitems(config, items):

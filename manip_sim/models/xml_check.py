@@ -28,12 +28,14 @@ _MAX_BYTES = 50_000_000
 _MAX_FILES = 1000
 #: Number of bodies, geoms and so on that ``replicate``, ``composite`` and the like make.
 _MAX_MADE = 20_000
+#: Number of keyframes, which MuJoCo takes long to remove.
+_MAX_KEYS = 1000
 _MAX_USER = 1000
 #: Largest product of the numbers in attributes, by element and attributes.
 _MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
     ('hfield', ('nrow', 'ncol')): 4000**2,
     ('numeric', ('size',)): 1e6,
-    ('size', ('nkey',)): 1e4,
+    ('size', ('nkey',)): _MAX_KEYS,
     ('size', ('nuserdata',)): 1e7,
     **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
         'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
@@ -93,6 +95,7 @@ class _Budget:
     bytes: int = _MAX_BYTES
     files: int = _MAX_FILES
     made: int = _MAX_MADE
+    keys: int = _MAX_KEYS
 
 
 class _Model:
@@ -183,6 +186,10 @@ class _Model:
                 self._reject_number(f'{" times ".join(names)} of {tag}', most)
         if tag == 'mesh' and max(_numbers(attributes, 'params'), default=0) > _MAX_MESH_PARAMETER:
             self._reject_number('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)
+        if tag == 'key':
+            self._budget.keys -= 1
+            if self._budget.keys < 0:
+                self._reject_number('the number of keyframes', _MAX_KEYS)
         if tag == 'texture':
             width, height = (_product(attributes, name) for name in ('width', 'height'))
             if width * (height if attributes.get('type') == '2d' else 6 * width) > _MAX_PIXELS:

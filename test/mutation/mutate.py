@@ -46,6 +46,7 @@ AREAS = {
 #: The tests that changes are tried by; those of rendering and of whole nodes take too long, and
 #: one runs others.
 TESTS = ['test/models', 'test/simulation', 'test/runtime/test_command_buffer.py',
+         'test/runtime/test_camera_thread.py',
          'test/ros/test_serialized.py', 'test/ros/test_message_fields.py',
          'test/test_parameter_properties.py', '--ignore=test/models/test_add_your_own.py']
 #: What fails at once wherever it is, as bits of a float do, says nothing about tests.
