@@ -86,7 +86,7 @@ def test_noise_of_the_start_is_that_of_the_seed(serve, client):
     ({'objects': ['{name: ball, shape: sfere, size: 0.1, mass: 1.0}']}, 'sphere'),
     ({'objects': [BALL, BALL]}, "two objects have the name 'ball'"),
     ({'objects': ['missing.yaml']}, 'no such YAML file: missing.yaml'),
-    ({'objects': ['{']}, "parameter 'objects' is not YAML"),
+    ({'objects': ['{']}, "parameter 'objects' is invalid or unsafe YAML"),
     ({'arena': 'table', 'arena__table_height': 9.0}, 'must be from 0.1 to 2 m, got 9'),
     ({'arena__table_height': 0.7}, r"unknown parameter 'arena\.table_height'"),
     ({'seed': -1}, "parameter 'seed' must be from 0")])
