@@ -212,6 +212,17 @@ def test_no_joint_of_an_uncoupled_tendon_is_faster_than_it_may_be(hand_sim, run)
     assert fingers(simulation)[0] == pytest.approx(0.035, abs=1e-3)
 
 
+def test_a_finger_that_moves_less_than_its_partner_leaves_the_partner_at_its_speed(hand_sim, run):
+    # The tendon is half of both: while the left finger moves by 1, it gets longer by 0.75.
+    sections = TENDON + ('<equality><joint joint1="right" joint2="left" polycoef="0 0.5 0 0 0"/>'
+                         '</equality>')
+    simulation = hand_sim(TENDON_SERVO, sections, coupled=False)
+    command(simulation, left=0.0)
+    run(simulation, 2.0)
+    command(simulation, left=0.03)
+    assert speeds_during(simulation, run, 0.5) == pytest.approx(0.05, rel=0.02)
+
+
 def test_speed_limit_counts_at_the_joint_whatever_the_gear(hand_sim, run):
     geared = ''.join(f'<position name="{side}" joint="{side}" kp="{1000 / gear**2}" '
                      f'kv="{20 / gear**2}" gear="{gear}" ctrlrange="{low} {high}"/>'
