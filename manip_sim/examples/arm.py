@@ -104,6 +104,12 @@ class Arm:
         return np.array(self._fingers.position)
 
     @property
+    def fingers_time_s(self) -> float:
+        """Simulation time of :attr:`fingers` [s]."""
+        assert self._fingers is not None
+        return _seconds(self._fingers)
+
+    @property
     def grip(self) -> tuple[FloatArray, FloatArray]:
         """Pose of the grip site in ``world``: position [m] and rotation matrix, copies."""
         return self._kinematics.forward(self.joints)
@@ -119,8 +125,7 @@ class Arm:
     def force_time_s(self) -> float:
         """Simulation time of :attr:`force` [s]."""
         assert self._wrench is not None
-        stamp = self._wrench.header.stamp
-        return float(stamp.sec + stamp.nanosec * 1e-9)
+        return _seconds(self._wrench)
 
     @property
     def sensor_frame(self) -> str:
@@ -188,11 +193,18 @@ class Arm:
         self._grip(1.0)
 
     def _grip(self, action: float) -> None:
-        last, since, states = self.fingers, self._task.now_s, 0
-        while self._task.now_s < since + _STILL_S or states < _STILL_STATES:
+        # A busy machine may bring the fingers of an instant long after the arm's joints.
+        last, since, states = self.fingers, self.fingers_time_s, 0
+        while self.fingers_time_s < since + _STILL_S or states < _STILL_STATES:
             # A subscriber that has just been found may miss the first message.
             self._gripper.publish(Float64MultiArray(data=[action]))
-            self._task.next_state()
+            self._task.next_state(lambda: self.fingers_time_s)
             states += 1
             if np.abs(self.fingers - last).max() > _STILL:
-                last, since, states = self.fingers, self._task.now_s, 0
+                last, since, states = self.fingers, self.fingers_time_s, 0
+
+
+def _seconds(message: JointState | WrenchStamped) -> float:
+    """Return the stamp of a message [s]."""
+    stamp = message.header.stamp
+    return float(stamp.sec + stamp.nanosec * 1e-9)

@@ -86,10 +86,17 @@ class Task(Node):
             if time.monotonic() > end:
                 raise TaskFailed(problem)
 
-    def next_state(self) -> None:
-        """Wait for a newer state."""
-        last = self.now_s
-        self.wait_until(lambda: self.now_s > last,
+    def next_state(self, time_s: Callable[[], float] | None = None) -> None:
+        """
+        Wait for a newer state.
+
+        :param time_s: returns the simulation time of the state that is waited for [s]; by default
+            :attr:`now_s`
+        :raises TaskFailed: if none comes
+        """
+        newest_s = time_s or (lambda: self.now_s)
+        last = newest_s()
+        self.wait_until(lambda: newest_s() > last,
                         'the simulation stands still: is it paused, or in lock-step?')
 
     def wait(self, duration_s: float) -> None:

@@ -6,11 +6,15 @@
 import re
 
 from geometry_msgs.msg import WrenchStamped
+from harness import DOMAIN
 import numpy as np
 import pytest
+import rclpy
 from sensor_msgs.msg import JointState
 
 from manip_sim.examples import pick_cube
+from manip_sim.examples.arm import Arm
+from manip_sim.examples.task import Task, TaskFailed
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 
 ROBOTS = [create_robot(name) for name in robot_names()]
@@ -80,3 +84,37 @@ def test_the_example_tells_what_is_wrong_with_a_node_that_answers(
     client.state()
     assert pick_cube.main([]) == 1
     assert problem in capsys.readouterr().err
+
+
+def test_fingers_whose_states_come_late_are_not_taken_for_still():
+    rclpy.init(domain_id=DOMAIN)
+    task = Task('task', 'sim_node')
+    try:
+        arm = Arm(task)
+        topics = [task.create_publisher(JointState, f'{part}/joint_states', 1)
+                  for part in ('arm', 'right/gripper')]
+        periods = [0]
+
+        def publish():
+            """Let the fingers close in 0.6 s, with nothing heard of them for 0.5 s of that."""
+            periods[0] += 1
+            state = JointState(name=['joint'], position=[min(0.001 * periods[0], 0.06)])
+            state.header.stamp.sec = periods[0] // 100
+            state.header.stamp.nanosec = periods[0] % 100 * 10_000_000
+            topics[0].publish(state)
+            if not 10 < periods[0] < 60:
+                topics[1].publish(state)
+        task.wait_until(lambda: all(t.get_subscription_count() for t in topics), 'alone')
+        timer = task.create_timer(0.005, publish)
+        task.wait_until(lambda: None not in (arm._arm, arm._fingers), 'nothing heard')
+        arm.close()
+        assert arm.fingers == pytest.approx([0.06])
+        # Nothing comes any more.
+        timer.cancel()
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(
+                TaskFailed, match='^the simulation stands still'):
+            patch.setattr('manip_sim.examples.task._PATIENCE_S', 0.3)
+            arm.close()
+    finally:
+        task.destroy_node()
+        rclpy.shutdown()
