@@ -10,6 +10,9 @@ import sys
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import Client, Served
+import pytest
+from rclpy.duration import Duration
+from std_msgs.msg import Float64MultiArray
 
 LOCKSTEP = {'stepping': 'lockstep', 'robot': 'UR5e'}
 
@@ -75,19 +78,39 @@ def test_in_lockstep_the_same_commands_give_the_same_bits():
     assert states[0] == states[1]
 
 
-def test_the_policy_of_the_document_lifts_the_hand(serve, client):
+@pytest.fixture
+def policy():
+    """Run the policy of the document in a process."""
     page = Path(__file__).resolve().parents[2] / 'docs' / 'how_to' / 'cartesian.md'
-    document = page.read_text()
-    script = next(block for block in re.findall(r'```python\n(.*?)```', document, re.DOTALL)
+    script = next(block for block in re.findall(r'```python\n(.*?)```', page.read_text(), re.DOTALL)
                   if 'rclpy.spin' in block)
+    process = subprocess.Popen([sys.executable, '-c', script])
+    yield process
+    process.terminate()
+    process.wait(timeout=10.0)
+
+
+def test_the_policy_of_the_document_lifts_the_hand(serve, client, request):
     serve(arena='table', publish_rate=20.0, control_mode__arm='effort', stepping='lockstep',
           lockstep_parts=['arm', 'right/gripper'])
     poses = client.listen(PoseStamped, 'right/eef_pose')
     client.spin_until(lambda: bool(poses))
-    policy = subprocess.Popen([sys.executable, '-c', script])
-    try:
-        client.spin_until(
-            lambda: poses[-1].pose.position.z > poses[0].pose.position.z + 0.05)
-    finally:
-        policy.terminate()
-        policy.wait(timeout=10.0)
+    request.getfixturevalue('policy')
+    client.spin_until(lambda: poses[-1].pose.position.z > poses[0].pose.position.z + 0.05)
+
+
+def test_the_policy_of_the_document_does_not_answer_before_it_is_heard(client, policy):
+    # A client may see states before the publishers of its commands are connected.
+    state = PoseStamped()
+    state.header.stamp.sec = 1
+    publisher = client.publisher(PoseStamped, 'right/eef_pose')
+    publisher.publish(state)
+    assert publisher.wait_for_all_acked(Duration(seconds=20.0))
+    commands = [client.listen(Float64MultiArray, f'right/{part}command')
+                for part in ('pose_', 'gripper/')]
+
+    def repeat():
+        publisher.publish(state)
+        return all(commands)
+    client.spin_until(repeat)
+    assert [len(taken) for taken in commands] == [1, 1]
