@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import time
 
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import WrenchStamped
@@ -23,9 +24,12 @@ from manip_sim.examples.task import Task, TaskFailed
 _SPEED, _SHORTEST_S = 0.9, 0.8
 #: How near its goal each joint must come [rad], and how much later than planned at most [s].
 _NEAR, _LATE_S = 0.01, 3.0
-#: Fingers are still if they move less than this [rad or m] for a duration [s] and a number of
-#: states: a program that gets little processor time sees few states and may command late.
-_STILL, _STILL_S, _STILL_STATES = 5e-4, 0.3, 20
+#: Fingers are still if they move less than this [rad or m], or than a share of the way that they
+#: have come, for a duration [s] and a number of states: a program that gets little processor time
+#: sees few states. What is held may creep.
+_STILL, _STILL_SHARE, _STILL_S, _STILL_STATES = 5e-4, 0.01, 0.3, 20
+#: How long a command may take until fingers move, or they need not: in simulation and wall time.
+_UNMOVED_S = 2.0
 #: Number of random postures to start from if the present one leads to no solution.
 _STARTS = 40
 
@@ -61,13 +65,15 @@ class Arm:
 
     def _take_arm(self, message: JointState) -> None:
         self._arm = message
-        self._task.notice(message.header.stamp)
+        self._task.notice(f'{self.name}/arm', message.header.stamp)
 
     def _take_fingers(self, message: JointState) -> None:
         self._fingers = message
+        self._task.notice(f'{self.name}/gripper', message.header.stamp)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         self._wrench = message
+        self._task.notice(f'{self.name}/wrench', message.header.stamp)
 
     @property
     def is_seen(self) -> bool:
@@ -104,12 +110,6 @@ class Arm:
         return np.array(self._fingers.position)
 
     @property
-    def fingers_time_s(self) -> float:
-        """Simulation time of :attr:`fingers` [s]."""
-        assert self._fingers is not None
-        return _seconds(self._fingers)
-
-    @property
     def grip(self) -> tuple[FloatArray, FloatArray]:
         """Pose of the grip site in ``world``: position [m] and rotation matrix, copies."""
         return self._kinematics.forward(self.joints)
@@ -120,12 +120,6 @@ class Arm:
         assert self._wrench is not None
         force = self._wrench.wrench.force
         return np.array([force.x, force.y, force.z])
-
-    @property
-    def force_time_s(self) -> float:
-        """Simulation time of :attr:`force` [s]."""
-        assert self._wrench is not None
-        return _seconds(self._wrench)
 
     @property
     def sensor_frame(self) -> str:
@@ -193,18 +187,23 @@ class Arm:
         self._grip(1.0)
 
     def _grip(self, action: float) -> None:
-        # A busy machine may bring the fingers of an instant long after the arm's joints.
-        last, since, states = self.fingers, self.fingers_time_s, 0
-        while self.fingers_time_s < since + _STILL_S or states < _STILL_STATES:
-            # A subscriber that has just been found may miss the first message.
-            self._gripper.publish(Float64MultiArray(data=[action]))
-            self._task.next_state(lambda: self.fingers_time_s)
+        start = self.fingers
+        end_s, end = self._task.now_s + _UNMOVED_S, time.monotonic() + _UNMOVED_S
+        while self._way(start) < _STILL and (
+                self._task.now_s < end_s or time.monotonic() < end):
+            self._send_to_gripper(action)
+        last, since_s, states = self.fingers, self._task.now_s, 0
+        while self._task.now_s < since_s + _STILL_S or states < _STILL_STATES:
+            self._send_to_gripper(action)
             states += 1
-            if np.abs(self.fingers - last).max() > _STILL:
-                last, since, states = self.fingers, self.fingers_time_s, 0
+            if self._way(last) > max(_STILL, _STILL_SHARE * self._way(start)):
+                last, since_s, states = self.fingers, self._task.now_s, 0
 
+    def _send_to_gripper(self, action: float) -> None:
+        """Send a command, again because a new subscriber may miss one, and wait for a state."""
+        self._gripper.publish(Float64MultiArray(data=[action]))
+        self._task.next_state()
 
-def _seconds(message: JointState | WrenchStamped) -> float:
-    """Return the stamp of a message [s]."""
-    stamp = message.header.stamp
-    return float(stamp.sec + stamp.nanosec * 1e-9)
+    def _way(self, start: FloatArray) -> float:
+        """Return how far the finger that has moved most is from where it was [rad or m]."""
+        return float(np.abs(self.fingers - start).max())

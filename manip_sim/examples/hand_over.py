@@ -48,6 +48,7 @@ class HandOver(Task):
 
     def _take_pose(self, message: PoseStamped) -> None:
         self._pose = message
+        self.notice('cube', message.header.stamp)
 
     @property
     def _cube(self) -> FloatArray:

@@ -79,13 +79,11 @@ class CubePicker(Task):
         self.say('done')
 
     def _average_force(self, duration_s: float) -> FloatArray:
-        # On a busy machine the wrench of an instant may come long after its joint states.
-        begin_s, forces = self.now_s, {}
-        while self._arm.force_time_s < begin_s + duration_s:
+        end_s, forces = self.now_s + duration_s, []
+        while self.now_s < end_s:
             self.next_state()
-            if self._arm.force_time_s > begin_s:
-                forces[self._arm.force_time_s] = self._arm.force
-        average: FloatArray = np.mean(list(forces.values()), axis=0)
+            forces.append(self._arm.force)
+        average: FloatArray = np.mean(forces, axis=0)
         return average
 
 

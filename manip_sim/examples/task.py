@@ -36,7 +36,7 @@ class Task(Node):
         super().__init__(name)
         self._start = start
         self._mjcf: str | None = None
-        self._time_s = 0.0
+        self._times_s: dict[str, float] = {}
         latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(String, 'manip_sim/mjcf', self._take_mjcf, latched)
 
@@ -51,14 +51,24 @@ class Task(Node):
         """
         raise NotImplementedError
 
-    def notice(self, stamp: Time) -> None:
-        """Take the stamp of a state as the present time."""
-        self._time_s = stamp.sec + stamp.nanosec * 1e-9
+    def notice(self, topic: str, stamp: Time) -> None:
+        """
+        Note how far a topic has come.
+
+        :param topic: on which states arrive
+        :param stamp: of the newest state
+        """
+        self._times_s[topic] = stamp.sec + stamp.nanosec * 1e-9
 
     @property
     def now_s(self) -> float:
-        """Simulation time of the newest state [s]."""
-        return self._time_s
+        """
+        Simulation time up to which all topics have been heard [s].
+
+        On a busy machine the states of an instant may come on one topic long after those on
+        another.
+        """
+        return min(self._times_s.values(), default=0.0)
 
     def connect(self, ready: Callable[[], bool]) -> mujoco.MjModel:
         """
@@ -86,17 +96,14 @@ class Task(Node):
             if time.monotonic() > end:
                 raise TaskFailed(problem)
 
-    def next_state(self, time_s: Callable[[], float] | None = None) -> None:
+    def next_state(self) -> None:
         """
-        Wait for a newer state.
+        Wait until :attr:`now_s` is later.
 
-        :param time_s: returns the simulation time of the state that is waited for [s]; by default
-            :attr:`now_s`
-        :raises TaskFailed: if none comes
+        :raises TaskFailed: if it stands still for ten seconds of wall time
         """
-        newest_s = time_s or (lambda: self.now_s)
-        last = newest_s()
-        self.wait_until(lambda: newest_s() > last,
+        last = self.now_s
+        self.wait_until(lambda: self.now_s > last,
                         'the simulation stands still: is it paused, or in lock-step?')
 
     def wait(self, duration_s: float) -> None:

@@ -3,7 +3,9 @@
 
 """The main job: a controller in another process picks a cube up and feels its weight."""
 
+from itertools import count
 import re
+import time
 
 from geometry_msgs.msg import WrenchStamped
 from harness import DOMAIN
@@ -86,35 +88,60 @@ def test_the_example_tells_what_is_wrong_with_a_node_that_answers(
     assert problem in capsys.readouterr().err
 
 
-def test_fingers_whose_states_come_late_are_not_taken_for_still():
+@pytest.fixture
+def arm_with_fingers():
+    """Return a function that makes an arm with fingers where a function of the period says."""
     rclpy.init(domain_id=DOMAIN)
     task = Task('task', 'sim_node')
-    try:
+
+    def make(position, silence=()):
         arm = Arm(task)
         topics = [task.create_publisher(JointState, f'{part}/joint_states', 1)
                   for part in ('arm', 'right/gripper')]
-        periods = [0]
+        periods = count(1)
 
         def publish():
-            """Let the fingers close in 0.6 s, with nothing heard of them for 0.5 s of that."""
-            periods[0] += 1
-            state = JointState(name=['joint'], position=[min(0.001 * periods[0], 0.06)])
-            state.header.stamp.sec = periods[0] // 100
-            state.header.stamp.nanosec = periods[0] % 100 * 10_000_000
+            period = next(periods)
+            state = JointState(name=['joint'], position=[position(period)])
+            state.header.stamp.sec = period // 100
+            state.header.stamp.nanosec = period % 100 * 10_000_000
             topics[0].publish(state)
-            if not 10 < periods[0] < 60:
+            if period not in silence:
                 topics[1].publish(state)
         task.wait_until(lambda: all(t.get_subscription_count() for t in topics), 'alone')
         timer = task.create_timer(0.005, publish)
         task.wait_until(lambda: None not in (arm._arm, arm._fingers), 'nothing heard')
+        return arm, timer
+    yield make
+    task.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.mark.parametrize(('begin', 'silence'), [(0, range(11, 60)), (120, ())])
+def test_fingers_that_are_seen_late_or_commanded_late_are_not_taken_for_still(
+        begin, silence, arm_with_fingers):
+    arm, _ = arm_with_fingers(lambda period: min(max(0.001 * (period - begin), 0.0), 0.06),
+                              silence)
+    arm.close()
+    assert arm.fingers == pytest.approx([0.06])
+
+
+def test_fingers_that_creep_on_what_they_hold_are_still(arm_with_fingers):
+    arm, _ = arm_with_fingers(lambda period: min(0.02 * period, 1.0 + 1e-4 * period))
+    arm.close()
+    assert 1.0 < arm.fingers[0] < 1.03
+
+
+def test_fingers_that_need_not_move_are_waited_for_two_seconds_by_both_clocks(arm_with_fingers):
+    arm, _ = arm_with_fingers(lambda _: 0.04)
+    begin_s, begin = arm._task.now_s, time.monotonic()
+    arm.open()
+    assert min(arm._task.now_s - begin_s, time.monotonic() - begin) >= 2.0
+
+
+def test_states_that_end_while_the_gripper_closes_are_told(arm_with_fingers, monkeypatch):
+    monkeypatch.setattr('manip_sim.examples.task._PATIENCE_S', 0.5)
+    arm, timer = arm_with_fingers(lambda _: 0.04)
+    timer.cancel()
+    with pytest.raises(TaskFailed, match='^the simulation stands still'):
         arm.close()
-        assert arm.fingers == pytest.approx([0.06])
-        # Nothing comes any more.
-        timer.cancel()
-        with pytest.MonkeyPatch.context() as patch, pytest.raises(
-                TaskFailed, match='^the simulation stands still'):
-            patch.setattr('manip_sim.examples.task._PATIENCE_S', 0.3)
-            arm.close()
-    finally:
-        task.destroy_node()
-        rclpy.shutdown()
