@@ -37,7 +37,8 @@ def main() -> int:
         print(_HELP)
         return 0
     if ours:
-        print(f"sim_node: unknown argument '{ours[0]}', see --help", file=sys.stderr)
+        print(f"sim_node: unknown argument '{ours[0]}': parameters such as '-p robot:=Panda' come "
+              "after '--ros-args'; see --help", file=sys.stderr)
         return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))

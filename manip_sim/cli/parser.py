@@ -9,6 +9,8 @@ import argparse
 from collections.abc import Sequence
 import math
 from pathlib import Path
+import shutil
+import textwrap
 from typing import Any, NoReturn
 
 from manip_sim.resources import package_version
@@ -50,11 +52,19 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):
         add(commands)
-    options = parser.parse_args(arguments)
-    problem = _conflict(options)
+    options, left = parser.parse_known_args(arguments)
+    problem = _unknown(left) or _conflict(options)
     if problem:
         commands.choices[options.command].error(problem)
     return options
+
+
+def _unknown(words: Sequence[str]) -> str | None:
+    """Return that words have no meaning, or None if there are none."""
+    if not words:
+        return None
+    hint = '' if words[0].startswith('-') else ' (options name the parts: --robot NAME)'
+    return f'unrecognized arguments: {" ".join(words)}{hint}'
 
 
 def _conflict(options: argparse.Namespace) -> str | None:
@@ -83,10 +93,12 @@ def _conflict(options: argparse.Namespace) -> str | None:
 
 def _command(commands: Any, name: str, module: str, summary: str, more: str = '',
              example: str = '') -> Any:
+    description = f'{summary[0].upper()}{summary[1:]}. {more}'.strip()
+    # The epilog has lines of its own, so argparse must not wrap either.
     parser = commands.add_parser(
-        name, help=summary, allow_abbrev=False, description=f'{summary[0].upper()}{summary[1:]}. '
-        f'{more}'.strip(), formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=f'{example}\n{_EXIT_CODES}')
+        name, help=summary, allow_abbrev=False,
+        description=textwrap.fill(description, shutil.get_terminal_size().columns - 2),
+        formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'{example}\n{_EXIT_CODES}')
     parser.set_defaults(module=module)
     return parser
 
@@ -103,8 +115,8 @@ def _add_list(commands: Any) -> None:
 def _add_describe(commands: Any) -> None:
     parser = _command(
         commands, 'describe', 'describe', 'describe a composition',
-        'Lists parts,\njoints, limits, actuators, sensors, masses, frames, cameras, and the '
-        'topics, services\nand parameters that the node has for it. Tables are as wide as the '
+        'Lists parts, joints, limits, actuators, sensors, masses, frames, cameras, and the '
+        'topics, services and parameters that the node has for it. Tables are as wide as the '
         'terminal.',
         'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
     parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
@@ -114,9 +126,9 @@ def _add_describe(commands: Any) -> None:
 def _add_export(commands: Any) -> None:
     parser = _command(
         commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
-        'The name\nof the file tells the format: .xml is MJCF that refers to mesh files where '
-        "they lie, .mjz\nand .zip are MuJoCo's archive, which holds them, .urdf is the robot with "
-        'base and grippers.\nWith --moveit it is a package for MoveIt 2: URDF, SRDF, limits, '
+        'The name of the file tells the format: .xml is MJCF that refers to mesh files where '
+        "they lie, .mjz and .zip are MuJoCo's archive, which holds them, .urdf is the robot with "
+        'base and grippers. With --moveit it is a package for MoveIt 2: URDF, SRDF, limits, '
         'controllers, launch file.',
         'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
         '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
@@ -135,8 +147,8 @@ def _add_export(commands: Any) -> None:
 def _add_render(commands: Any) -> None:
     parser = _command(
         commands, 'render', 'render', 'render a picture, without a screen',
-        'A composition is\nshown at its start from two sides, or from one that is requested. With '
-        "'--robot none' a\ngripper, a base or an arena is shown alone. Needs pillow: pip install "
+        'A composition is shown at its start from two sides, or from one that is requested. With '
+        "'--robot none' a gripper, a base or an arena is shown alone. Needs pillow: pip install "
         '"manip_sim[gallery]".',
         'examples: manip_sim render panda.png --arena table\n'
         '          manip_sim render hand.png --robot none --gripper FourierRightHand\n'
@@ -155,9 +167,9 @@ def _add_render(commands: Any) -> None:
 def _add_check(commands: Any) -> None:
     parser = _command(
         commands, 'check', 'check', 'check the start of a composition, or of an MJCF file',
-        'Reports\nshapes inside others, blocked joints, joints outside their range, without '
-        'actuator, with\ntwo, or with one that is too weak, missing files, and what to write '
-        'instead. A file is\nchecked as it is, at its keyframe home, else its first one.',
+        'Reports shapes inside others, blocked joints, joints outside their range, without '
+        'actuator, with two, or with one that is too weak, missing files, and what to write '
+        'instead. A file is checked as it is, at its keyframe home, else its first one.',
         'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
         '          manip_sim check my_robot.xml')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
@@ -173,7 +185,7 @@ def _add_composition(parser: argparse.ArgumentParser) -> None:
                        'gripper (default: default)')
     group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
                        "robot's own, 'none' is the floor (default: default)")
-    group.add_argument('--arena', metavar='NAME', help='around the robot (default: empty)')
+    group.add_argument('--arena', metavar='NAME', help='surroundings (default: empty)')
     group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=_assignment,
                        help="of the arena, such as table_height=0.9; 'manip_sim list arenas' "
                        'lists them; may be repeated')

@@ -37,10 +37,15 @@ def test_help_names_every_command(command):
 
 
 @pytest.mark.parametrize('name', COMMANDS)
-def test_help_of_each_command_tells_all_options_and_exit_codes(name, here):
+def test_help_of_each_command_tells_all_options_and_exit_codes(name, here, monkeypatch):
+    monkeypatch.setenv('COLUMNS', '80')
     code, text, errors = here(name, '--help')
     assert code == 0 and errors == ''
     assert 'Exit codes: 0' in text and 'example' in text
+    description = text.split('\n\n')[1].splitlines()
+    # Each line is as long as the next word allows.
+    for line, following in zip(description, description[1:]):
+        assert len(line) <= 78 < len(line) + 1 + len(following.split()[0])
     composes = name != 'list'
     for option in COMPOSITION:
         assert (f'--{option.replace("_", "-")}' in text) == composes
@@ -48,8 +53,10 @@ def test_help_of_each_command_tells_all_options_and_exit_codes(name, here):
 
 @pytest.mark.parametrize(('arguments', 'what', 'of'), [
     ((), 'COMMAND', ''), (('lst',), 'invalid choice', ''), (('list', 'cars'), 'cars', ' list'),
-    (('describe', '--robt', 'Panda'), '--robt', ''),
-    (('describe', '--rob', 'Panda'), '--rob', ''), (('export',), 'FILE', ' export'),
+    (('describe', '--robt', 'Panda'), '--robt', ' describe'),
+    (('describe', '--rob', 'Panda'), '--rob', ' describe'),
+    (('describe', 'Panda'), 'Panda (options name the parts: --robot NAME)', ' describe'),
+    (('export',), 'FILE', ' export'),
     (('describe', '--position', '1', '2'), '--position', ' describe'),
     (('describe', '--position', '1', '2', 'nan'), "finite number, got 'nan'", ' describe'),
     (('describe', '--arena-param', 'cube'), "must be like NAME=VALUE, got 'cube'", ' describe'),

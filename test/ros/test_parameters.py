@@ -77,7 +77,7 @@ def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
 
 def test_other_arguments_are_rejected_and_help_is_given(process):
     node = process('Panda')
-    assert "unknown argument 'Panda'" in node.communicate(timeout=20.0)[1]
+    assert "unknown argument 'Panda': parameters such as" in node.communicate(timeout=20.0)[1]
     assert node.returncode == 2
     node = process('--help')
     assert '--ros-args' in node.communicate(timeout=20.0)[0]
