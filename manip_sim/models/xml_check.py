@@ -10,9 +10,7 @@ or exhaust the memory.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-import math
 import os
 from pathlib import Path
 from typing import NoReturn
@@ -20,30 +18,9 @@ from xml.parsers import expat
 
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import read_file
+from manip_sim.models.xml_limits import (
+    Budget, excess, MAX_BYTES, MAX_DEPTH, MAX_FILES, MAX_KEYS, MAX_MADE, product)
 from manip_sim.quoting import one_line, quoted
-
-#: Size of all XML files of a model together [bytes].
-_MAX_BYTES = 50_000_000
-#: Number of files that a model is loaded from; one that is used twice counts twice.
-_MAX_FILES = 1000
-#: Number of bodies, geoms and so on that ``replicate``, ``composite`` and the like make.
-_MAX_MADE = 20_000
-#: Number of keyframes, which MuJoCo takes long to remove.
-_MAX_KEYS = 1000
-_MAX_USER = 1000
-#: Largest product of the numbers in attributes, by element and attributes.
-_MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
-    ('hfield', ('nrow', 'ncol')): 4000**2,
-    ('numeric', ('size',)): 1e6,
-    ('size', ('nkey',)): _MAX_KEYS,
-    ('size', ('nuserdata',)): 1e7,
-    **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
-        'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
-#: Larger textures and meshes take many seconds and gigabytes.
-_MAX_PIXELS = 120_000_000
-_MAX_MESH_PARAMETER = 500
-#: Depth to which files may load each other.
-_MAX_DEPTH = 50
 
 
 @dataclass
@@ -84,24 +61,14 @@ def check_xml(file: Path) -> XmlFacts:
     :param file: MJCF or URDF
     :raises ModelError: naming file and line
     """
-    model = _Model(file, _Budget(), ())
+    model = _Model(file, Budget(), ())
     return XmlFacts(model.root == 'robot', model.folders, model.mesh_files)
-
-
-@dataclass
-class _Budget:
-    """What all files of a model together may still use."""
-
-    bytes: int = _MAX_BYTES
-    files: int = _MAX_FILES
-    made: int = _MAX_MADE
-    keys: int = _MAX_KEYS
 
 
 class _Model:
     """One model: its file and all that it includes; models that it attaches have their own."""
 
-    def __init__(self, file: Path, budget: _Budget, loaded_by: tuple[Path, ...]) -> None:
+    def __init__(self, file: Path, budget: Budget, loaded_by: tuple[Path, ...]) -> None:
         self.root = self.name = ''
         self.elements = 0
         self.mesh_files: dict[str, str] = {}
@@ -121,7 +88,7 @@ class _Model:
             self._count_attached(*attached)
 
     def _read(self, file: Path, kind: str) -> None:
-        data = read_file(file, kind, _MAX_BYTES)
+        data = read_file(file, kind, MAX_BYTES)
         real = Path(os.path.realpath(file))
         if real in self._chain:
             loop = [*self._chain[self._chain.index(real):], real]
@@ -129,10 +96,10 @@ class _Model:
                              + one_line(' > '.join(path.name for path in loop)))
         self._budget.bytes -= len(data)
         self._budget.files -= 1
-        if min(self._budget.bytes, self._budget.files, _MAX_DEPTH - len(self._chain)) < 0:
-            raise ModelError(f'{one_line(str(self._file))} is loaded from more than {_MAX_FILES} '
-                             f'files, {_MAX_BYTES / 1e6:.0f} MB of XML, or files that are loaded '
-                             f'by others {_MAX_DEPTH} deep')
+        if min(self._budget.bytes, self._budget.files, MAX_DEPTH - len(self._chain)) < 0:
+            raise ModelError(f'{one_line(str(self._file))} is loaded from more than {MAX_FILES} '
+                             f'files, {MAX_BYTES / 1e6:.0f} MB of XML, or files that are loaded '
+                             f'by others {MAX_DEPTH} deep')
         parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
@@ -163,9 +130,9 @@ class _Model:
         if times > 1:
             self._make(times)
         if tag == 'replicate':
-            times *= _product(attributes, 'count')
+            times *= product(attributes, 'count')
         elif tag in ('composite', 'flexcomp'):
-            self._make(times * _product(attributes, 'count'))
+            self._make(times * product(attributes, 'count'))
         self._times.append(times)
         self._check_numbers(tag, attributes)
         self._follow(tag, attributes)
@@ -181,22 +148,13 @@ class _Model:
         self.name = attributes.get('model', '')
 
     def _check_numbers(self, tag: str, attributes: dict[str, str]) -> None:
-        for (element, names), most in _MAX_PRODUCT.items():
-            if element == tag and _product(attributes, *names) > most:
-                self._reject_number(f'{" times ".join(names)} of {tag}', most)
-        if tag == 'mesh' and max(_numbers(attributes, 'params'), default=0) > _MAX_MESH_PARAMETER:
-            self._reject_number('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)
+        found = excess(tag, attributes)
         if tag == 'key':
             self._budget.keys -= 1
             if self._budget.keys < 0:
-                self._reject_number('the number of keyframes', _MAX_KEYS)
-        if tag == 'texture':
-            width, height = (_product(attributes, name) for name in ('width', 'height'))
-            if width * (height if attributes.get('type') == '2d' else 6 * width) > _MAX_PIXELS:
-                self._reject_number('the number of pixels of a texture', _MAX_PIXELS)
-
-    def _reject_number(self, what: str, most: float) -> NoReturn:
-        raise ModelError(f'{self._place}: {what} is more than {most:g}')
+                found = f'the number of keyframes is more than {MAX_KEYS}'
+        if found:
+            raise ModelError(f'{self._place}: {found}')
 
     def _follow(self, tag: str, attributes: dict[str, str]) -> None:
         file = attributes.get('file', '')
@@ -236,18 +194,4 @@ class _Model:
         if self._budget.made < 0:
             where = self._place if self._parsers else one_line(str(self._file))
             raise ModelError(f'{where}: elements that make several, such as replicate, would make '
-                             f'more than {_MAX_MADE}')
-
-
-def _numbers(attributes: dict[str, str], name: str) -> list[float]:
-    try:
-        return [float(word) for word in attributes.get(name, '').split()]
-    except ValueError:
-        return []  # MuJoCo reports it.
-
-
-def _product(attributes: dict[str, str], *names: str) -> int:
-    """Return the product of the numbers in attributes, at least 1; one that is missing is 1."""
-    product = math.prod(number if number > 1.0 else 1.0 for name in names
-                        for number in _numbers(attributes, name))
-    return int(min(product, 1e15))
+                             f'more than {MAX_MADE}')

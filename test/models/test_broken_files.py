@@ -18,6 +18,7 @@ import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.xml_check import check_xml
 
 BODY = '<body name="base"><geom name="box" size="0.1"/></body>'
 #: Loads files with 3 GB of address space; tells for each the error, seconds and peak memory [kB].
@@ -306,3 +307,12 @@ def test_elements_that_are_written_out_do_not_count_as_made_by_others(tmp_path):
     file.write_text(mjcf(BODY + REPLICATE.format(2, GEOM), written))
     model = MujocoXMLModel(file).compile()
     assert (model.opt.timestep, model.ngeom) == (0.004, 3)
+
+
+def test_as_many_elements_as_allowed_are_made_and_not_one_more(tmp_path):
+    file = tmp_path / 'main.xml'
+    file.write_text(mjcf(REPLICATE.format(20_000, GEOM)))
+    check_xml(file)
+    file.write_text(mjcf(f'{REPLICATE.format(20_000, GEOM)}<composite count="1 1 1"/>'))
+    with pytest.raises(ModelError, match='would make more than 20000'):
+        check_xml(file)

@@ -1,0 +1,94 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a model's XML files may ask MuJoCo for: limits, and what is above them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+
+#: Size of all XML files of a model together [bytes].
+MAX_BYTES = 50_000_000
+#: Number of files that a model is loaded from; one that is used twice counts twice.
+MAX_FILES = 1000
+#: Depth to which files may load each other.
+MAX_DEPTH = 50
+#: Number of bodies, geoms and so on that ``replicate``, ``composite`` and the like make.
+MAX_MADE = 20_000
+#: Number of keyframes, which MuJoCo takes long to remove.
+MAX_KEYS = 1000
+_MAX_USER = 1000
+#: Largest product of the numbers in attributes, by element and attributes.
+_MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
+    ('hfield', ('nrow', 'ncol')): 4000**2,
+    ('numeric', ('size',)): 1e6,
+    ('size', ('nkey',)): MAX_KEYS,
+    ('size', ('nuserdata',)): 1e7,
+    **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
+        'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
+#: Larger textures and meshes take many seconds and gigabytes.
+_MAX_PIXELS = 120_000_000
+_MAX_MESH_PARAMETER = 500
+
+
+@dataclass
+class Budget:
+    """
+    What all files of a model together may still use; below zero it is spent.
+
+    :ivar bytes: of XML
+    :ivar files: that it is loaded from
+    :ivar made: elements that are made by others, such as ``replicate``
+    :ivar keys: keyframes
+    """
+
+    bytes: int = MAX_BYTES
+    files: int = MAX_FILES
+    made: int = MAX_MADE
+    keys: int = MAX_KEYS
+
+
+def excess(tag: str, attributes: Mapping[str, str]) -> str:
+    """
+    Tell which number in an element's attributes is too great.
+
+    :param tag: of the element
+    :param attributes: of the element, as text
+    :returns: what is more than how much; empty if nothing is
+    """
+    for (element, names), most in _MAX_PRODUCT.items():
+        if element == tag and product(attributes, *names) > most:
+            return _more(f'{" times ".join(names)} of {tag}', most)
+    if tag == 'mesh' and max(_numbers(attributes, 'params'), default=0) > _MAX_MESH_PARAMETER:
+        return _more('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)
+    if tag == 'texture':
+        width, height = (product(attributes, name) for name in ('width', 'height'))
+        if width * (height if attributes.get('type') == '2d' else 6 * width) > _MAX_PIXELS:
+            return _more('the number of pixels of a texture', _MAX_PIXELS)
+    return ''
+
+
+def _more(what: str, most: float) -> str:
+    return f'{what} is more than {most:g}'
+
+
+def product(attributes: Mapping[str, str], *names: str) -> int:
+    """
+    Return the product of the numbers in attributes.
+
+    :param attributes: of an element, as text
+    :param names: of those to multiply; one that is missing or below 1 counts as 1
+    :returns: the product, at most 1e15
+    """
+    result = math.prod(number if number > 1.0 else 1.0 for name in names
+                       for number in _numbers(attributes, name))
+    return int(min(result, 1e15))
+
+
+def _numbers(attributes: Mapping[str, str], name: str) -> list[float]:
+    try:
+        return [float(word) for word in attributes.get(name, '').split()]
+    except ValueError:
+        return []  # MuJoCo reports it.
