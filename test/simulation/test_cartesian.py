@@ -5,6 +5,7 @@
 
 
 from hands import distance, hand_of, HandOperator, turned
+import mujoco
 import numpy as np
 import pytest
 from sampling import Driven, sampled, whole_robot
@@ -133,6 +134,53 @@ def test_a_twist_may_be_given_in_the_axes_of_the_hand():
     assert distance(op.pose, (start, rotation @ turned([0, 0, 1], angle)))[1] < 0.02
 
 
+def setpoint_way(op, seconds, before_each=lambda: None):
+    """Return where setpoints have the hand on its way: positions and rotations, by kinematics."""
+    model, data = op.simulation.model, mujoco.MjData(op.simulation.model)
+    data.qpos[:] = op.simulation.data.qpos
+    positions, rotations = [], []
+
+    def look():
+        before_each()
+        for joint, position in zip(op.part.joints, op.reference.position):
+            data.joint(joint).qpos[0] = position
+        mujoco.mj_kinematics(model, data)
+        positions.append(data.site_xpos[op.site].copy())
+        rotations.append(data.site_xmat[op.site].copy())
+    op.run(seconds, look)
+    return np.array(positions), np.array(rotations)
+
+
+def aside(positions, direction):
+    """Return how far positions come from the straight line that begins at the first one."""
+    way, along = positions - positions[0], np.array(direction) / np.linalg.norm(direction)
+    return np.linalg.norm(way - np.outer(way @ along, along), axis=1).max()
+
+
+@pytest.mark.parametrize('name', ['Panda', 'IIWA', 'Kinova3', 'UR5e'])
+@pytest.mark.parametrize('linear', [[0.0, 0.2, 0.0], [0.1, 0.1, -0.1]])
+def test_setpoints_of_a_twist_lead_the_hand_straight_from_rest_and_do_not_turn_it(name, linear):
+    op = hand_of(name)
+    positions, rotations = setpoint_way(op, 1.0, lambda: op.move_at(linear))
+    speed = np.linalg.norm(linear)
+    # Little is lost for gaining speed.
+    assert (positions[-1] - positions[0]) @ linear / speed > 0.94 * speed
+    assert aside(positions, linear) < 3e-5
+    assert np.abs(rotations - rotations[0]).max() < 1e-5
+
+
+@pytest.mark.parametrize('name', ['Panda', 'IIWA', 'Kinova3', 'UR5e'])
+@pytest.mark.parametrize('way', [[0.0, 0.2, 0.0], [0.0, -0.4, 0.1]])
+def test_setpoints_of_a_pose_lead_the_hand_there_straight_and_without_delay(name, way):
+    op = hand_of(name)
+    position, rotation = op.pose
+    handle = op.go_to((position + way, rotation))
+    positions, rotations = setpoint_way(op, 1.2)
+    assert handle.status is Status.DONE
+    assert aside(positions, way) < 1e-4
+    assert np.abs(rotations - rotations[0]).max() < 1e-3
+
+
 def test_a_fast_twist_does_not_drift_aside():
     op = hand_of('Panda', period_s=0.05)
     start, rotation = op.pose
@@ -219,6 +267,14 @@ def test_a_target_out_of_reach_is_approached_and_told_once(mode):
     op.run_until_done([handle])
     assert max(distance(op.pose, start)) < 2e-3
     assert op.report.unreachable == 1
+
+
+@pytest.mark.parametrize('mode', ['position', 'effort'])
+def test_a_command_for_a_target_out_of_reach_does_not_end(mode):
+    op = hand_of('UR5e', mode=mode)
+    handle = op.go_to((op.pose[0] + [3.0, 0.0, 0.0], op.pose[1]))
+    op.run(8.0)
+    assert handle.status is Status.RUNNING
 
 
 @pytest.mark.parametrize('mode', ['position', 'effort'])

@@ -182,8 +182,8 @@ class CartesianController:
         joints = self._joints(indices)
         scratch = self._scratch
         scratch.qpos[:] = data.qpos
-        ahead = interval_s / 2.0 if target.twist is not None else 0.0
-        scratch.qpos[self._servos.qpos[indices]] = joints.position + ahead * joints.velocity
+        # The joints have the velocities that are sought at the end of the interval.
+        scratch.qpos[self._servos.qpos[indices]] = joints.position + interval_s * joints.velocity
         mujoco.mj_kinematics(self._model, scratch)
         mujoco.mj_comPos(self._model, scratch)
         tip = self._hands[command.arm].tip

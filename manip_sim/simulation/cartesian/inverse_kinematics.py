@@ -86,7 +86,8 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     velocity and acceleration limits and those of the hand allow.
 
     :param jacobian: of position and rotation of the hand, shape (6, n)
-    :param error: translation [m] and rotation vector [rad] to the pose, shape (6,)
+    :param error: translation [m] and rotation vector [rad] to the pose, shape (6,), from where the
+        present velocities bring the hand in the interval
     :param interval_s: interval that the velocities are for [s]
     :param linear_velocity: limit for the hand [m/s]
     :param angular_velocity: limit for the hand [rad/s]
@@ -115,8 +116,8 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     step, drift, held, singular = _displacements(jacobian, _HORIZON_S * twist, joints)
     velocity = step / _HORIZON_S
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
-    velocity = velocity / max(1.0, pace)
-    return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
+    velocity = _with_drift(velocity / max(1.0, pace), drift, joints)
+    return Solution(_evenly(velocity, joints, interval_s), pace,
                     _progress(jacobian @ step, _HORIZON_S * twist), held, singular,
                     slowed=pace > 1.0 + 1e-6)
 
@@ -166,19 +167,25 @@ def _damped_inverse(values: FloatArray) -> FloatArray:
 
 
 def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
-    """Return how fast to go along a displacement, as a share of it per second."""
+    """
+    Return how fast to go along a displacement, as a share of it per second.
+
+    The displacement begins where the present velocities bring the joints in the interval.
+    """
     size = np.maximum(np.abs(step), 1e-12)
     present = float(joints.velocity @ step) / float(size @ size)
     # Braking from v at the end of the interval takes v^2 / (2 a), and until then the mean of the
-    # two velocities counts; together they make the whole displacement, which is 1.
+    # two velocities counts; together they make the whole displacement from the present.
+    whole = 1.0 + present * interval_s
     possible = float((joints.acceleration_limit / size).min())
     limit = _BRAKING * possible
     bend = limit * interval_s / 2.0
-    root = bend**2 + 2.0 * limit * (1.0 - present * interval_s / 2.0)
+    root = bend**2 + 2.0 * limit * (whole - present * interval_s / 2.0)
     braking = math.sqrt(max(root, 0.0)) - bend
     # All joints gain speed evenly, so that the path is straight from the beginning.
     return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
-               _APPROACH / interval_s, _MAX_RATE, float((joints.velocity_limit / size).min()))
+               max(whole, 0.0) * min(_APPROACH / interval_s, _MAX_RATE),
+               float((joints.velocity_limit / size).min()))
 
 
 def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
@@ -187,6 +194,16 @@ def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> 
     room = joints.velocity_limit - np.abs(velocity)
     share = float((room / np.maximum(np.abs(wanted), 1e-12)).min())
     return velocity + min(max(share, 0.0), 1.0) * wanted
+
+
+def _evenly(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
+    """Return velocities in an interval on the way to others: joints gain speed by one share."""
+    gains = np.abs(velocity) > np.abs(joints.velocity)
+    change = np.abs(velocity - joints.velocity)[gains]
+    possible = joints.acceleration_limit[gains] * interval_s
+    share = float((possible / np.maximum(change, 1e-12)).min(initial=1.0))
+    return np.where(gains, joints.velocity + share * (velocity - joints.velocity),
+                    _reached(velocity, joints, interval_s))
 
 
 def _reached(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
