@@ -22,9 +22,9 @@ def is_position_servo(actuator: Any) -> bool:
 
     :param actuator: of a ``mujoco.MjSpec``
     """
-    return (int(actuator.gaintype) == int(mujoco.mjtGain.mjGAIN_FIXED)
-            and int(actuator.biastype) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-            and actuator.gainprm[0] > 0.0 and actuator.biasprm[1] < 0.0)
+    return bool(int(actuator.gaintype) == int(mujoco.mjtGain.mjGAIN_FIXED)
+                and int(actuator.biastype) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+                and actuator.gainprm[0] > 0.0 and actuator.biasprm[1] < 0.0)
 
 
 def position_servos_without_dynamics(spec: mujoco.MjSpec, names: Iterable[str]) -> list[str]:

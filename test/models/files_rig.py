@@ -74,7 +74,8 @@ HAND = f"""<mujoco model="hand">
 """
 
 
-def _arm_of(side, y):
+def arm_of(side, y):
+    """Return the MJCF of an arm with a hand; its elements are named after its side."""
     return f"""<body name="{side}/base" pos="0 {y} 0"><geom size="0.02"/>
       <body name="{side}/upper" pos="0 0 0.1"><joint name="{side}/waist" axis="0 0 1"/>
         <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.02"/>
@@ -87,7 +88,7 @@ def _arm_of(side, y):
 
 
 TWO_ARMS = f"""<mujoco model="pair"><compiler angle="radian" autolimits="true"/>
-  <worldbody>{_arm_of('left', 0.4)}{_arm_of('right', -0.4)}</worldbody>
+  <worldbody>{arm_of('left', 0.4)}{arm_of('right', -0.4)}</worldbody>
   <actuator>{''.join(f'<position joint="{side}/{joint}" kp="50" kv="5"/>'
                      for side in ('left', 'right') for joint in ('waist', 'elbow'))}
     <position joint="left/left_finger" kp="50" ctrlrange="0 0.02"/>

@@ -81,6 +81,23 @@ def test_closing_is_where_the_fingertips_meet(tmp_path):
     assert 'closing: pull from 255 to 0' in hand.inferred
 
 
+def test_the_other_servos_hold_where_they_start_while_one_is_tried(tmp_path):
+    # The second finger starts 0.05 m to the left of the first one, and 0.05 m to its right if its
+    # control were 0.
+    hand = load_gripper(write(tmp_path / 'hand.xml', """
+<mujoco><compiler autolimits="true"/><worldbody><body name="palm">
+  <geom name="palm" type="box" size="0.03 0.04 0.01" mass="0.2"/>
+  <body name="first_tip" pos="0 0 0.05"><joint name="first" type="slide" axis="0 1 0"
+    range="-0.03 0.03"/><geom size="0.005" mass="0.02"/></body>
+  <body name="second_tip" pos="0 0.05 0.05"><joint name="second" type="slide" axis="0 1 0"
+    range="-0.1 0.01"/><geom size="0.005" mass="0.02"/></body>
+  </body></worldbody>
+  <actuator><position name="first" joint="first" kp="500" ctrlrange="-0.03 0.03"/>
+    <position name="second" joint="second" kp="500" ctrlrange="-0.1 0.01"/></actuator>
+  <keyframe><key name="home" qpos="0 -0.1"/></keyframe></mujoco>"""))
+    assert any('first from 0.03 to -0.03' in said for said in hand.inferred)
+
+
 @pytest.mark.parametrize('pose', ['quat="0 1 0 1"', 'euler="1.5708 0 0"', 'quat="0 1 0 0"', ''])
 def test_the_fingers_point_away_from_the_arm_however_the_file_lays_the_hand(tmp_path, pose):
     hand = load_gripper(write(tmp_path / 'hand.xml', HAND.replace('quat="0 1 0 1"', pose)))

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from files_rig import ARM, ARM_WITH_HAND, TWO_ARMS, write
+from files_rig import arm_of, ARM, ARM_WITH_HAND, TWO_ARMS, write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, compose_robot, load_robot
@@ -149,6 +149,19 @@ def test_several_arms_without_sides_are_an_error_that_says_what_to_write(tmp_pat
         load_robot(write(tmp_path / 'pair.xml', text))
 
 
+@pytest.mark.parametrize('elbow', [True, False])
+def test_of_two_chains_of_one_side_the_longer_one_is_the_arm_if_there_is_one(tmp_path, elbow):
+    small = arm_of('small_right', 0.0)
+    if not elbow:
+        small = small.replace('<joint name="small_right/elbow" axis="0 1 0"/>', '')
+    file = write(tmp_path / 'trio.xml', TWO_ARMS.replace('</worldbody>', f'{small}</worldbody>'))
+    if elbow:
+        with pytest.raises(ModelError, match='3 chains of joints could be arms'):
+            load_robot(file)
+    else:
+        assert load_robot(file).eef_name['right'].startswith('robot0_right/')
+
+
 def test_what_has_no_joints_is_no_robot(tmp_path):
     with pytest.raises(ModelError, match='rock.xml is not a robot: it has no hinge or slide'):
         load_robot(write(tmp_path / 'rock.xml', '<mujoco><worldbody><body><freejoint/>'
@@ -176,6 +189,18 @@ def test_a_free_robot_that_was_made_for_another_floor_is_raised(tmp_path, keyfra
   <actuator><motor joint="fl_hx"/></actuator>{keyframe}</mujoco>"""))
     np.testing.assert_allclose(robot.compile().qpos0[2], 0.35)
     assert any('so that it stands on the floor' in sentence for sentence in robot.inferred)
+
+
+def test_neither_a_fixed_robot_nor_one_that_stands_a_little_low_is_raised(tmp_path):
+    below = write(tmp_path / 'arm.xml', ARM.replace('pos="0 0 0.02"', 'pos="0 0 -0.5"'))
+    low = write(tmp_path / 'dog.xml', """
+<mujoco><worldbody><body name="trunk" pos="0 0 0.0999"><freejoint/><geom size="0.1"/>
+  <body name="leg"><joint name="fl_hx"/><geom size="0.05"/></body></body></worldbody>
+  <actuator><motor joint="fl_hx"/></actuator></mujoco>""")
+    for file, height in ((below, -0.5), (low, 0.0999)):
+        robot = load_robot(file)
+        assert not any('stands on the floor' in sentence for sentence in robot.inferred)
+        assert robot.compile().body(robot.root_body).pos[2] == pytest.approx(height)
 
 
 def test_an_object_beside_the_robot_is_left_out(tmp_path):

@@ -3,6 +3,8 @@
 
 """Tests of what makes commands of numbers: validation, clamping, names, modes."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -283,3 +285,14 @@ def test_trajectory_needs_position_mode(panda_sim, parse):
 def test_twist_is_only_for_bases(parse):
     with pytest.raises(CommandError, match=r'^base: this robot has no base that takes a twist$'):
         parse.twist(0.0, 0.0, 0.0)
+
+
+def test_commands_are_told_apart_by_identity_and_not_by_what_they_say(panda_sim):
+    robot = panda_sim.robot
+    x = np.array([0.0, 0.0, 0.0, 1.0])
+    commands = [*robot.parse.joint_command([J1], position=[0.1]),
+                robot.parse.action('right/gripper', [1.0]),
+                robot.parse_cartesian.pose('right', np.zeros(3), x, '')]
+    assert len({type(command) for command in commands}) == 3
+    for command in commands:
+        assert copy.copy(command) != command == command

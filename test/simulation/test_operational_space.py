@@ -172,6 +172,24 @@ def test_a_motion_far_from_the_ends_of_all_ranges_is_limited_by_none(axis, way):
     assert op.report.counts == {'unreachable': 0, 'joint_limit': 0, 'singular': 0, 'slowed': 0}
 
 
+@pytest.mark.parametrize('end', [0, 1])
+@pytest.mark.parametrize('outwards', [True, False])
+def test_a_joint_at_an_end_of_its_range_limits_motions_beyond_it_alone(end, outwards):
+    op = hand_of('UR5e', mode='effort')
+    model, data = op.simulation.model, op.simulation.data
+    joint = op.part.joints[0]
+    sign = (-1.0, 1.0)[end]
+    data.joint(joint).qpos[0] = model.joint(joint).range[end] - 5e-4 * sign
+    mujoco.mj_forward(model, data)
+    position, rotation = op.pose
+    # A turn about the axis of the first joint moves that joint alone.
+    turn = turned([0.0, 0.0, 1.0], sign * (0.02 if outwards else -0.02))
+    base = data.joint(joint).xanchor
+    op.go_to((base + turn @ (position - base), turn @ rotation))
+    op.run(op.period_s)
+    assert (op.report.counts['joint_limit'] > 0) == outwards
+
+
 @pytest.mark.parametrize(('error', 'expected'), [
     ([0.01, 0.0, 0.02, 0.0, -0.03, 0.0], None),
     ([3.0, 0.0, 4.0, 0.0, 0.0, 0.01], [0.3, 0.0, 0.4, 0.0, 0.0, None]),

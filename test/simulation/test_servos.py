@@ -12,6 +12,7 @@ from sampling import Driven, sampled, whole_robot
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.activation import is_position_servo
 from manip_sim.simulation.actuator_properties import stiffness_and_damping
 
 #: Franka Emika data sheet.
@@ -53,6 +54,16 @@ def sim_of(one_joint_arm):
 def command(simulation, mode, joint, value):
     """Apply a goal for one joint in a mode."""
     simulation.robot.apply(*simulation.robot.parse.joint_command([joint], **{mode: [value]}))
+
+
+@pytest.mark.parametrize(('gain', 'bias', 'expected'), [
+    ('fixed', 'affine', True), ('affine', 'affine', False), ('fixed', 'none', False)])
+def test_a_position_servo_has_a_fixed_gain_and_an_affine_bias(gain, bias, expected):
+    spec = mujoco.MjSpec.from_string(f"""
+<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>
+  <actuator><general name="a" joint="a" gaintype="{gain}" gainprm="9" biastype="{bias}"
+    biasprm="0 -9"/></actuator></mujoco>""")
+    assert is_position_servo(spec.actuator('a')) is expected
 
 
 @pytest.mark.parametrize('joint', range(7))
@@ -317,6 +328,43 @@ def test_mode_change_in_motion_does_not_jolt(first, second):
     way = samples.position[-1, 0] - samples.position[149, 0]
     assert way == pytest.approx(begin**2 / (2.0 * limit), abs=0.03 * begin)
     assert np.abs(samples.velocity[-1]).max() < 1e-3
+
+
+#: Two links that turn in a horizontal plane.
+SHOULDER_AND_ELBOW = """
+<body name="base">
+  <body name="link1" pos="0 0 1">
+    <joint name="joint1" axis="0 0 1"/>
+    <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/>
+    <body name="link2" pos="0.5 0 0">
+      <joint name="joint2" axis="0 0 1" range="%s"/>
+      <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1"/>
+      <body name="right_hand" pos="0.5 0 0"/>
+    </body>
+  </body>
+</body>
+"""
+
+
+@pytest.mark.parametrize('low, high', [(-0.8, 0.0), (0.0, 0.8), (2.0, 2.8), (-2.8, -2.0)])
+def test_the_acceleration_limit_is_that_of_postures_within_the_ranges(one_joint_arm, low, high):
+    robot = one_joint_arm(
+        '<motor name="a1" joint="joint1" ctrlrange="-1 1"/>'
+        '<motor name="a2" joint="joint2" ctrlrange="-1 1"/>', SHOULDER_AND_ELBOW % f'{low} {high}')
+    simulation = Simulation(World([robot]))
+    model, data = simulation.model, mujoco.MjData(simulation.model)
+    coupled, column, mass = [], np.empty(2), np.empty((2, 2))
+    for elbow in np.linspace(low, high, 20):
+        data.joint('robot0_joint2').qpos[0] = elbow
+        mujoco.mj_forward(model, data)
+        for dof, unit in enumerate(np.eye(2)):
+            mujoco.mj_mulM(model, data, column, unit)
+            mass[:, dof] = column
+        coupled.append(np.abs(mass).sum(axis=1))
+    limit = simulation.robot.joints._servos.acceleration_limit
+    # Six tenths of the torque are for acceleration, those of all joints together.
+    assert (0.6 / np.max(coupled, axis=0) <= limit).all()
+    assert (limit <= 0.6 / np.min(coupled, axis=0)).all()
 
 
 HOW = ('goal', 'stream', 'trajectory', 'velocity')

@@ -13,7 +13,7 @@ from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot, robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.start_check import check_start, find_start_defects
+from manip_sim.simulation.start_check import _full_force, check_start, find_start_defects
 
 BALL = '<geom name="{}" size="0.05" pos="{} 0 0"/>'
 
@@ -343,6 +343,23 @@ def test_each_servo_that_pushes_is_told_whatever_those_before_it_do():
     # The door is no robot; a and c need less than their full force.
     assert [defect.text.split(' starts')[0] for defect in defects if defect.kind == 'effort'] == [
         "actuator 'b'", "actuator 'd'"]
+
+
+def test_two_actuators_of_one_joint_are_told_and_neither_is_called_too_weak():
+    one, other = (f'<motor name="{name}" joint="a" ctrllimited="true" ctrlrange="-5 5"/>'
+                  for name in 'mn')
+    defect, = defects_of(*hanging(one + other), gravity=10.0)
+    assert defect.kind == 'actuators'
+    assert "driven by 2 actuators, 'm', 'n'" in defect.text
+
+
+def test_the_full_force_of_a_joint_is_that_of_its_own_actuators():
+    model = mujoco.MjModel.from_xml_string("""
+<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/>
+  <body><joint name="b"/><geom size="0.1"/></body></body></worldbody>
+  <actuator><position joint="a" gear="2" forcerange="-3 5"/><motor joint="a"/>
+    <position joint="b" forcerange="-40 30"/></actuator></mujoco>""")
+    assert [_full_force(model, joint) for joint in (0, 1)] == [10.0, 40.0]
 
 
 def test_an_actuator_that_is_too_weak_is_told_once_though_its_servo_pushes_too():

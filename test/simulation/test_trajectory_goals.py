@@ -10,10 +10,19 @@ import pytest
 
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.goals import Ending, GoalCode, GoalError
-from manip_sim.simulation.tolerances import JointTolerance
+from manip_sim.simulation.tolerances import JointTolerance, Tolerances
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
 J1, J2, J3 = 'robot0_joint1', 'robot0_joint2', 'robot0_joint3'
+
+
+def test_a_tolerance_is_for_the_joint_that_it_names_and_leaves_the_default_of_what_it_omits():
+    tolerances = Tolerances([J3, J1, J2], [J1, J2, J3], [JointTolerance(J2, position=0.1)], 0.5)
+    np.testing.assert_array_equal(tolerances.position, [math.inf, math.inf, 0.1])
+    np.testing.assert_array_equal(tolerances.velocity, [0.5, 0.5, 0.5])
+    tolerances = Tolerances([J3, J1, J2], [J1, J2, J3], [JointTolerance(J1, velocity=0.2)], 0.5)
+    np.testing.assert_array_equal(tolerances.position, [math.inf] * 3)
+    np.testing.assert_array_equal(tolerances.velocity, [0.5, 0.2, 0.5])
 
 
 class Actor:

@@ -27,7 +27,7 @@ class FileRobot(RobotModel, registered=False):
     :ivar inferred: what was inferred or left out, in sentences
     """
 
-    def __init__(self, plan: RobotPlan, idn: int | str = 0) -> None:
+    def __init__(self, plan: RobotPlan, idn: int | str) -> None:
         self._plan = plan
         self._own_hands: dict[str, OwnHand] = dict(plan.hands)
         self._subsystem_of_joint = plan.subsystems
@@ -95,7 +95,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
     :param idn: number or word in names
     """
 
-    def __init__(self, plan: RobotPlan, idn: int | str = 0) -> None:
+    def __init__(self, plan: RobotPlan, idn: int | str) -> None:
         super().__init__(plan, idn=idn)
         self._grippers.update(self._own_hands)
 
