@@ -82,8 +82,8 @@ def test_in_lockstep_the_same_commands_give_the_same_bits():
 def policy():
     """Run the policy of the document in a process."""
     page = Path(__file__).resolve().parents[2] / 'docs' / 'how_to' / 'cartesian.md'
-    script = next(block for block in re.findall(r'```python\n(.*?)```', page.read_text(), re.DOTALL)
-                  if 'rclpy.spin' in block)
+    blocks = re.findall(r'```python\n(.*?)```', page.read_text(), re.DOTALL)
+    script = next(block for block in blocks if 'rclpy.spin' in block)
     process = subprocess.Popen([sys.executable, '-c', script])
     yield process
     process.terminate()

@@ -23,25 +23,29 @@ def joints(position, velocity=None, low=-np.inf, high=np.inf, posture=None):
         np.array(position if posture is None else posture, dtype=float))
 
 
-def drive(goal, interval_s, seconds, position=None, velocity=None, **limits):
+def drive(solve, interval_s, seconds, velocity=None, **limits):
     """Return positions and velocities of the gantry on its way, as setpoints ramp."""
-    position = np.zeros(6) if position is None else position
-    velocity = np.zeros(6) if velocity is None else velocity
+    position, velocity = np.zeros(6), np.zeros(6) if velocity is None else velocity
     trace = [(position, velocity)]
     for _ in range(round(seconds / interval_s)):
-        error = goal - position - interval_s * velocity
-        solution = approach(GANTRY, error, joints(position, velocity, **limits), interval_s,
-                            10.0, 10.0)
+        state = joints(position + interval_s * velocity, velocity, **limits)
+        solution = solve(state, interval_s)
         position = position + (velocity + solution.velocity) / 2.0 * interval_s
         velocity = solution.velocity
         trace.append((position, velocity))
     return (np.array(values) for values in zip(*trace))
 
 
+def drive_to(goal, interval_s, seconds, **arguments):
+    return drive(lambda state, interval_s: approach(
+        GANTRY, goal - state.position, state, interval_s, 10.0, 10.0),
+        interval_s, seconds, **arguments)
+
+
 @pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
 def test_the_way_is_straight_without_overshoot_and_within_limits(interval_s):
     goal = np.array([0.3, -0.1, 0.0, 0.2, 0.0, 0.05])
-    position, velocity = drive(goal, interval_s, 4.0)
+    position, velocity = drive_to(goal, interval_s, 4.0)
     np.testing.assert_allclose(position[-1], goal, atol=1e-6)
     assert np.abs(velocity).max() <= 1.0 + 1e-9
     assert np.abs(np.diff(velocity, axis=0)).max() <= 4.0 * interval_s * 1.0001
@@ -50,7 +54,7 @@ def test_the_way_is_straight_without_overshoot_and_within_limits(interval_s):
 
 
 def test_the_way_takes_little_longer_than_the_shortest():
-    position, velocity = drive(np.array([0.09, 0, 0, 0, 0, 0.0]), 0.01, 3.0)
+    position, velocity = drive_to(np.array([0.09, 0, 0, 0, 0, 0.0]), 0.01, 3.0)
     # Up with the limit of 4, down with half of it: v^2 / 8 + v^2 / 4 = 0.09.
     assert velocity.max() == pytest.approx(np.sqrt(0.09 / (1 / 8 + 1 / 4)), rel=0.06)
     there = np.flatnonzero(np.abs(position[:, 0] - 0.09) > 1e-5)[-1] * 0.01
@@ -58,10 +62,33 @@ def test_the_way_takes_little_longer_than_the_shortest():
 
 
 def test_a_joint_in_motion_brakes_and_comes_back():
-    position, velocity = drive(np.zeros(6), 0.01, 3.0, velocity=np.array([0.9, 0, 0, 0, 0, 0]))
+    position, velocity = drive_to(np.zeros(6), 0.01, 3.0, velocity=np.array([0.9, 0, 0, 0, 0, 0]))
     # v^2 / (2 a), and an interval until the first answer counts.
     assert 0.9**2 / 8.0 - 1e-3 <= position[:, 0].max() < 0.9**2 / 8.0 + 0.005
     np.testing.assert_allclose(position[-1], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
+def test_a_joint_on_the_way_to_a_pose_beyond_its_range_stops_at_the_end(interval_s):
+    position, velocity = drive_to(np.array([0.5, -0.5, 0.0, 0.1, 0.0, 0.0]), interval_s, 4.0,
+                                  low=-0.2, high=0.2)
+    assert np.abs(position).max() <= 0.2 + 1e-9
+    np.testing.assert_allclose(position[-1], [0.2, -0.2, 0.0, 0.1, 0.0, 0.0], atol=1e-5)
+    assert np.abs(np.diff(velocity, axis=0)).max() <= 4.0 * interval_s * 1.0001
+
+
+@pytest.mark.parametrize('interval_s', [0.001, 0.01, 0.05])
+def test_joints_brake_before_a_twist_brings_them_to_the_end_of_their_range(interval_s):
+    twist = np.array([0.9, -0.9, 0.3, 0.0, 0.0, 0.0])
+    position, velocity = drive(
+        lambda state, interval_s: follow_twist(GANTRY, twist, state, interval_s),
+        interval_s, 3.0, low=-0.4, high=0.4)
+    assert np.abs(position).max() <= 0.4 + 1e-9
+    np.testing.assert_allclose(position[-1, :3], [0.4, -0.4, 0.4], atol=1e-3)
+    # Down with half of the limit of 4, of which a long interval takes some more.
+    assert np.abs(np.diff(velocity, axis=0)).max() <= 4.0 * interval_s * 1.0001
+    fast = np.flatnonzero(velocity[:, 0] > 0.9 - 1e-6)
+    assert 0.4 - position[fast[-1], 0] == pytest.approx(0.9**2 / 4.0, abs=0.9 * 3 * interval_s)
 
 
 def test_a_joint_at_its_limit_is_held_and_another_does_its_part():

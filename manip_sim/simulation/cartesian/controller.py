@@ -179,11 +179,11 @@ class CartesianController:
     def _solve(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                interval_s: float) -> None:
         indices, settings = command.indices, self.settings[command.arm]
-        joints = self._joints(indices)
+        joints = self._joints(indices, interval_s)
         scratch = self._scratch
         scratch.qpos[:] = data.qpos
         # The joints have the velocities that are sought at the end of the interval.
-        scratch.qpos[self._servos.qpos[indices]] = joints.position + interval_s * joints.velocity
+        scratch.qpos[self._servos.qpos[indices]] = joints.position
         mujoco.mj_kinematics(self._model, scratch)
         mujoco.mj_comPos(self._model, scratch)
         tip = self._hands[command.arm].tip
@@ -215,10 +215,11 @@ class CartesianController:
         self.reports[command.arm].see_motion(
             what, [self._names[i] for i in command.indices[held]], singular, slowed)
 
-    def _joints(self, indices: IntArray) -> JointState:
+    def _joints(self, indices: IntArray, interval_s: float) -> JointState:
         setpoints, servos = self._setpoints, self._servos
+        velocity = setpoints.velocity[indices]
         return JointState(
-            setpoints.position[indices], setpoints.velocity[indices], self._low[indices],
+            setpoints.position[indices] + interval_s * velocity, velocity, self._low[indices],
             self._high[indices], servos.cruising_velocity[indices],
             servos.acceleration_limit[indices], self._posture[indices])
 

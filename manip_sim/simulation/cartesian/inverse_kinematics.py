@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.simulation.setpoints import braking_velocity
 
 #: Singular values of the Jacobian [m/rad and 1] below this are damped.
 _SINGULAR = 0.04
@@ -38,8 +39,8 @@ class JointState:
     """
     Setpoints and limits of the joints of an arm, all of shape (n,).
 
-    :ivar position: [rad]
-    :ivar velocity: [rad/s]
+    :ivar position: where the present velocities bring the joints in the interval [rad]
+    :ivar velocity: at present [rad/s]
     :ivar low: lowest position, may be infinite [rad]
     :ivar high: highest position [rad]
     :ivar velocity_limit: [rad/s]
@@ -94,13 +95,13 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     """
     way, turn = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     part = min(1.0, _LARGEST_STEP / max(way, 1e-12), _LARGEST_TURN / max(turn, 1e-12))
-    step, drift, held, singular = _displacements(jacobian, part * error, joints)
+    step, drift, held, singular = _displacements(jacobian, part * error, joints, *_room(joints))
     rate = min(_rate(step, joints, interval_s),
                linear_velocity / max(part * way, 1e-12),
                angular_velocity / max(part * turn, 1e-12))
     velocity = rate * step
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
-    return Solution(_reached(_with_drift(velocity, drift, joints), joints, interval_s), pace,
+    return Solution(_evenly(_with_drift(velocity, drift, joints), joints, interval_s), pace,
                     _progress(jacobian @ step, part * error), held, singular)
 
 
@@ -109,11 +110,17 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     """
     Return the velocities that move the hand with a twist, or slower where joints limit it.
 
+    A joint that comes near the end of its range brakes before, and the others do what they can.
+
     :param jacobian: of position and rotation of the hand, shape (6, n)
     :param twist: linear [m/s] and angular [rad/s], shape (6,)
     :param interval_s: interval that the velocities are for [s]
     """
-    step, drift, held, singular = _displacements(jacobian, _HORIZON_S * twist, joints)
+    low, high = _room(joints)
+    slowest, fastest = (_HORIZON_S * braking_velocity(
+        end, _BRAKING * joints.acceleration_limit, interval_s) for end in (low, high))
+    step, drift, held, singular = _displacements(
+        jacobian, _HORIZON_S * twist, joints, np.maximum(low, slowest), np.minimum(high, fastest))
     velocity = step / _HORIZON_S
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
     velocity = _with_drift(velocity / max(1.0, pace), drift, joints)
@@ -131,14 +138,18 @@ def stop(joints: JointState, interval_s: float) -> FloatArray:
     return _reached(np.zeros(len(joints.velocity)), joints, interval_s)
 
 
-def _displacements(jacobian: FloatArray, task: FloatArray, joints: JointState
-                   ) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
+def _room(joints: JointState) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest displacements within the ranges of the joints."""
+    return joints.low - joints.position, joints.high - joints.position
+
+
+def _displacements(jacobian: FloatArray, task: FloatArray, joints: JointState, low: FloatArray,
+                   high: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
     """
     Return the joint displacements for a task, and those in the null space towards the posture.
 
-    Joints that would leave their range go to its end, and the others do the rest.
+    Joints that would go lower or higher than they may go as far, and the others do the rest.
     """
-    low, high = joints.low - joints.position, joints.high - joints.position
     free = np.ones(len(low), dtype=bool)
     step = np.zeros(len(low))
     while True:
