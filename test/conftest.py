@@ -262,7 +262,7 @@ def domain():
 @pytest.fixture
 def node(domain):
     """Return a bare node of rclpy in the domain."""
-    rclpy = pytest.importorskip('rclpy')
+    rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)
     node = rclpy.create_node('node', context=context)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The layers: ros on simulation on models, and nothing upward."""
+"""The layers: ros on simulation on models, and nothing upward; what modules and tests are like."""
 
 import ast
 from pathlib import Path
@@ -11,6 +11,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
 MODULES = sorted(PACKAGE.rglob('*.py'))
+TESTS_FOLDER = Path(__file__).resolve().parent
+TESTS = sorted(TESTS_FOLDER.rglob('test_*.py'))
 PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 #: By folder or module: the layers and the libraries that it may import.
 MAY_IMPORT = {
@@ -61,3 +63,14 @@ def _is_standard(name):
 
 def test_no_module_is_a_drawer_for_odds_and_ends():
     assert not [path for path in MODULES if path.name in FORBIDDEN_NAMES]
+
+
+@pytest.mark.parametrize('path', TESTS, ids=lambda path: str(path.relative_to(TESTS_FOLDER)))
+def test_every_test_that_may_be_skipped_says_why(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            reasons = {keyword.arg for keyword in node.keywords}
+            if node.func.attr in ('importorskip', 'skipif', 'xfail'):
+                assert 'reason' in reasons, f'{path}:{node.lineno}'
+            elif node.func.attr == 'skip':
+                assert node.args or 'reason' in reasons, f'{path}:{node.lineno}'

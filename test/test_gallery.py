@@ -87,7 +87,7 @@ def test_a_robot_is_rendered_small_and_in_colour(tmp_path, renderer):
 def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, width, height,
                                                                         tmp_path, renderer):
     image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
-    chops = pytest.importorskip('PIL.ImageChops')
+    chops = pytest.importorskip('PIL.ImageChops', reason='pillow is in the extra gallery')
     assert run_gallery('--output', tmp_path, Path(name).name).returncode == 0
     picture = image.open(tmp_path / f'{name}.png').convert('RGB')
     assert picture.size == (2 * width, height)

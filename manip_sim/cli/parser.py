@@ -22,6 +22,8 @@ COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'id
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
 #: The least and the greatest edge of a picture [pixels].
 SMALLEST, LARGEST = 16, 8192
+#: Text is not wrapped to fewer characters, as that of argparse is not.
+_NARROWEST = 11
 _EXIT_CODES = ('Exit codes: 0 all right; 1 something is wrong, or cannot be done; 2 wrong command '
                'line')
 
@@ -53,17 +55,18 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):
         add(commands)
     options, left = parser.parse_known_args(arguments)
-    problem = _unknown(left) or _conflict(options)
+    problem = _unknown(left, options) or _conflict(options)
     if problem:
         commands.choices[options.command].error(problem)
     return options
 
 
-def _unknown(words: Sequence[str]) -> str | None:
+def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
     """Return that words have no meaning, or None if there are none."""
     if not words:
         return None
-    hint = '' if words[0].startswith('-') else ' (options name the parts: --robot NAME)'
+    named = hasattr(options, 'robot') and not words[0].startswith('-')
+    hint = ' (options name the parts: --robot NAME)' if named else ''
     return f'unrecognized arguments: {" ".join(words)}{hint}'
 
 
@@ -95,9 +98,9 @@ def _command(commands: Any, name: str, module: str, summary: str, more: str = ''
              example: str = '') -> Any:
     description = f'{summary[0].upper()}{summary[1:]}. {more}'.strip()
     # The epilog has lines of its own, so argparse must not wrap either.
+    width = max(shutil.get_terminal_size().columns - 2, _NARROWEST)
     parser = commands.add_parser(
-        name, help=summary, allow_abbrev=False,
-        description=textwrap.fill(description, shutil.get_terminal_size().columns - 2),
+        name, help=summary, allow_abbrev=False, description=textwrap.fill(description, width),
         formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'{example}\n{_EXIT_CODES}')
     parser.set_defaults(module=module)
     return parser

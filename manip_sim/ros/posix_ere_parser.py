@@ -19,7 +19,15 @@ _CLASSES = {
 
 
 class Node(NamedTuple):
-    """Part of an expression: a test, begin, end, sequence, choice or repeat."""
+    """
+    A part of an expression.
+
+    :ivar kind: ``test``, ``begin``, ``end``, ``sequence``, ``choice`` or ``repeat``
+    :ivar parts: of a sequence or choice, or what is repeated
+    :ivar test: of a ``test``, whether it matches a character
+    :ivar least: how often a ``repeat`` has to match
+    :ivar most: how often it may match; None: without end
+    """
 
     kind: str
     parts: tuple[Node, ...] = ()
@@ -164,6 +172,7 @@ def parse(pattern: str) -> Node:
     """
     Return the tree of an expression.
 
+    :param pattern: the expression
     :raises ValueError: if it is not one
     """
     return _Parser(pattern).parse()

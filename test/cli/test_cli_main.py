@@ -51,11 +51,20 @@ def test_help_of_each_command_tells_all_options_and_exit_codes(name, here, monke
         assert (f'--{option.replace("_", "-")}' in text) == composes
 
 
+@pytest.mark.parametrize('columns', ['1', '13', '10000'])
+def test_help_is_given_in_terminals_of_all_widths(columns, here, monkeypatch):
+    monkeypatch.setenv('COLUMNS', columns)
+    code, text, errors = here('list', '--help')
+    assert (code, errors) == (0, '')
+    assert 'list what there is, and where it comes from' in ' '.join(text.lower().split())
+
+
 @pytest.mark.parametrize(('arguments', 'what', 'of'), [
     ((), 'COMMAND', ''), (('lst',), 'invalid choice', ''), (('list', 'cars'), 'cars', ' list'),
     (('describe', '--robt', 'Panda'), '--robt', ' describe'),
     (('describe', '--rob', 'Panda'), '--rob', ' describe'),
     (('describe', 'Panda'), 'Panda (options name the parts: --robot NAME)', ' describe'),
+    (('list', 'robots', 'Panda'), 'unrecognized arguments: Panda;', ' list'),
     (('export',), 'FILE', ' export'),
     (('describe', '--position', '1', '2'), '--position', ' describe'),
     (('describe', '--position', '1', '2', 'nan'), "finite number, got 'nan'", ' describe'),

@@ -135,7 +135,7 @@ def test_pause_stops_the_time_and_the_page_says_so(page, client, node):
 
 
 def test_the_picture_shows_the_cube_and_the_robot(page):
-    image = pytest.importorskip('PIL.Image')
+    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
 
     # The cube is the only thing that is red, and the mount the only one that is nearly black.
     end = time.monotonic() + START_S
@@ -162,7 +162,7 @@ def change_objects(node, change):
 
 
 def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page, node):
-    image = pytest.importorskip('PIL.Image')
+    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
     # Beside the cube, on the table.
     box = create_object({'name': 'box', 'shape': 'box', 'size': [0.15, 0.15, 0.15], 'mass': 0.1,
                          'position': [0.1, -0.25, 0.9], 'rgba': [0.0, 1.0, 0.0, 1.0]})

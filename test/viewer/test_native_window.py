@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-pytest.importorskip('rclpy')
-pytest.importorskip('viser')
+pytest.importorskip('rclpy', reason='the window needs ROS 2')
+pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.viewer.ros.native import aim  # noqa: E402
 

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-rclpy = pytest.importorskip('rclpy')
-pytest.importorskip('viser')
+rclpy = pytest.importorskip('rclpy', reason='the sender needs ROS 2')
+pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from sensor_msgs.msg import JointState  # noqa: E402
 

@@ -35,7 +35,7 @@ def test_without_viser_it_says_what_to_install():
 
 
 def test_without_ros_it_says_where_it_comes_from():
-    pytest.importorskip('viser')
+    pytest.importorskip('viser', reason='the viewer needs the extra viewer')
     done = without('rclpy')
     assert done.returncode == 1
     assert "no module 'rclpy': source ROS 2 Jazzy" in done.stderr
