@@ -15,7 +15,7 @@ from domains import reserve_domain
 import numpy as np
 import pytest
 
-from manip_sim.models.arenas import ARENAS
+from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.bases.robot_base_model import BASES
 from manip_sim.models.grippers import GripperModel, PandaGripper
