@@ -46,12 +46,19 @@ def functions():
         if inspect.isfunction(value):
             yield name, value, inspect.getdoc(value)
         elif inspect.isclass(value):
-            if '__init__' in vars(value):
-                yield name, value.__init__, inspect.getdoc(value)
-            for method in (m for m in vars(value) if not m.startswith('_')):
-                found = getattr(value, method)
-                if inspect.isfunction(found) or inspect.ismethod(found):
-                    yield f'{name}.{method}', found, inspect.getdoc(found)
+            for owner in value.__mro__:
+                if owner.__module__.startswith('manip_sim'):
+                    yield from methods(owner)
+
+
+def methods(owner):
+    name = f'{owner.__module__}.{owner.__name__}'
+    if '__init__' in vars(owner):
+        yield name, owner.__init__, inspect.getdoc(owner)
+    for method in (m for m in vars(owner) if not m.startswith('_')):
+        found = getattr(owner, method)
+        if inspect.isfunction(found) or inspect.ismethod(found):
+            yield f'{name}.{method}', found, inspect.getdoc(found)
 
 
 def test_every_argument_of_what_is_exported_is_described():
@@ -66,5 +73,6 @@ def test_every_argument_of_what_is_exported_is_described():
 def test_there_are_functions_to_look_at():
     names = {name.removeprefix('manip_sim.') for name, _, _ in functions()}
     assert len(names) > 100
-    assert {'models.composing.compose', 'models.robots.robot_model.RobotModel',
+    assert {'models.composing.compose', 'models.robots.robot_model.RobotModel.set_joint_attribute',
+            'models.robots.standing_model.StandingModel.add_base',
             'simulation.robot.SimulatedRobot.apply'} <= names

@@ -85,7 +85,7 @@ class _Finder:
         self.followers = {model.joint(joint).name for joint in urdf.mimics}
         self.actuated = {*robot.joints.names, *(
             joint for part in robot.parts.values() for joint in part.driven_joints if joint), *(
-            joint for gripper in robot.grippers.values() for joint in gripper.commanded_joints)}
+            joint for gripper in robot.grippers.values() for joint in gripper.joints.names)}
 
     def subsystem(self, name: str, part: Part) -> Group:
         driven = tuple(joint for joint in part.driven_joints if joint is not None)
@@ -122,7 +122,7 @@ class _Finder:
             below = subtree(self._model, self._model.body(gripper.root_body).id)
             links = tuple(link for body in below
                           if (link := self._tree.link_of_body[body]) != eef)
-            commanded = self._robot.grippers[part.name].commanded_joints
+            commanded = self._robot.grippers[part.name].joints.names
             found.append(Group(
                 'gripper' if len(model.arms) == 1 else f'{arm}_gripper', part.name, part.joints,
                 self._active(part, commanded), commanded, links=links,

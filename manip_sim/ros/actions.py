@@ -109,7 +109,7 @@ def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], 
         if part.gripper is None:
             if part.actuators:
                 yield TrajectoryMessages(types.follow_joint_trajectory, robot, name, now_ns)
-        elif robot.grippers[name].commanded_joints:
+        elif robot.grippers[name].joints.names:
             yield GripperMessages(types.gripper_command, robot, name, now_ns)
             if types.parallel_gripper_command is not None:
                 yield ParallelGripperMessages(types.parallel_gripper_command, robot, name, now_ns)

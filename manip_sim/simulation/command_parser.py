@@ -44,7 +44,8 @@ class CommandParser:
         self._robot = robot
         self._joints = joints
         self._grippers = grippers
-        self._joint_commands = JointCommandParser(joints, grippers)
+        self._joint_commands = JointCommandParser(
+            joints, {part: gripper.joints for part, gripper in grippers.items()})
 
     def action(self, part: str, action: ArrayLike) -> Command:
         """

@@ -5,18 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.errors import CommandError
 from manip_sim.simulation.commands import (
     Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, Status)
 from manip_sim.simulation.formatting import Formatter
 from manip_sim.simulation.gripper_actuators import GripperActuators
 from manip_sim.simulation.gripper_force import ForceLimit
+from manip_sim.simulation.gripper_joints import GripperJoints
 from manip_sim.simulation.parts import Part
 
 #: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
@@ -25,8 +23,6 @@ GRIPPER_RATE_HZ = 20.0
 _AT_END = 0.015
 #: A finger has stopped if it would take longer than this to cross its range [s].
 _STOPPED_S = 20.0
-#: A finger stands still if it would take longer than this to cross its range [s].
-_STILL_S = 40.0
 #: How long a stopped finger takes to press with its full force [s].
 _PRESS_S = 0.05
 #: Two setpoints that differ by less than this fraction of the range are the same.
@@ -45,7 +41,7 @@ class GripperController:
     :param model: the compiled ``mujoco.MjModel``, whose position servos have a setpoint activation
     :param part: the gripper
     :param timestep_s: of the physics [s]
-    :ivar commanded_joints: the joints that a position command may name
+    :ivar joints: those that take position commands
     :ivar owner: the handle of the last command, or of what has ended it
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
@@ -59,8 +55,7 @@ class GripperController:
         self._actuators = GripperActuators(model, part)
         self._force = ForceLimit(model, self._actuators)
         self._formatter = Formatter(part.gripper, len(part.actuators))
-        self._joints = self._servo_joints()
-        self.commanded_joints: tuple[str, ...] = tuple(model.joint(j).name for j in self._joints)
+        self.joints = GripperJoints(model, part.name, self._actuators)
         self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
         self._running: Command | None = None
         self.owner = CommandHandle(Status.DONE)
@@ -80,15 +75,11 @@ class GripperController:
         self._turned = False
         self._moving = False
 
-    def _servo_joints(self) -> list[int]:
-        servos = self._actuators.is_servo
-        return list(dict.fromkeys(joint for terms, servo in zip(self._actuators.terms, servos)
-                                  if servo for joint, _ in terms))
-
     def rebind(self, model: mujoco.MjModel) -> None:
         """Continue with another model in which the gripper is unchanged."""
         self._model = model
         self._actuators.rebind(model)
+        self.joints.rebind(model)
         self._force.rebind(model)
 
     @property
@@ -115,40 +106,6 @@ class GripperController:
     def indices(self) -> IntArray:
         """All indices of the gripper's actuators."""
         return np.arange(len(self.part.actuators))
-
-    def joint_ranges(self, joints: Sequence[str]) -> FloatArray:
-        """Return the ranges of joints [rad or m], infinite where there is none, shape (n, 2)."""
-        found = [self._model.joint(name) for name in joints]
-        return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
-
-    def reach(self, joint: str) -> tuple[float, float]:
-        """Return the range that a joint can move in [rad or m], infinite if it is unknown."""
-        return self._actuators.joint_range(self._model.joint(joint).id)
-
-    def followers(self, joint: str) -> frozenset[str]:
-        """Return the joints that follow a commanded joint because they are coupled to it."""
-        group = self._actuators.couplings.group(self._model.joint(joint).id)
-        return frozenset(self._model.joint(other).name for other in group) - {joint}
-
-    def actuators_of(self, joints: Sequence[str]) -> IntArray:
-        """Return the indices of the actuators that move joints or what is coupled to them."""
-        moved = set(joints).union(*(self.followers(joint) for joint in joints))
-        return np.array([
-            index for index, terms in enumerate(self._actuators.terms)
-            if moved & {self._model.joint(joint).name for joint, _ in terms}], dtype=np.int64)
-
-    def check_takes_positions(self, names: Sequence[str]) -> None:
-        """
-        Check that no joint is driven only by actuators that take no position.
-
-        :raises CommandError: naming such an actuator
-        """
-        for index, terms in enumerate(self._actuators.terms):
-            driven = {self._model.joint(joint).name for joint, _ in terms}
-            for name in names:
-                if name in driven and name not in self.commanded_joints:
-                    raise CommandError(f"{self.part.name}: joint '{name}' takes no position, "
-                                       f'{self._actuators.why_no_setpoint(index)}: use actions')
 
     def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the fingers where they are."""
@@ -177,7 +134,8 @@ class GripperController:
             self._action = command.action
         elif isinstance(command, GripperSetpoint):
             self._action, self._in_step = None, False
-            goal = self._actuators.rest(self._actuators.lengths_at(data, self._positions(command)))
+            positions = self.joints.with_followers(dict(zip(command.joints, command.values)))
+            goal = self._actuators.rest(self._actuators.lengths_at(data, positions))
             grasp = command if isinstance(command, GripperGrasp) else None
             if grasp is not None:
                 goal = self._together(goal)
@@ -219,20 +177,6 @@ class GripperController:
         if self._moving and not self._pressing.any():
             self._action, self._in_step = None, False
             self._set_goal(self._actuators.setpoints(data), to_end=False)
-
-    def is_still(self, data: mujoco.MjData) -> bool:
-        """Tell whether all fingers that can be commanded have stopped, or nearly so."""
-        low, high = self.joint_ranges(self.commanded_joints).T
-        span = np.where(np.isfinite(high - low), high - low, 1.0)
-        speed = np.array([data.joint(name).qvel[0] for name in self.commanded_joints])
-        return bool((np.abs(speed) < span / _STILL_S).all())
-
-    def _positions(self, command: GripperSetpoint) -> dict[int, float]:
-        """Return the goals of the named joints and of those that are coupled to them."""
-        named = {self._model.joint(name).id: float(value)
-                 for name, value in zip(command.joints, command.values)}
-        following = self._actuators.couplings.follow(named)
-        return {joint: value for joint, value in following.items() if joint in self._joints}
 
     def _end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
         if self._running is not None:

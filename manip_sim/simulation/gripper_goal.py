@@ -80,9 +80,9 @@ class GripperGoal(Goal):
 
     def __init__(self, robot: SimulatedRobot, part: str, request: GripperRequest) -> None:
         gripper = robot.grippers[part]
-        joint = request.joint or gripper.commanded_joints[0]
+        joint = request.joint or gripper.joints.names[0]
         try:
-            check_names([joint], gripper.commanded_joints, part)
+            check_names([joint], gripper.joints.names, part)
         except CommandError as error:
             raise GoalError(GoalCode.INVALID_JOINTS, str(error)) from error
         for name in ('position', 'max_effort', 'max_velocity'):
@@ -91,7 +91,7 @@ class GripperGoal(Goal):
                 raise GoalError(GoalCode.INVALID_GOAL, f'{part}: {name} must be finite'
                                 f'{"" if name == "position" else " and not negative"}, got '
                                 f'{value:g}')
-        low, high = gripper.reach(joint)
+        low, high = gripper.joints.reach(joint)
         values, clamped = clamp(np.array([request.position]), np.array([[low, high]]))
         super().__init__(robot, GripperGrasp(
             parts=frozenset([part]), indices=gripper.indices, joints=(joint,), values=values,
@@ -109,7 +109,7 @@ class GripperGoal(Goal):
     def _look(self, simulation: Simulation) -> None:
         joint, time_ns = simulation.data.joint(self._joint), simulation.time_ns
         position = float(joint.qpos[0])
-        if not self._gripper.is_still(simulation.data):
+        if not self._gripper.joints.are_still(simulation.data):
             self._still_since_ns = None
         elif self._still_since_ns is None:
             self._still_since_ns = time_ns

@@ -16,7 +16,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.quoting import counted, quoted
 from manip_sim.simulation.commands import Command, GripperSetpoint, JointSetpoint, MODES
-from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.gripper_joints import GripperJoints
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import as_numbers, clamp, clamped_example
 
@@ -72,14 +72,14 @@ class JointCommandParser:
     A parser of goals for named joints.
 
     :param joints: controller of the joints of arms, base, torso, head and legs; only read
-    :param grippers: controllers of the grippers, by part; only read
+    :param grippers: the joints of the grippers, by part; only read
     """
 
-    def __init__(self, joints: JointController, grippers: Mapping[str, GripperController]) -> None:
+    def __init__(self, joints: JointController, grippers: Mapping[str, GripperJoints]) -> None:
         self._joints = joints
         self._grippers = grippers
         self._gripper_of = {joint: gripper for gripper in grippers.values()
-                            for joint in gripper.commanded_joints}
+                            for joint in gripper.names}
         self._addressed = lru_cache(_REMEMBERED)(self._address)
 
     def parse(self, names: Sequence[str], fields: Mapping[str, ArrayLike], part: str | None
@@ -144,7 +144,7 @@ class JointCommandParser:
                  ) -> _Addressed:
         """Return what the names mean; ``modes``, those of all joints, are a key of the cache."""
         for gripper in self._grippers.values():
-            gripper.check_takes_positions(names)
+            gripper.check_take_positions(names)
         check_names(names, self._available(part), part or 'joint_command')
         meant = tuple('position' if name in self._gripper_of else self._joints.mode_of(name)
                       for name in names)
@@ -157,7 +157,7 @@ class JointCommandParser:
         if part is None:
             return [*self._joints.names, *self._gripper_of]
         if part in self._grippers:
-            return list(self._grippers[part].commanded_joints)
+            return list(self._grippers[part].names)
         return [self._joints.names[i] for i in self._joints.indices_of(part)]
 
     def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:
@@ -186,7 +186,7 @@ class JointCommandParser:
             if places:
                 fingers = tuple(names[i] for i in places)
                 yield _Group(frozenset([part]), np.array(places), fingers,
-                             gripper.joint_ranges(fingers), gripper.actuators_of(fingers))
+                             gripper.ranges(fingers), gripper.actuators_of(fingers))
 
 
 def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:

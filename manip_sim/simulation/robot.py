@@ -198,7 +198,7 @@ class SimulatedRobot:
     def command_interfaces(self) -> dict[str, str]:
         """Return what the commands of each joint are: ``position``, ``velocity``, ``effort``."""
         fingers = [joint for gripper in self.grippers.values()
-                   for joint in gripper.commanded_joints]
+                   for joint in gripper.joints.names]
         return {**{name: self.joints.mode_of(name) for name in self.joints.names},
                 **dict.fromkeys(fingers, 'position')}
 

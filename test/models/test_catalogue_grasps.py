@@ -79,7 +79,7 @@ class Stroke:
         self.times, self.gaps = np.array(times), running_median(np.array(gaps))
         self.pads, self.lowest = np.array(middles), np.array(lowest)
         self.closed = {joint: rig.data.joint(joint).qpos[0]
-                       for joint in rig.fingers.commanded_joints}
+                       for joint in rig.fingers.joints.names}
 
     def duration_s(self):
         """Return how long the pads took for 95 % of their way."""

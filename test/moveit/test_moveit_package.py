@@ -203,7 +203,7 @@ def test_controllers_are_the_actions_of_the_node_and_move_each_joint_once(packag
         driven += controller['joints']
         if name in robot.grippers:
             # The action means the first joint that takes positions.
-            assert controller['command_joint'] == robot.grippers[name].commanded_joints[0]
+            assert controller['command_joint'] == robot.grippers[name].joints.names[0]
             assert controller['command_joint'] in controller['joints']
     assert len(set(driven)) == len(driven)
     # MoveIt sends a trajectory only if controllers cover all of its joints.

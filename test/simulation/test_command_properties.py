@@ -123,7 +123,7 @@ def test_a_joint_command_is_rejected_or_finite_and_within_limits(names, data):
     seen = []
     for command in commands:
         if isinstance(command, GripperSetpoint):
-            low, high = ROBOT.grippers[HAND].joint_ranges(command.joints).T
+            low, high = ROBOT.grippers[HAND].joints.ranges(command.joints).T
             assert np.isfinite(command.values).all()
             assert (low <= command.values).all() and (command.values <= high).all()
             seen += command.joints

@@ -87,8 +87,8 @@ def test_every_gripper_of_the_catalogue_reaches_positions_on_the_way(gripper):
     robot = 'GR1' if gripper.startswith('Fourier') else 'Panda'
     actor = Actor(Simulation(compose(robot, gripper=gripper)))
     controller = actor.robot.grippers[GRIPPER]
-    joint = controller.commanded_joints[0]
-    low, high = controller.reach(joint)
+    joint = controller.joints.names[0]
+    low, high = controller.joints.reach(joint)
     for part in (0.3, 0.6):
         goal = actor.start(low + part * (high - low))
         actor.run(goal=goal)
@@ -98,7 +98,7 @@ def test_every_gripper_of_the_catalogue_reaches_positions_on_the_way(gripper):
 
 def test_fingers_that_are_not_named_close_as_far_as_the_first_one(panda):
     actor = Actor(Simulation(compose('Panda', gripper='RethinkGripper')))
-    right, left = actor.robot.grippers[GRIPPER].commanded_joints
+    right, left = actor.robot.grippers[GRIPPER].joints.names
     # From -0.021 to 0.011 m and from -0.011 to 0.021 m: a quarter of the way from open.
     for joint, other in ((0.003, -0.003), (-0.021, 0.021)):
         actor.run(goal=actor.start(joint))

@@ -131,7 +131,7 @@ def test_coupled_finger_follows_any_polynomial_both_ways(hand_sim, hand_class, r
 def test_fingers_on_a_tendon_follow_joint_commands_at_their_speed(hand_sim, run, named):
     simulation = hand_sim(TENDON_SERVO, TENDON)
     np.testing.assert_allclose(fingers(simulation), [0.02, 0.02], atol=1e-4)
-    assert simulation.robot.grippers[GRIPPER].commanded_joints == (LEFT, RIGHT)
+    assert simulation.robot.grippers[GRIPPER].joints.names == (LEFT, RIGHT)
     command(simulation, left=0.0)
     assert speeds_during(simulation, run, 0.3) == pytest.approx(0.05, rel=0.02)
     run(simulation, 1.0)

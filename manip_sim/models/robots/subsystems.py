@@ -87,6 +87,7 @@ class Subsystems(MujocoXMLModel):
         """
         Return the joints of a subsystem.
 
+        :param subsystem: such as ``arm`` or ``torso``
         :raises UnknownNameError: if there is no such subsystem
         """
         return list(self._lookup(self._joints_of, subsystem))
@@ -95,6 +96,7 @@ class Subsystems(MujocoXMLModel):
         """
         Return the actuators of a subsystem.
 
+        :param subsystem: such as ``arm`` or ``torso``
         :raises UnknownNameError: if there is no such subsystem
         """
         return list(self._lookup(self._actuators_of, subsystem))
