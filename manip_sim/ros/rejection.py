@@ -1,10 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Result codes of ``simulation_interfaces`` for requests that cannot be met."""
+"""Answers of ``simulation_interfaces`` to requests that cannot be met, with their result codes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from manip_sim.errors import ManipSimError, UnknownNameError
@@ -31,3 +32,19 @@ def tell(error: ManipSimError, result: Any) -> None:
     elif isinstance(error, UnknownNameError):
         code = ResultCode.RESULT_NOT_FOUND
     result.result, result.error_message = int(code), str(error)
+
+
+def answering(meet: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+    """
+    Return the callback of a service, which writes into the response whether its request was met.
+
+    :param meet: fills the response to a request, or raises a ``ManipSimError``
+    """
+    def answer(request: Any, response: Any) -> Any:
+        response.result.result = int(ResultCode.RESULT_OK)
+        try:
+            meet(request, response)
+        except ManipSimError as error:
+            tell(error, response.result)
+        return response
+    return answer

@@ -15,14 +15,14 @@ from urllib.parse import unquote, urlsplit
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
-from manip_sim.errors import CommandError, ManipSimError, ModelError
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.rejection import Rejection, tell
+from manip_sim.ros.rejection import answering, Rejection
 from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
@@ -59,7 +59,7 @@ class SpawningServices:
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, meet in ((types.SpawnEntity, 'spawn_entity', self._spawn),
                                          (types.DeleteEntity, 'delete_entity', self._delete)):
-            node.create_service(service_type, f'~/{name}', _answering(meet), callback_group=group)
+            node.create_service(service_type, f'~/{name}', answering(meet), callback_group=group)
 
     def _spawn(self, request: Any, response: Any) -> None:
         if request.entity_namespace.strip('/'):
@@ -106,17 +106,6 @@ class SpawningServices:
             self._simulation.change_objects(plan)
         self._thread.call(change)
         self._changed(self._simulation)
-
-
-def _answering(meet: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
-    def answer(request: Any, response: Any) -> Any:
-        response.result.result = int(ResultCode.RESULT_OK)
-        try:
-            meet(request, response)
-        except ManipSimError as error:
-            tell(error, response.result)
-        return response
-    return answer
 
 
 def _created(request: Any) -> ObjectModel:

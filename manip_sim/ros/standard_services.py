@@ -8,21 +8,16 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Generator
 from typing import Any
 
-from geometry_msgs.msg import Point, Quaternion, Vector3
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ManipSimError
-from manip_sim.quoting import quoted
-from manip_sim.ros.messages import stamp_of, WORLD
-from manip_sim.ros.posix_ere import PosixExpression
+from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.rejection import Rejection, tell
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
-from manip_sim.ros.standard_codes import (
-    BoundsType, Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, State)
+from manip_sim.ros.standard_codes import Feature, ResultCode, Scope, SetStateCode, State
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.poses import Pose, Twist
 
 try:
     from simulation_interfaces import srv as SERVICE_TYPES
@@ -63,12 +58,13 @@ def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: Simu
     """
     if AVAILABLE:
         SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
+        EntityServices(node, simulation, thread, SERVICE_TYPES)
         SpawningServices(node, simulation, thread, objects_changed, SERVICE_TYPES)
 
 
 class SimulationInterfaces:
     """
-    The services of the standard for simulation state, steps, reset and entities.
+    The services of the standard for simulation state, steps and reset.
 
     A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
     simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
@@ -91,9 +87,6 @@ class SimulationInterfaces:
         self._offer(types.SetSimulationState, 'set_simulation_state', self._set_state)
         self._offer(types.StepSimulation, 'step_simulation', self._step)
         self._offer(types.ResetSimulation, 'reset_simulation', self._reset)
-        self._offer(types.GetEntities, 'get_entities', self._get_entities)
-        self._offer(types.GetEntityState, 'get_entity_state', self._get_entity_state)
-        self._offer(types.SetEntityState, 'set_entity_state', self._set_entity_state)
 
     def _offer(self, service_type: Any, name: str,
                meet: Callable[[Any, Any], Awaitable[None]]) -> None:
@@ -114,8 +107,6 @@ class SimulationInterfaces:
         response.features.spawn_formats = list(FORMATS)
         response.features.custom_info = _ABOUT
         return response
-
-    # ------------------------------------------------------------------ the simulation
 
     def _state(self) -> int:
         if not self._thread.paused:
@@ -169,91 +160,3 @@ class SimulationInterfaces:
                             'STATE with TIME (3)')
         self._thread.reset(
             restart_time=everything or bool(scope & Scope.SCOPE_TIME))
-
-    # ------------------------------------------------------------------ the entities
-
-    async def _get_entities(self, request: Any, response: Any) -> None:
-        filters = request.filters
-        if filters.tags.tags:
-            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no tags')
-        if filters.bounds.type != BoundsType.TYPE_EMPTY:
-            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED, 'entities have no bounds')
-        wanted = {category.category for category in filters.categories}
-        response.entities = _matching(filters.filter, [
-            name for name in self._simulation.entities.names
-            if not wanted or self._category(name) in wanted])
-
-    def _category(self, name: str) -> int:
-        return int(Category.CATEGORY_OBJECT if self._simulation.entities.is_free(name)
-                   else Category.CATEGORY_ROBOT)
-
-    async def _get_entity_state(self, request: Any, response: Any) -> None:
-        name, simulation = request.entity, self._simulation
-        time_ns, state = self._thread.call(
-            lambda: (simulation.time_ns, self._simulation.entities.read(simulation.data, name)))
-        message = response.state
-        message.header.stamp, message.header.frame_id = stamp_of(time_ns), WORLD
-        message.pose.position = _filled(Point(), state.pose.position)
-        message.pose.orientation = _filled(Quaternion(), state.pose.quat_xyzw)
-        message.twist.linear = _filled(Vector3(), state.twist.linear)
-        message.twist.angular = _filled(Vector3(), state.twist.angular)
-        message.acceleration.linear = _filled(Vector3(), state.linear_acceleration)
-        message.acceleration.angular = _filled(Vector3(), state.angular_acceleration)
-
-    async def _set_entity_state(self, request: Any, response: Any) -> None:
-        name = request.entity
-        if not self._simulation.entities.is_free(name):
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                            f"'{request.entity}' cannot be moved, only free bodies can")
-        if request.state.header.frame_id not in ('', WORLD):
-            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                            f"frame_id '{request.state.header.frame_id}' is not supported: leave "
-                            f"it empty or write '{WORLD}'")
-        pose, twist = _parts(request)
-
-        def place() -> None:
-            if self._simulation.diverged is not None:
-                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
-                                f'{self._simulation.diverged}; reset it first')
-            self._simulation.entities.place(self._simulation.data, name, pose, twist)
-        self._thread.call(place)
-
-
-def _filled(message: Any, values: Any) -> Any:
-    for field, value in zip(message.get_fields_and_field_types(), values.tolist()):
-        setattr(message, field, value)
-    return message
-
-
-def _numbers(message: Any) -> list[float]:
-    return [getattr(message, field) for field in message.get_fields_and_field_types()]
-
-
-def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
-    """Return pose and twist to set, or None; version 1 of the standard has no flags, sets both."""
-    state = request.state
-    set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
-    pose = twist = None
-    if not (set_pose or set_twist):
-        raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and '
-                        'set_twist are false, and an acceleration cannot be set')
-    if set_pose:
-        try:
-            pose = Pose.checked(_numbers(state.pose.position), _numbers(state.pose.orientation))
-        except CommandError as error:
-            raise Rejection(SetEntityCode.INVALID_POSE, str(error)) from error
-    if set_twist:
-        twist = Twist.checked(_numbers(state.twist.linear), _numbers(state.twist.angular))
-    return pose, twist
-
-
-def _matching(pattern: str, names: list[str]) -> list[str]:
-    """Return the names in which a POSIX Extended regular expression matches."""
-    if not pattern:
-        return names
-    try:
-        expression = PosixExpression(pattern)
-    except ValueError as error:
-        raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                        f'filter {quoted(pattern)}: {error}') from error
-    return [name for name in names if expression.found_in(name)]

@@ -16,10 +16,11 @@ import pytest
 from std_msgs.msg import Header
 
 from manip_sim.models import compose
-from manip_sim.ros.standard_services import SimulationInterfaces
+from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_codes import (
     Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, SpawnCode, State)
+from manip_sim.ros.standard_services import SimulationInterfaces
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
@@ -58,6 +59,7 @@ class Standard:
         self.thread = SimulationThread(self.simulation, steps=5, stepping='free', paused=True)
         self.services, self.followed = {}, []
         SimulationInterfaces(self, self.simulation, self.thread, TYPES)
+        EntityServices(self, self.simulation, self.thread, TYPES)
         SpawningServices(self, self.simulation, self.thread, self.followed.append, TYPES)
         self.thread.start()
 
