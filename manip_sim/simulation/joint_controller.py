@@ -17,7 +17,7 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation.active_commands import ActiveCommands
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
-from manip_sim.simulation.cartesian.targets import Hand
+from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.command_timeouts import CommandTimeouts
 from manip_sim.simulation.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status,

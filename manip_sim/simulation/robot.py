@@ -13,9 +13,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
 from manip_sim.models.robots import RobotModel
-from manip_sim.simulation.cartesian.frames import Frame, Frames
+from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
-from manip_sim.simulation.cartesian.targets import Hand
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import Command, GripperCommand
 from manip_sim.simulation.gripper_controller import GripperController
@@ -60,35 +59,14 @@ class SimulatedRobot:
             for name, part in self.parts.items() if part.gripper is not None}
         self.joints = JointController(
             model, data, {name: p for name, p in self.parts.items() if p.gripper is None},
-            [part.name for part in atomic if part.gripper is None], self._hands(model))
+            [part.name for part in atomic if part.gripper is None],
+            find_hands(model, robot, self.parts, self.end_effectors))
         self.grippers = {part.name: GripperController(model, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
         self.parse = CommandParser(robot, self.joints, self.grippers)
-        self.parse_cartesian = CartesianParser(self.joints, self._frames(model))
+        self.parse_cartesian = CartesianParser(
+            self.joints, find_frames(model, robot, self.end_effectors))
         self._index_joints(atomic)
-
-    def _frames(self, model: mujoco.MjModel) -> Frames:
-        bodies = [*self.robot_model.bodies,
-                  *(body for part in self.robot_model.models for body in part.bodies)]
-        return Frames(model, bodies, [site for reader in self.end_effectors.values()
-                                      for site in (reader.grip_site, reader.ft_frame)])
-
-    def _hands(self, model: mujoco.MjModel) -> dict[str, Hand]:
-        hands = {}
-        for arm, reader in self.end_effectors.items():
-            joints = [j for j in self.parts[arm].driven_joints if j] if arm in self.parts else []
-            if not joints:
-                continue
-            tip = model.site(reader.grip_site)
-            body = int(model.body_parentid[int(model.joint(joints[0]).bodyid[0])])
-            center = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE,
-                                       f'{self.robot_model.naming_prefix}{arm}_center')
-            origin = Frame(model.body(body).name, body)
-            if center >= 0:
-                origin = Frame(model.site(center).name, int(model.site_bodyid[center]), center)
-            hands[arm] = Hand(Frame(tip.name, int(tip.bodyid[0]), int(tip.id)), origin,
-                              self.parts[arm].qpos_addresses)
-        return hands
 
     def _index_joints(self, atomic: list[Part]) -> None:
         self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)

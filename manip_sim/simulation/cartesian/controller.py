@@ -17,13 +17,14 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.goals import target_of
+from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
 from manip_sim.simulation.cartesian.operational_space_controller import (
     OperationalSpaceController)
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.cartesian.targets import Hand, pose_error, Target
+from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos

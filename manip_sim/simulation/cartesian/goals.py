@@ -12,7 +12,8 @@ import numpy as np
 from manip_sim.simulation.cartesian.commands import (
     CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, WORLD
-from manip_sim.simulation.cartesian.targets import Hand, Target
+from manip_sim.simulation.cartesian.hands import Hand
+from manip_sim.simulation.cartesian.targets import Target
 
 #: How far an action of 1 moves and turns the goal [m], [rad]; robosuite's defaults for OSC_POSE.
 _ACTION_STEP, _ACTION_TURN = 0.05, 0.5

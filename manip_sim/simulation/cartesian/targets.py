@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The hand of an arm, and its target."""
+"""What a hand is to do: a goal pose, or a twist that moves it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,11 @@ import math
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
-
-
-@dataclass(frozen=True)
-class Hand:
-    """
-    The hand of an arm.
-
-    :ivar tip: its ``grip_site``
-    :ivar origin: site ``<arm>_center``, or else the body that the arm is mounted on
-    :ivar qpos: addresses of the arm's joints in ``qpos``, shape (n,)
-    """
-
-    tip: Frame
-    origin: Frame
-    qpos: IntArray
 
 
 @dataclass
