@@ -3,6 +3,8 @@
 
 """What the page knows of robots and topics, and what it says of them."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -11,11 +13,13 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
+from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
 from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status  # noqa: E402
 from manip_sim.viewer.page.following import Following  # noqa: E402
 from manip_sim.viewer.page.pace import Pace  # noqa: E402
 from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
+from manip_sim.viewer.page.posture import Posture  # noqa: E402
 from manip_sim.viewer.page.robots import commanded_joints, short_labels  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.ros.layout import layout_of, RobotTopics  # noqa: E402
@@ -141,6 +145,72 @@ def test_diagnostics_are_told_in_words_with_trouble_first():
                      'ago; 2 rejected')
     assert in_words([]) == 'No diagnostics yet.'
     assert control_modes([SIMULATION, ARM]) == {'left/arm': 'velocity'}
+
+
+class Browsers:
+    """A server whose browsers report their cameras."""
+
+    def __init__(self):
+        self.initial_camera = SimpleNamespace(fov=0.0, position=np.ones(3), look_at=np.zeros(3))
+        self.clients = {}
+
+    def get_clients(self):
+        return dict(self.clients)
+
+    def come(self, number, width=800, height=400):
+        first = self.initial_camera
+        self.clients[number] = SimpleNamespace(camera=SimpleNamespace(
+            image_width=width, image_height=height, fov=first.fov, position=first.position,
+            look_at=first.look_at))
+        return self.clients[number].camera
+
+
+@pytest.fixture
+def arm_posture():
+    posture = Posture(compose('Panda', arena='table').compile())
+    posture.compute()
+    return posture
+
+
+def test_cameras_at_the_view_that_the_server_gives_to_all_are_aimed_whenever_they_come_there(
+        arm_posture):
+    browsers = Browsers()
+    early = browsers.come(1)
+    aiming = Aiming(browsers)
+    aiming.begin(arm_posture)
+    late = browsers.come(2)
+    aiming.update(arm_posture)
+    aimed = late.position.copy()
+    np.testing.assert_array_equal(early.position, aimed)
+    assert np.linalg.norm(aimed - browsers.initial_camera.position) > 0.3
+    # A slow browser takes over the first view only now, and reports it in single precision.
+    first = browsers.initial_camera
+    late.position, late.look_at = (np.float32(v).astype(float)
+                                   for v in (first.position, first.look_at))
+    aiming.update(arm_posture)
+    np.testing.assert_array_equal(late.position, aimed)
+
+
+def test_cameras_that_people_have_moved_stay(arm_posture):
+    browsers = Browsers()
+    aiming = Aiming(browsers)
+    aiming.begin(arm_posture)
+    camera = browsers.come(1)
+    aiming.update(arm_posture)
+    first = browsers.initial_camera
+    # The first view but for where it is from, or for where it looks to.
+    for position, look_at in ((first.position + [0.0, 0.02, 0.0], first.look_at),
+                              (first.position, first.look_at + [0.0, 0.0, 0.02])):
+        camera.position, camera.look_at = position, look_at
+        aiming.update(arm_posture)
+        np.testing.assert_array_equal(camera.position, position)
+    # Its number may be that of another browser after it has gone.
+    browsers.clients.clear()
+    aiming.update(arm_posture)
+    other = browsers.come(1)
+    other.position = np.zeros(3)
+    aiming.update(arm_posture)
+    assert np.linalg.norm(other.position) > 0.5
 
 
 def test_events_run_in_their_order_and_those_that_they_add_later():

@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import math
-import time
 from typing import Any
 
 import mujoco
 
+from manip_sim.viewer.page.aiming import Aiming
 from manip_sim.viewer.page.cameras import CameraPanel
 from manip_sim.viewer.page.commands import Commands, Events
 from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status
@@ -22,7 +21,7 @@ from manip_sim.viewer.page.overlays import Overlays
 from manip_sim.viewer.page.plots import PlotPanel
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.robots import Part, Robot
-from manip_sim.viewer.page.scene import FIELD_OF_VIEW, first_view, Scene
+from manip_sim.viewer.page.scene import Scene
 from manip_sim.viewer.page.server import set_theme
 from manip_sim.viewer.page.simulation_panel import SimulationPanel
 from manip_sim.viewer.page.view_panel import ViewPanel
@@ -32,14 +31,6 @@ _MANY_JOINTS, _UNFOLDED = 8, 2
 _POSITION = 'position'
 #: Least time between two updates of the sliders [s].
 _SLIDERS_S = 0.1
-#: Width of the panel, and of the widest window that has it below.
-_PANEL_PIXELS, _PHONE_PIXELS = 340, 576
-#: Share of its height that the open panel of a phone covers.
-_SHEET = 0.55
-#: Time after which the camera of a new browser is aimed again [s].
-_AIM_S = 1.0
-#: Width by height of the first view where no browser has sent that of its window.
-_ASPECT = 1.4
 
 
 class Page:
@@ -57,14 +48,13 @@ class Page:
         self._dark = dark
         self._posture: Posture | None = None
         self._scene: Scene | None = None
+        self._aiming = Aiming(server)
         self._overlays = Overlays(server.scene)
         self._robots: tuple[Robot, ...] = ()
         self._modes: dict[str, str] = {}
         self._sliders_s = 0.0
         set_theme(server, dark)
         server.gui.set_panel_label('manip_sim')
-        self._arrived: dict[int, float] = {}
-        server.on_client_connect(self._welcome)
         self._build((), ())
 
     @property
@@ -102,30 +92,6 @@ class Page:
         self._dark = dark
         set_theme(self._server, dark)
 
-    def _welcome(self, client: Any) -> None:
-        self._aim(client)
-        # The view that the server gives to all new browsers may arrive after this one.
-        self._arrived[client.client_id] = time.monotonic()
-
-    def _aim_again(self, now_s: float) -> None:
-        for number, client in self._server.get_clients().items():
-            if now_s > self._arrived.get(number, math.inf) + _AIM_S:
-                del self._arrived[number]
-                self._aim(client)
-
-    def _aim(self, client: Any) -> None:
-        """Aim the camera of a new browser so that it sees everything."""
-        if self._posture is not None:
-            width, height = client.camera.image_width, max(1, client.camera.image_height)
-            # On a phone the panel is below the picture.
-            phone = width <= _PHONE_PIXELS
-            position, target = first_view(
-                self._posture.model, self._posture.data, width / height,
-                0.0 if phone else min(0.5, _PANEL_PIXELS / width), _SHEET if phone else 0.0)
-            client.camera.fov = FIELD_OF_VIEW
-            client.camera.position = position
-            client.camera.look_at = target
-
     def show_robots(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
         """Replace the panels by those for other robots and cameras."""
         self._server.gui.reset()
@@ -140,19 +106,13 @@ class Page:
         :param model: the ``mujoco.MjModel``
         :param latest: has the positions of its joints and objects
         """
-        first = self._posture is None
         if self._scene is not None:
             self._scene.remove()
         self._posture = Posture(model)
         self._take(latest)
         self._scene = Scene(self._server, model, self._posture.data)
         self._view.attach(self._scene)
-        position, target = first_view(model, self._posture.data, _ASPECT)
-        camera = self._server.initial_camera
-        camera.fov, camera.position, camera.look_at = FIELD_OF_VIEW, position, target
-        if first:
-            for client in self._server.get_clients().values():
-                self._welcome(client)
+        self._aiming.begin(self._posture)
 
     def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
         """Show the state of the simulation, as :meth:`SimulationPanel.show` does."""
@@ -177,7 +137,6 @@ class Page:
         :param paused: whether the simulation is paused
         """
         self.events.run()
-        self._aim_again(now_s)
         for panel in self._joints.values():
             panel.send(now_s)
         for drive in self._drives.values():
@@ -190,6 +149,7 @@ class Page:
         if self._posture is not None and self._scene is not None:
             self._take(latest)
             self._scene.update(self._posture.data)
+            self._aiming.update(self._posture)
         self._overlays.show(*self._view.chosen(latest))
         self._cameras.show(now_s, latest.images, self.is_watched)
         self._plots.show(now_s, latest)

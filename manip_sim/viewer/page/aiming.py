@@ -1,0 +1,78 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Aim the cameras of browsers, so that robots and objects are seen beside the panel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from manip_sim.viewer.page.posture import Posture
+from manip_sim.viewer.page.scene import FIELD_OF_VIEW, first_view
+
+#: Width of the panel, and of the widest window that has it below.
+_PANEL_PIXELS, _PHONE_PIXELS = 340, 576
+#: Share of its height that the open panel of a phone covers.
+_SHEET = 0.55
+#: Width by height of the first view where no browser has sent that of its window.
+_ASPECT = 1.4
+#: Cameras that are nearer to one another are the same [m].
+_SAME_M = 0.01
+
+
+class Aiming:
+    """
+    The cameras of browsers.
+
+    The server gives all browsers that come the same first view, whatever their windows are like.
+    A slow one may take it over long after it was aimed, so a camera at that view is aimed again;
+    the button that resets a view leads there too.
+
+    :param server: the ``viser.ViserServer``
+    """
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._aimed: set[int] = set()
+
+    def begin(self, posture: Posture) -> None:
+        """
+        Set the first view of browsers that come.
+
+        :param posture: what is seen
+        """
+        camera = self._server.initial_camera
+        camera.fov = FIELD_OF_VIEW
+        camera.position, camera.look_at = first_view(posture.model, posture.data, _ASPECT)
+
+    def update(self, posture: Posture) -> None:
+        """
+        Aim the cameras that are new or at the first view, after :meth:`begin`.
+
+        :param posture: what is seen
+        """
+        clients = self._server.get_clients()
+        self._aimed &= clients.keys()
+        for number, client in clients.items():
+            if number not in self._aimed or self._is_at_first_view(client.camera):
+                self._aimed.add(number)
+                _aim(client.camera, posture)
+
+    def _is_at_first_view(self, camera: Any) -> bool:
+        first = self._server.initial_camera
+        return bool(np.abs(camera.position - first.position).max() < _SAME_M
+                    and np.abs(camera.look_at - first.look_at).max() < _SAME_M)
+
+
+def _aim(camera: Any, posture: Posture) -> None:
+    width, height = camera.image_width, max(1, camera.image_height)
+    # On a phone the panel is below the picture.
+    phone = width <= _PHONE_PIXELS
+    position, target = first_view(
+        posture.model, posture.data, width / height,
+        0.0 if phone else min(0.5, _PANEL_PIXELS / width), _SHEET if phone else 0.0)
+    camera.fov = FIELD_OF_VIEW
+    camera.position = position
+    camera.look_at = target
