@@ -50,8 +50,8 @@ nitpick_ignore_regex = [
     # Fields of instances are part of the text of their class.
     ('py:(attr|data)', '.*'),
     # Classes and functions that the documented ones use.
-    ('py:(class|func)', r'.*(Controller|Description|Frames|HandFromFile|ModelFile|RobotPlan'
-                        r'|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise'
+    ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
+                        r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise'
                         r'|create_camera)'),
 ]
 

@@ -108,6 +108,7 @@ class Diagnostics:
         self._last_accepted: dict[str, int] = {}
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
+        self._last_time_ns = -1
         self._told: str | None = None
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         node.create_timer(_PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -130,10 +131,13 @@ class Diagnostics:
         pace.measure(time.monotonic())
         warnings = {kind.name: int(self._simulation.data.warning[int(kind)].number)
                     for kind in _WARNINGS}
-        status = _status(name, 'paused' if thread.paused else 'running', {
+        waits_for = ', '.join(self._waits_for())
+        running = f'waits for commands: {waits_for}' if waits_for else 'running'
+        status = _status(name, 'paused' if thread.paused else running, {
             'state': 'paused' if thread.paused else thread.stepping,
             'real_time_factor': f'{pace.factor:.4f}', 'missed_deadlines': progress.missed,
-            'simulation_time': f'{progress.time_ns * 1e-9:.9f}', **warnings,
+            'simulation_time': f'{progress.time_ns * 1e-9:.9f}',
+            'waits_for': waits_for or 'none', **warnings,
             'start_defects': '; '.join(self._simulation.start_defects) or 'none',
             **{f'failed_{what}': n for what, n in self._node.rejections.failed.items()}})
         if pace.loss > _TOLERATED_LOSS and not thread.paused:
@@ -145,6 +149,19 @@ class Diagnostics:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)
         return status
+
+    def _waits_for(self) -> list[str]:
+        """Return the parts that lock-step has waited for since the last status."""
+        thread, progress = self._thread, self._thread.progress
+        still = progress.time_ns == self._last_time_ns
+        self._last_time_ns = progress.time_ns
+        # A thread that hangs repeats no states, and answers no calls.
+        waits = still and time.monotonic() - progress.wall_s < _PERIOD_S / 2.0
+        if thread.stepping != 'lockstep' or thread.paused or not waits:
+            return []
+        missing = thread.missing_parts()
+        return [commands.scope.topic(part) for commands in self._commands
+                for part in missing.get(commands.robot.name, ())]
 
     def _images(self, name: str, elapsed_s: float) -> Iterator[DiagnosticStatus]:
         if not self._cameras.names:

@@ -46,8 +46,15 @@ class CommandBuffer:
 
         :param busy_parts: parts that need no command, such as those that follow a trajectory
         """
-        commanded = frozenset(busy_parts).union(*(c.parts for c in self._waiting))
-        return self._needed <= commanded
+        return not self.missing(busy_parts)
+
+    def missing(self, busy_parts: Iterable[str] = ()) -> frozenset[str]:
+        """
+        Return the lock-step parts that have no command.
+
+        :param busy_parts: parts that need no command, such as those that follow a trajectory
+        """
+        return self._needed.difference(busy_parts, *(c.parts for c in self._waiting))
 
     @property
     def waits(self) -> bool:

@@ -93,6 +93,13 @@ class PendingCommands:
         return all(buffer.ready() or buffer.ready(self._busy_parts(name))
                    for name, buffer in self._buffers.items())
 
+    @property
+    def missing(self) -> dict[str, list[str]]:
+        """The parts that lock-step waits for, by robot; robots without any are left out."""
+        missing = {name: sorted(buffer.missing(self._busy_parts(name)))
+                   for name, buffer in self._buffers.items()}
+        return {name: parts for name, parts in missing.items() if parts}
+
     def _busy_parts(self, robot: str) -> frozenset[str]:
         return self._simulation.robots[robot].joints.busy_parts.union(
             *(busy_parts(robot) for busy_parts in self._busy))

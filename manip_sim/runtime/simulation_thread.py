@@ -151,6 +151,14 @@ class SimulationThread:
         """Whether the simulation waits for :meth:`pause` or :meth:`step`."""
         return self._paused
 
+    def missing_parts(self) -> dict[str, list[str]]:
+        """
+        Return the parts that lock-step waits for, by robot; none in other steppings.
+
+        :raises SimulationEnded: if the simulation has ended
+        """
+        return self.call(lambda: self._commands.missing)
+
     def submit(self, commands: Iterable[Command], stamp_ns: int = 0, robot: str | None = None
                ) -> list[CommandHandle]:
         """

@@ -85,6 +85,27 @@ def test_a_pause_is_told_and_is_no_lost_time(serve, client):
     client.spin_until(lambda: seen('running') and factor_of(arrays[-1]) > 0.95)
 
 
+def test_the_parts_that_lockstep_waits_for_are_told(serve, client):
+    node = serve(robots=['a', 'b'], a__robot='UR5e', b__robot='Panda', stepping='lockstep',
+                 a__lockstep_parts=['arm'], b__lockstep_parts=['arm', 'right/gripper'])
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+
+    def wait_for(topics):
+        arrays.clear()
+        client.spin_until(lambda: any(
+            array.status[0].message == f'waits for commands: {topics}' for array in arrays))
+        assert values(arrays[-1].status[0])['waits_for'] == topics
+    wait_for('a/arm, b/arm, b/right/gripper')
+    client.publish('a/arm/command', Float64MultiArray(data=[0.0] * 6))
+    wait_for('b/arm, b/right/gripper')
+    client.publish('b/right/gripper/command', Float64MultiArray(data=[1.0]))
+    wait_for('b/arm')
+    node.thread.pause(True)
+    arrays.clear()
+    client.spin_until(lambda: len(arrays) > 2)
+    assert values(arrays[-1].status[0])['waits_for'] == 'none'
+
+
 def slowed(node, period_s):
     """Let each control period of a node take at least so long [s]."""
     advance = node.simulation.advance

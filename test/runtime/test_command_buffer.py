@@ -176,8 +176,10 @@ def test_lockstep_is_ready_when_every_part_has_a_command():
     buffer.add(setpoint({0: 1.0}))
     buffer.add(setpoint({20: 1.0}, parts=frozenset(['head'])))
     assert not buffer.ready()
+    assert buffer.missing() == {'right/gripper'}
     buffer.add(gripper_action())
     assert buffer.ready()
+    assert not buffer.missing()
     buffer.take()
     assert not buffer.ready()
 

@@ -27,9 +27,9 @@ class RobotModel(StandingModel, ABC):
     """
     A robot without grippers, and the base that it stands on. Prefix ``robot{idn}_``.
 
-    Another prefix, set by :meth:`set_naming_prefix`, also applies to all that is mounted on the
-    robot: with ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``, or on two arms
-    ``left_gripper_right_`` and ``left_gripper_left_``.
+    Another prefix, set by :meth:`StandingModel.set_naming_prefix`, also applies to all that is
+    mounted on the robot: with ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``,
+    or on two arms ``left_gripper_right_`` and ``left_gripper_left_``.
 
     :param fname: path of an MJCF file with one root body
     :param idn: number or word in names, as in ``robot0_joint1``
