@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What Cartesian commands cost, as ratios to the bare physics, and how many poses are reached.
+What Cartesian commands cost, as ratios to the bare physics, how many poses are reached, and how.
 
-The poses are those of random joint positions within 40 % of the ranges about their middle, so each
-can be reached by some way; local methods such as this one find about four of five from the start.
+The poses to be reached are those of random joint positions within 40 % of the ranges about their
+middle, so each can be reached by some way; local methods such as this one find about four of five
+from the start. How straight ways are is measured on those of setpoints to poses nearby.
 
-usage: python3 benchmark/cartesian.py [robot]
+usage: python3 benchmark/cartesian.py [robot ...]
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Status
 
 POSES = 100
 LIMIT_S = 6.0
@@ -29,6 +31,8 @@ RATE_HZ = 100
 ROUNDS, PERIODS = 5, 100
 #: A pose is reached within this [m], [rad].
 NEAR, TURNED = 1e-3, np.radians(0.5)
+#: How many ways, how far joints are away at their ends at most [rad], and how long they take [s].
+WAYS, AWAY_RAD, WAY_S = 28, 0.8, 3.0
 
 
 def build(name: str, mode: str) -> tuple[Simulation, int]:
@@ -50,22 +54,62 @@ def best_s(function: Callable[[], object]) -> float:
     return min(times)
 
 
+def hand_at(simulation: Simulation, arm: str, positions: Any) -> tuple[Any, Any]:
+    """Return the pose of the hand at joint positions, position and rotation matrix."""
+    model, data = simulation.model, mujoco.MjData(simulation.model)
+    data.qpos[:] = simulation.data.qpos
+    data.qpos[simulation.robot.parts[arm].qpos_addresses] = positions
+    mujoco.mj_kinematics(model, data)
+    site = model.site(simulation.robot.end_effectors[arm].grip_site).id
+    return data.site_xpos[site].copy(), data.site_xmat[site].reshape(3, 3).copy()
+
+
+def joint_ranges(simulation: Simulation, arm: str) -> Any:
+    """Return the ranges of the joints of an arm [rad], shape (2, n)."""
+    model = simulation.model
+    ids = [model.joint(joint).id for joint in simulation.robot.parts[arm].driven_joints]
+    limited = model.jnt_limited[ids].astype(bool)
+    return np.where(limited[:, None], model.jnt_range[ids], (-3.0, 3.0)).T
+
+
 def random_poses(simulation: Simulation, arm: str) -> list[tuple[Any, Any]]:
     """Return poses of the hand, position and rotation matrix, that the arm can take."""
-    model, part = simulation.model, simulation.robot.parts[arm]
-    data, random = mujoco.MjData(model), np.random.default_rng(3)
-    ids = [model.joint(joint).id for joint in part.driven_joints]
-    limited = model.jnt_limited[ids].astype(bool)
-    low, high = np.where(limited[:, None], model.jnt_range[ids], (-3.0, 3.0)).T
-    site = model.site(simulation.robot.end_effectors[arm].grip_site).id
-    poses = []
-    for _ in range(POSES):
-        data.qpos[:] = simulation.data.qpos
-        data.qpos[part.qpos_addresses] = (low + high) / 2.0 + random.uniform(
-            -0.4, 0.4, len(ids)) * (high - low)
-        mujoco.mj_kinematics(model, data)
-        poses.append((data.site_xpos[site].copy(), data.site_xmat[site].reshape(3, 3).copy()))
-    return poses
+    low, high = joint_ranges(simulation, arm)
+    random = np.random.default_rng(3)
+    return [hand_at(simulation, arm, (low + high) / 2.0 + random.uniform(-0.4, 0.4, len(low))
+                    * (high - low)) for _ in range(POSES)]
+
+
+def deviations(simulation: Simulation, steps: int, arm: str) -> list[float]:
+    """Return how far from the line setpoints lead the hand on ways to poses nearby [m]."""
+    random, (low, high) = np.random.default_rng(4), joint_ranges(simulation, arm)
+    robot, quat, found = simulation.robot, np.empty(4), []
+    for _ in range(WAYS):
+        simulation.reset()
+        start = robot.controller_state(arm).reference.position
+        goal = hand_at(simulation, arm, np.clip(
+            start + random.uniform(-AWAY_RAD, AWAY_RAD, len(start)), low + 0.1, high - 0.1))
+        mujoco.mju_mat2Quat(quat, goal[1].ravel())
+        command = robot.parse_cartesian.pose(arm, goal[0], quat[[1, 2, 3, 0]])
+        robot.apply(command, period_s=1.0 / RATE_HZ)
+        way = [hand_at(simulation, arm, start)[0]]
+        for _ in range(round(WAY_S * RATE_HZ)):
+            simulation.advance(steps)
+            way.append(hand_at(simulation, arm, robot.controller_state(arm).reference.position)[0])
+        if command.handle.status is Status.DONE:
+            along = (goal[0] - way[0]) / np.linalg.norm(goal[0] - way[0])
+            offset = np.array(way) - way[0]
+            found.append(float(np.linalg.norm(
+                offset - np.outer(offset @ along, along), axis=1).max()))
+    return found
+
+
+def print_straightness(deviation: list[float]) -> None:
+    """Print how many ways are how straight."""
+    within = [sum(value < limit for value in deviation) for limit in (1e-4, 1e-3)]
+    in_mm = 1e3 * np.array(deviation)
+    print(f'ways: {within[0]} of {len(deviation)} within 0.1 mm of the line, {within[1]} within '
+          f'1 mm, median {np.median(in_mm):.3f} mm, at most {in_mm.max():.1f} mm')
 
 
 def time_to(simulation: Simulation, steps: int, arm: str, pose: tuple[Any, Any]) -> float:
@@ -105,17 +149,26 @@ def print_costs(simulation: Simulation, steps: int, arm: str) -> None:
 
 
 def main() -> None:
-    """Print a table."""
-    name = sys.argv[1] if len(sys.argv) > 1 else 'Panda'
-    print(f'{name}, mujoco {mujoco.__version__}')
-    for mode in ('position', 'effort'):
-        simulation, steps = build(name, mode)
-        arm = next(iter(simulation.robot.end_effectors))
-        times = [time_to(simulation, steps, arm, pose) for pose in random_poses(simulation, arm)]
-        reached = [seconds for seconds in times if np.isfinite(seconds)]
-        print(f'{mode}: {len(reached)} of {POSES} random poses reached, '
-              f'median {np.median(reached):.2f} s')
-        print_costs(simulation, steps, arm)
+    """Print a table for each robot."""
+    names = sys.argv[1:] or ['Panda']
+    everywhere: list[float] = []
+    for name in names:
+        print(f'{name}, mujoco {mujoco.__version__}')
+        for mode in ('position', 'effort'):
+            simulation, steps = build(name, mode)
+            arm = next(iter(simulation.robot.end_effectors))
+            if mode == 'position':
+                everywhere += (deviation := deviations(simulation, steps, arm))
+                print_straightness(deviation)
+            poses = random_poses(simulation, arm)
+            times = [time_to(simulation, steps, arm, pose) for pose in poses]
+            reached = [seconds for seconds in times if np.isfinite(seconds)]
+            print(f'{mode}: {len(reached)} of {POSES} random poses reached, '
+                  f'median {np.median(reached):.2f} s')
+            print_costs(simulation, steps, arm)
+    if len(names) > 1:
+        print('all robots')
+        print_straightness(everywhere)
 
 
 if __name__ == '__main__':
