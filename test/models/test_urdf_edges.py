@@ -222,7 +222,8 @@ def test_a_robot_that_shows_nothing_else_shows_what_collides(written):
     assert len(root.findall('link/visual')) == len(root.findall('link/collision')) == 1
     _, urdf = written("""<body name="base"><geom size=".1" group="3"/>
         <geom size=".2" contype="0" conaffinity="0"/>
-        <geom size=".3" contype="0" conaffinity="0" rgba="1 1 1 0"/></body>""")
+        <geom size=".3" contype="0" conaffinity="0" rgba="1 1 1 0"/>
+        <geom size=".4" contype="0" conaffinity="0" group="4"/></body>""")
     root = ElementTree.fromstring(urdf.xml)
     for tag, radius in (('visual', '0.2'), ('collision', '0.1')):
         (sphere,) = root.findall(f'link/{tag}/geometry/sphere')

@@ -49,6 +49,17 @@ def test_joints_that_are_not_named_stay(op):
     np.testing.assert_allclose(others, 0.0, atol=1e-3)
 
 
+def test_a_trajectory_begins_while_one_that_came_before_it_still_waits(op):
+    now_ns, before = op.simulation.time_ns, np.array(op.where(J1, J2))
+    waiting = op.follow('arm', [J1], [0.5], [[before[0] + 0.2]], start_ns=now_ns + 10**9).handle
+    handle = op.follow('arm', [J2], [0.5], [[before[1] + 0.2]], start_ns=now_ns + 10**8).handle
+    op.run(0.8)
+    assert (handle.status, waiting.status) == (Status.DONE, Status.RUNNING)
+    np.testing.assert_allclose(op.where(J1, J2), before + [0.0, 0.2], atol=1e-3)
+    op.run(1.0)
+    assert waiting.status is Status.DONE
+
+
 @pytest.mark.parametrize('delay_s', [0.0, -0.003, -0.1, -0.2])
 def test_time_runs_from_the_stamp_also_where_that_is_past(op, delay_s):
     start_ns = op.simulation.time_ns + round(delay_s * 1e9)
