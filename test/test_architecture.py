@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / 'manip_sim'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 TESTS_FOLDER = Path(__file__).resolve().parent
-TESTS = sorted(TESTS_FOLDER.rglob('test_*.py'))
+TESTS = sorted(TESTS_FOLDER.rglob('*.py'))
 PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 #: By folder or module: the layers and the libraries that it may import.
 MAY_IMPORT = {

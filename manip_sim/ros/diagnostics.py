@@ -108,7 +108,6 @@ class Diagnostics:
         self._last_accepted: dict[str, int] = {}
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
-        self._last_time_ns = -1
         self._told: str | None = None
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         node.create_timer(_PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -131,7 +130,9 @@ class Diagnostics:
         pace.measure(time.monotonic())
         warnings = {kind.name: int(self._simulation.data.warning[int(kind)].number)
                     for kind in _WARNINGS}
-        waits_for = ', '.join(self._waits_for())
+        waits_for = '' if thread.paused else ', '.join(
+            commands.scope.topic(part) for commands in self._commands
+            for part in progress.waits_for.get(commands.robot.name, ()))
         running = f'waits for commands: {waits_for}' if waits_for else 'running'
         status = _status(name, 'paused' if thread.paused else running, {
             'state': 'paused' if thread.paused else thread.stepping,
@@ -149,19 +150,6 @@ class Diagnostics:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
         self._tell(status)
         return status
-
-    def _waits_for(self) -> list[str]:
-        """Return the parts that lock-step has waited for since the last status."""
-        thread, progress = self._thread, self._thread.progress
-        still = progress.time_ns == self._last_time_ns
-        self._last_time_ns = progress.time_ns
-        # A thread that hangs repeats no states, and answers no calls.
-        waits = still and time.monotonic() - progress.wall_s < _PERIOD_S / 2.0
-        if thread.stepping != 'lockstep' or thread.paused or not waits:
-            return []
-        missing = thread.missing_parts()
-        return [commands.scope.topic(part) for commands in self._commands
-                for part in missing.get(commands.robot.name, ())]
 
     def _images(self, name: str, elapsed_s: float) -> Iterator[DiagnosticStatus]:
         if not self._cameras.names:

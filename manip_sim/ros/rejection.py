@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from manip_sim.errors import ManipSimError, UnknownNameError
@@ -20,18 +21,23 @@ class Rejection(ManipSimError):
         self.code = code
 
 
-def tell(error: ManipSimError, result: Any) -> None:
+@contextmanager
+def told(result: Any) -> Iterator[None]:
     """
-    Write an error into a result.
+    Write into a result whether what is done meanwhile succeeds; a ``ManipSimError`` ends here.
 
     :param result: message ``Result``
     """
-    code: int = ResultCode.RESULT_OPERATION_FAILED
-    if isinstance(error, Rejection):
-        code = error.code
-    elif isinstance(error, UnknownNameError):
-        code = ResultCode.RESULT_NOT_FOUND
-    result.result, result.error_message = int(code), str(error)
+    result.result = int(ResultCode.RESULT_OK)
+    try:
+        yield
+    except ManipSimError as error:
+        code: int = ResultCode.RESULT_OPERATION_FAILED
+        if isinstance(error, Rejection):
+            code = error.code
+        elif isinstance(error, UnknownNameError):
+            code = ResultCode.RESULT_NOT_FOUND
+        result.result, result.error_message = int(code), str(error)
 
 
 def answering(meet: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
@@ -41,10 +47,7 @@ def answering(meet: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
     :param meet: fills the response to a request, or raises a ``ManipSimError``
     """
     def answer(request: Any, response: Any) -> Any:
-        response.result.result = int(ResultCode.RESULT_OK)
-        try:
+        with told(response.result):
             meet(request, response)
-        except ManipSimError as error:
-            tell(error, response.result)
         return response
     return answer

@@ -5,15 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
-from manip_sim.errors import CommandError, ManipSimError
+from manip_sim.errors import CommandError
 from manip_sim.ros.entity_services import EntityServices
-from manip_sim.ros.rejection import Rejection, tell
+from manip_sim.ros.rejection import answering, Rejection, told
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_codes import Feature, ResultCode, Scope, SetStateCode, State
 from manip_sim.runtime import SimulationThread
@@ -83,24 +83,16 @@ class SimulationInterfaces:
         self._stopped = False
         node.create_service(types.GetSimulatorFeatures, '~/get_simulator_features',
                             self._features)
-        self._offer(types.GetSimulationState, 'get_simulation_state', self._get_state)
-        self._offer(types.SetSimulationState, 'set_simulation_state', self._set_state)
-        self._offer(types.StepSimulation, 'step_simulation', self._step)
-        self._offer(types.ResetSimulation, 'reset_simulation', self._reset)
-
-    def _offer(self, service_type: Any, name: str,
-               meet: Callable[[Any, Any], Awaitable[None]]) -> None:
-        async def answer(request: Any, response: Any) -> Any:
-            response.result.result = int(ResultCode.RESULT_OK)
-            try:
-                await meet(request, response)
-            except ManipSimError as error:
-                tell(error, response.result)
-            return response
-
-        # Each has a group of its own, because a request for many steps takes long.
-        self._node.create_service(service_type, f'~/{name}', answer,
-                                  callback_group=MutuallyExclusiveCallbackGroup())
+        # A request for many steps takes long, so it does not hold up the others.
+        groups = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        node.create_service(types.StepSimulation, '~/step_simulation', self._step,
+                            callback_group=groups[0])
+        for service_type, name, meet in (
+                (types.GetSimulationState, 'get_simulation_state', self._get_state),
+                (types.SetSimulationState, 'set_simulation_state', self._set_state),
+                (types.ResetSimulation, 'reset_simulation', self._reset)):
+            node.create_service(service_type, f'~/{name}', answering(meet),
+                                callback_group=groups[1])
 
     def _features(self, _: Any, response: Any) -> Any:
         response.features.features = [int(feature) for feature in Feature]
@@ -115,10 +107,10 @@ class SimulationInterfaces:
             return int(State.STATE_STOPPED)
         return int(State.STATE_PAUSED)
 
-    async def _get_state(self, _: Any, response: Any) -> None:
+    def _get_state(self, _: Any, response: Any) -> None:
         response.state.state = self._state()
 
-    async def _set_state(self, request: Any, response: Any) -> None:
+    def _set_state(self, request: Any, response: Any) -> None:
         target = request.state.state
         if target not in list(State):
             raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
@@ -135,21 +127,26 @@ class SimulationInterfaces:
             self._thread.reset(restart_time=True)
         self._stopped = target == State.STATE_STOPPED
 
-    async def _step(self, request: Any, response: Any) -> None:
-        if request.steps == 0:
+    async def _step(self, request: Any, response: Any) -> Any:
+        with told(response.result):
+            await self._advance(request.steps)
+        return response
+
+    async def _advance(self, steps: int) -> None:
+        if steps == 0:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
         if self._state() == State.STATE_STOPPED:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
                             'the simulation is stopped: pause it first')
-        for done in range(request.steps):
+        for done in range(steps):
             try:
                 self._thread.step()
             except CommandError as error:
-                after = f' (after {done} of {request.steps} steps)' if done else ''
+                after = f' (after {done} of {steps} steps)' if done else ''
                 raise CommandError(f'{error}{after}') from error
             await _YieldToExecutor(self._node)
 
-    async def _reset(self, request: Any, response: Any) -> None:
+    def _reset(self, request: Any, response: Any) -> None:
         scope = request.scope
         everything = scope in (Scope.SCOPE_DEFAULT,
                                Scope.SCOPE_ALL)

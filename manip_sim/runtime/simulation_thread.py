@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import threading
 import time
 from typing import TypeVar
@@ -38,12 +38,15 @@ class Progress:
     :ivar time_ns: simulation time then [ns]
     :ivar missed: control periods that were dropped because the machine could not keep up
     :ivar lost_s: simulation time that was lost with them [s]
+    :ivar waits_for: by robot, the parts whose commands lock-step lacked when it showed this state
+        once more, or for the first time after a start or a reset
     """
 
     wall_s: float
     time_ns: int
     missed: int = 0
     lost_s: float = 0.0
+    waits_for: Mapping[str, list[str]] = field(default_factory=dict)
 
 
 class SimulationThread:
@@ -150,14 +153,6 @@ class SimulationThread:
     def paused(self) -> bool:
         """Whether the simulation waits for :meth:`pause` or :meth:`step`."""
         return self._paused
-
-    def missing_parts(self) -> dict[str, list[str]]:
-        """
-        Return the parts that lock-step waits for, by robot; none in other steppings.
-
-        :raises SimulationEnded: if the simulation has ended
-        """
-        return self.call(lambda: self._commands.missing)
 
     def submit(self, commands: Iterable[Command], stamp_ns: int = 0, robot: str | None = None
                ) -> list[CommandHandle]:
@@ -320,6 +315,8 @@ class SimulationThread:
         time_ns = self._simulation.time_ns
         self._commands.may_answer(time_ns)
         now = time.monotonic()
-        self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s)
+        waits = self._stepping == 'lockstep' and not number
+        self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s,
+                                 self._commands.missing if waits else {})
         self._repeat_at = now + _REPEAT_S
         self._observers.show(self._simulation, number, now, look=self._repeats)
