@@ -38,6 +38,8 @@ class MujocoXMLModel(NamedElements):
     """
 
     _horizontal_radius: float = 0.0
+    #: Whether others have the spec, so that it may be edited at any time.
+    _spec_is_shared = False
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         super().__init__(Path(fname), idn)
@@ -61,6 +63,11 @@ class MujocoXMLModel(NamedElements):
         """
         name_unnamed_elements(self._spec)
         self._record()
+
+    def _refresh_if_edited(self) -> None:
+        """Refresh, unless only the part itself has had its spec."""
+        if self._spec_is_shared:
+            self.refresh()
 
     def _record(self) -> None:
         self._record_elements(self._compile_alone())
@@ -86,6 +93,7 @@ class MujocoXMLModel(NamedElements):
         ``format_action`` and the offsets are recorded: call :meth:`refresh` after an edit;
         compiling and mounting do so too. Parts that are mounted on this one are not in the spec.
         """
+        self._spec_is_shared = True
         return self._spec
 
     @property
@@ -135,7 +143,7 @@ class MujocoXMLModel(NamedElements):
         :param frame: the frame of that spec to attach the part to
         :raises ModelError: if the spec has one of the names already
         """
-        self.refresh()
+        self._refresh_if_edited()
         self._attach_recorded(spec, frame)
 
     def _attach_recorded(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame) -> None:

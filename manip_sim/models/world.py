@@ -94,7 +94,7 @@ class World:
         :param objects: with :attr:`objects`
         :raises ModelError: if two parts have a name in common, or a camera cannot be added
         """
-        spec = begin_like(self.arena.spec)
+        spec = begin_like(self.arena._spec)
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
         spec.option.timestep = self.timestep_s
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -131,6 +131,8 @@ class Servos:
             declared = self._model.jnt_user[joint_ids, 1]
         else:
             declared = np.zeros(len(joint_ids))
+        if (declared > 0.0).all():
+            return np.array(declared)
         model, kind = self._model, self._model.jnt_type[joint_ids]
         random = np.random.default_rng(0)
         scratch = mujoco.MjData(model)

@@ -71,7 +71,7 @@ class Arena(MujocoXMLModel):
 
     def _lift_cameras(self, higher_m: float) -> None:
         """Raise the cameras by as much as the furniture is higher than in the file."""
-        for camera in self.spec.cameras:
+        for camera in self._spec.cameras:
             camera.pos[2] += higher_m
 
     def compose(self) -> mujoco.MjSpec:

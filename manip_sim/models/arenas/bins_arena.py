@@ -33,7 +33,7 @@ class BinsArena(Arena):
         super().__init__()
         higher = bin_height_m - _BIN_HEIGHT_M
         self._lift_cameras(higher)
-        for bin_ in (self.spec.body('bin1'), self.spec.body('bin2')):
+        for bin_ in (self._spec.body('bin1'), self._spec.body('bin2')):
             bin_.pos[2] += higher
             for geom in bin_.geoms:
                 if geom.name.endswith('_visual'):

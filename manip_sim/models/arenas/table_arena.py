@@ -54,13 +54,13 @@ class TableArena(Arena):
         self._length_m = table_length_m
         self._fit_table(np.array([table_length_m, table_width_m]), table_height_m)
         self._lift_cameras(table_height_m - _TABLE_HEIGHT_M)
-        self.spec.geom('table_collision').friction[0] = friction
+        self._spec.geom('table_collision').friction[0] = friction
         if cube:
             self._objects.append(_cube(table_height_m))
         self.refresh()
 
     def _fit_table(self, edges_m: FloatArray, height_m: float) -> None:
-        spec = self.spec
+        spec = self._spec
         thickness = 2.0 * spec.geom('table_collision').size[2]
         spec.body('table').pos[2] = height_m - thickness / 2.0
         spec.geom('table_collision').size[:2] = edges_m / 2.0

@@ -108,7 +108,7 @@ class OwnHand(HandFromFile, registered=False):
         """Change nothing: the prefix is that of the robot."""
 
     def _root(self) -> Any:
-        return self._robot.spec.body(self._body)
+        return self._robot._spec.body(self._body)
 
     @property
     def rotation_offset(self) -> FloatArray:

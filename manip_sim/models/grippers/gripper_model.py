@@ -141,6 +141,8 @@ class GripperModel(MujocoXMLModel, ABC):
         :param quat_wxyz: w, x, y, z, shape (4,); None keeps it
         :raises ModelError: if a number is not finite, or the quaternion is zero
         """
+        if pos is None and quat_wxyz is None:
+            return
         root = self._root()
         if pos is not None:
             root.pos = finite_numbers(pos, 3, f'position of {self.name}')

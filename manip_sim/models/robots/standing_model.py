@@ -71,7 +71,9 @@ class StandingModel(Subsystems):
     def _was_mounted(self) -> None:
         if self._given_prefix:
             self.set_naming_prefix(self._given_prefix)
-        self.refresh()
+        self._refresh_if_edited()
+        self.update_joints()
+        self.update_actuators()
 
     # ------------------------------------------------------------------ base and place
 
@@ -104,9 +106,9 @@ class StandingModel(Subsystems):
         if self._base is not None:
             raise ModelError(f'{self.name} stands on {self._base.name} already, '
                              f'cannot add {base.name}')
-        if isinstance(base, MobileBaseModel) and base.spec.body(base.support_body) is None:
+        if isinstance(base, MobileBaseModel) and base._spec.body(base.support_body) is None:
             raise UnknownNameError(f'body of {base.name} to mount a robot on', base.support_body,
-                                   [body.name for body in base.spec.bodies[1:]])
+                                   [body.name for body in base._spec.bodies[1:]])
         self._base = base
         self._was_mounted()
 
@@ -167,6 +169,10 @@ class StandingModel(Subsystems):
         self.update_joints()
         self.update_actuators()
 
+    def _refresh_if_edited(self) -> None:
+        if any(part._spec_is_shared for part in (self, *self.models)):
+            self.refresh()
+
     def _own_parts(self) -> list[MujocoXMLModel]:
         return [self] if self._base is None else [self, self._base]
 
@@ -186,7 +192,7 @@ class StandingModel(Subsystems):
             (3,); None: where :meth:`set_base_xpos` or else the file puts it
         :raises ModelError: if the spec, the robot's base or a gripper has one of the names already
         """
-        self.refresh()
+        self._refresh_if_edited()
         own, base = self._placed_copy(floor_xpos), self._base
         if isinstance(base, MobileBaseModel):
             self._attach_on_mobile_base(spec, frame, base, own)
@@ -198,7 +204,7 @@ class StandingModel(Subsystems):
     def _attach_base(self, spec: mujoco.MjSpec, root: mujoco.MjsBody,
                      base: RobotBaseModel) -> None:
         frame = root.add_frame(pos=self.foot_offset - base.top_offset - base.base_offset)
-        base._attach_copy(spec, frame, base.spec.copy())
+        base._attach_copy(spec, frame, base._spec.copy())
 
     def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                                base: MobileBaseModel, own: mujoco.MjSpec) -> None:
