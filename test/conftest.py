@@ -46,15 +46,18 @@ ARM_WORLDBODY = """
 MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 
 
-#: Files with much to do, the longest first. With a few workers and a file for one of them, a long
-#: file that comes last keeps one worker busy and the others waiting for it.
+#: Files with much to do, in the order in which they begin. With a few workers and a file for one
+#: of them, a long file that comes last keeps one worker busy and the others waiting for it. Those
+#: of processes that wait for each other take turns with those that compute.
 LONGEST = (
     'ros/test_pick_cube.py', 'ros/test_viewer.py', 'simulation/test_control_figures.py',
-    'ros/test_process.py', 'ros/test_diagnostics.py', 'ros/test_neighbours.py',
-    'ros/test_documentation.py', 'models/test_catalogue_grasps.py', 'ros/test_lockstep.py',
-    'ros/test_hand_over.py', 'ros/test_soak.py', 'ros/test_camera_topics.py', 'ros/test_start.py',
-    'ros/test_commands.py', 'models/test_add_your_own.py', 'moveit/test_moveit_package.py',
-    'ros/test_parameters.py', 'cli/test_cli_render.py', 'rendering/test_catalogue_cameras.py',
+    'ros/test_diagnostics.py', 'ros/test_process.py', 'simulation/test_cartesian.py',
+    'ros/test_neighbours.py', 'models/test_catalogue_grasps.py', 'ros/test_lockstep.py',
+    'ros/test_documentation.py', 'simulation/test_servos.py', 'ros/test_hand_over.py',
+    'ros/test_soak.py', 'cli/test_cli_render.py', 'ros/test_parameters.py',
+    'ros/test_camera_topics.py', 'moveit/test_moveit_package.py', 'ros/test_commands.py',
+    'ros/test_start.py', 'models/test_add_your_own.py', 'ros/test_bad_input.py',
+    'ros/test_topic_hardware.py', 'test_flake8.py', 'rendering/test_catalogue_cameras.py',
     'test_typing.py')
 
 

@@ -43,9 +43,8 @@ def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process,
 
 
 @pytest.mark.parametrize('name', [name for name in SINGLE_ARMS if name != 'Panda'])
-def test_every_other_single_arm_picks_it_up_too(name, sim_process, process, client):
-    sim_process(f'robot:={name}', 'arena:=table', 'real_time_factor:=3.0')
-    client.state()
+def test_every_other_single_arm_picks_it_up_too(name, serve, process):
+    serve(robot=name, arena='table', real_time_factor=3.0)
     controller = process(module='manip_sim.examples.pick_cube')
     output, errors = controller.communicate(timeout=60.0)
     assert controller.returncode == 0, output + errors
