@@ -1,7 +1,7 @@
 # make run    set up and run a Panda at a table with a cube
 # make pick   in a second shell: pick the cube up
 # make view   in another shell: see and drive it in the browser
-# make test   set up and run all tests, two files at a time (TEST_JOBS=2)
+# make test   set up and run all tests, four files at a time (TEST_JOBS=4)
 # make lint   style and types
 # make coverage  the same, and which lines no test runs
 # make mutate    change 150 places of the code, one by one, and see which changes no test finds
@@ -21,7 +21,7 @@ VENV ?= .venv
 RUN_ARGS ?= --ros-args -p arena:=table
 VIEW_ARGS ?=
 PYTEST_ARGS ?=
-TEST_JOBS ?= 3
+TEST_JOBS ?= 4
 # The files begin in the order of test/conftest.py.
 TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150

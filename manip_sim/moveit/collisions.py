@@ -115,7 +115,13 @@ class _Sampler:
             joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in set(tree)
             and int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE),
                                                int(mujoco.mjtJoint.mjJNT_SLIDE))]
+        self._qpos = np.asarray(model.jnt_qposadr[self._joints], dtype=np.int64)
+        self._low, self._high = np.where(
+            model.jnt_limited[self._joints, None], model.jnt_range[self._joints], _ANYWHERE).T
         self._couplings = JointCouplings(model, self._joints)
+        groups = {tuple(sorted(self._couplings.group(joint))) for joint in self._joints}
+        #: Joints that are coupled.
+        self._groups = sorted(group for group in groups if len(group) > 1)
 
     def touching(self, position: Mapping[str, float]) -> set[Pair]:
         """Return what touches with joints at positions by name."""
@@ -139,22 +145,14 @@ class _Sampler:
         return self._of_numbers(always), every - self._of_numbers(near)
 
     def _place_at_random(self, random: Any) -> None:
-        model, positions = self._model, {}
-        for joint in self._joints:
-            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else _ANYWHERE
-            positions[joint] = random.uniform(low, high)
-        done: set[int] = set()
-        for joint in self._joints:
-            if joint in done:
-                continue
+        positions = random.uniform(self._low, self._high)
+        self._data.qpos[self._qpos] = positions
+        for group in self._groups:
             # One joint of those that are coupled says where the others are.
-            group = self._couplings.group(joint)
-            done |= group
-            if len(group) > 1:
-                leader = random.choice(sorted(group))
-                positions.update(self._couplings.follow({leader: positions[leader]}))
-        for joint, value in positions.items():
-            self._data.qpos[model.jnt_qposadr[joint]] = value
+            leader = random.choice(group)
+            follow = self._couplings.follow({leader: positions[self._joints.index(leader)]})
+            for joint, value in follow.items():
+                self._data.qpos[self._model.jnt_qposadr[joint]] = value
 
     def _contacts(self, below_m: float, again: bool = True) -> Any:
         """Return pairs of bodies that are nearer than a distance, each as one number, sorted."""
