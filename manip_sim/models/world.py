@@ -20,7 +20,6 @@ from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.spec_edits import begin_like
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance, so that grasped objects do not creep
@@ -94,7 +93,7 @@ class World:
         :param objects: with :attr:`objects`
         :raises ModelError: if two parts have a name in common, or a camera cannot be added
         """
-        spec = begin_like(self.arena._spec)
+        spec = self.arena.empty_spec()
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
         spec.option.timestep = self.timestep_s
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

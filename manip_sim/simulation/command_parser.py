@@ -136,16 +136,18 @@ class CommandParser:
         shape = (len(times), len(names))
         wanted = _points(part, 'positions', positions, shape)
         goal, clamped = clamp(wanted, joints.clamps(indices))
-        speeds = None if velocities is None else _points(part, 'velocities', velocities, shape)
-        bends = None if accelerations is None else _points(part, 'accelerations', accelerations,
-                                                           shape)
-        if bends is not None and speeds is None:
+        goal_velocities = (
+            None if velocities is None else _points(part, 'velocities', velocities, shape))
+        goal_accelerations = (
+            None if accelerations is None
+            else _points(part, 'accelerations', accelerations, shape))
+        if goal_accelerations is not None and goal_velocities is None:
             raise CommandError(f'{part}: accelerations need velocities')
         delay_s = (start_ns - now_ns) * 1e-9 if start_ns else 0.0
         _check_start(part, times, delay_s)
         elapsed_s = max(0.0, -delay_s)
-        trajectory, slowed = joints.fitted(Trajectory(times, goal, speeds, bends), indices,
-                                           elapsed_s)
+        trajectory, slowed = joints.fitted(
+            Trajectory(times, goal, goal_velocities, goal_accelerations), indices, elapsed_s)
         if slowed > 1.0 and elapsed_s > 0.0:
             start_ns = 0
         return JointTrajectory(

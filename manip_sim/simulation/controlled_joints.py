@@ -122,14 +122,14 @@ class ControlledJoints:
         """
         position, velocity = self._setpoints.position[indices], self._setpoints.velocity[indices]
         trajectory.begin_at(position, velocity, elapsed_s)
-        speeds, limit = trajectory.highest_velocity(), self._servos.velocity_limit[indices]
-        factor = float((speeds / limit).max(initial=0.0))
+        highest, limit = trajectory.highest_velocity(), self._servos.velocity_limit[indices]
+        factor = float((highest / limit).max(initial=0.0))
         if factor <= 1.0 + 1e-6:
             return trajectory, 1.0
         if factor > _MAX_SLOWDOWN:
-            worst = int(np.argmax(speeds / limit))
+            worst = int(np.argmax(highest / limit))
             raise CommandError(f"joint '{self.names[indices[worst]]}' would have to move at "
-                               f'{speeds[worst]:g} per second, its limit is {limit[worst]:g}')
+                               f'{highest[worst]:g} per second, its limit is {limit[worst]:g}')
         return trajectory.slowed(factor, elapsed_s), factor
 
     def limited(self, part: str) -> int:

@@ -53,7 +53,7 @@ class StreamEstimator:
         #: Velocity of the last message and of that before.
         self._history = np.zeros((2, count))
         self._mean_step, self._mean_s = zeros(), zeros()
-        self._mean_speed, self._bend, self._worst_turn = zeros(), zeros(), zeros()
+        self._mean_speed, self._second_difference, self._worst_turn = zeros(), zeros(), zeros()
 
     def forget(self, indices: IntArray) -> None:
         """Let the next goals be the first of a stream."""
@@ -107,10 +107,10 @@ class StreamEstimator:
         older, oldest = self._history[:, indices]
         self._messages[indices] = np.where(streams, self._messages[indices] + 1.0, 0.0)
         # The start of a stream is not jitter.
-        bend = np.where(self._messages[indices] > 3.0, velocity - 2.0 * older + oldest, 0.0)
-        before = self._bend[indices]
-        turn = np.where(bend * before < 0.0, np.minimum(np.abs(bend), np.abs(before)), 0.0)
-        self._history[:, indices], self._bend[indices] = (velocity, older), bend
+        second = np.where(self._messages[indices] > 3.0, velocity - 2.0 * older + oldest, 0.0)
+        before = self._second_difference[indices]
+        turn = np.where(second * before < 0.0, np.minimum(np.abs(second), np.abs(before)), 0.0)
+        self._history[:, indices], self._second_difference[indices] = (velocity, older), second
         kept = np.where(streams, _KEPT_JITTER, 0.0)
         mean = kept * self._mean_speed[indices] + (1.0 - kept) * np.abs(velocity)
         self._mean_speed[indices] = mean

@@ -45,8 +45,8 @@ AREAS = {
     'messages': (['manip_sim/ros/messages.py', 'manip_sim/ros/serialized.py'], 0.1)}
 #: The tests that changes are tried by; those of rendering and of whole nodes take too long, and
 #: one runs others.
-TESTS = ['test/models', 'test/simulation', 'test/runtime/test_command_buffer.py',
-         'test/runtime/test_camera_thread.py',
+TESTS = ['test/models', 'test/simulation', 'test/cli', 'test/moveit', 'test/viewer/test_scene.py',
+         'test/runtime/test_command_buffer.py', 'test/runtime/test_camera_thread.py',
          'test/ros/test_serialized.py', 'test/ros/test_message_fields.py',
          'test/test_parameter_properties.py', '--ignore=test/models/test_add_your_own.py']
 #: What fails at once wherever it is, as bits of a float do, says nothing about tests.

@@ -22,7 +22,7 @@ from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryReque
 J1 = 'robot0_joint1'
 
 
-class Runner:
+class TrackedThread:
     """A thread that runs a simulation, and a tracker whose ends are collected."""
 
     def __init__(self, world, **arguments):
@@ -44,12 +44,13 @@ class Runner:
 
 
 @pytest.fixture
-def runner():
-    """Return a function that starts a runner, which is ended after the test."""
+def tracked_thread():
+    """Return a function that starts a thread, which is ended after the test."""
     started = []
 
     def start(world=None, **arguments):
-        started.append(Runner(world or compose('Panda'), **{'stepping': 'free', **arguments}))
+        arguments = {'stepping': 'free', **arguments}
+        started.append(TrackedThread(world or compose('Panda'), **arguments))
         return started[-1]
     yield start
     for running in started:
@@ -57,16 +58,16 @@ def runner():
         assert running.thread.error is None
 
 
-def test_goal_runs_to_its_end_and_is_forgotten(runner):
-    running = runner()
+def test_goal_runs_to_its_end_and_is_forgotten(tracked_thread):
+    running = tracked_thread()
     goal = running.start()
     assert running.next_end() is goal
     assert goal.outcome.ending is Ending.SUCCEEDED
     assert running.tracker.goals == ()
 
 
-def test_cancelled_goal_ends_at_once_also_while_paused_and_once_only(runner):
-    running = runner(paused=True)
+def test_cancelled_goal_ends_at_once_also_while_paused_and_once_only(tracked_thread):
+    running = tracked_thread(paused=True)
     goal = running.start()
     assert running.tracker.goals == (goal,)
     assert running.tracker.cancel(goal)
@@ -80,8 +81,8 @@ def test_cancelled_goal_ends_at_once_also_while_paused_and_once_only(runner):
     assert goal.command.handle.status is Status.ABORTED
 
 
-def test_goal_whose_command_still_waits_is_ended_by_a_reset(runner):
-    running = runner(paused=True)
+def test_goal_whose_command_still_waits_is_ended_by_a_reset(tracked_thread):
+    running = tracked_thread(paused=True)
     goal = running.start()
     running.thread.reset()
     assert running.next_end() is goal
@@ -89,15 +90,15 @@ def test_goal_whose_command_still_waits_is_ended_by_a_reset(runner):
         Ending.ABORTED, 'the simulation was reset')
 
 
-def test_older_goal_is_told_before_the_newer_one_ends(runner):
-    running = runner()
+def test_older_goal_is_told_before_the_newer_one_ends(tracked_thread):
+    running = tracked_thread()
     older, newer = running.start(seconds=50.0), running.start()
     assert [running.next_end(), running.next_end()] == [older, newer]
     assert older.outcome.ending is Ending.ABORTED and newer.outcome.ending is Ending.SUCCEEDED
 
 
-def test_all_goals_can_be_aborted_with_a_reason(runner):
-    running = runner(paused=True)
+def test_all_goals_can_be_aborted_with_a_reason(tracked_thread):
+    running = tracked_thread(paused=True)
     goals = [running.start(), GripperGoal(running.simulation.robot, 'right/gripper',
                                           GripperRequest(0.0))]
     running.tracker.start(goals[1])
@@ -107,15 +108,15 @@ def test_all_goals_can_be_aborted_with_a_reason(runner):
     assert running.tracker.goals == ()
 
 
-def test_cancel_after_the_end_of_the_simulation_is_rejected(runner):
-    running = runner(paused=True)
+def test_cancel_after_the_end_of_the_simulation_is_rejected(tracked_thread):
+    running = tracked_thread(paused=True)
     goal = running.start()
     running.thread.stop()
     assert not running.tracker.cancel(goal)
 
 
-def test_lockstep_goes_on_until_a_goal_has_ended_though_its_trajectory_is_over(runner):
-    running = runner(stepping='lockstep', lockstep_parts={'robot0': ['arm']})
+def test_lockstep_goes_on_until_a_goal_has_ended_though_its_trajectory_is_over(tracked_thread):
+    running = tracked_thread(stepping='lockstep', lockstep_parts={'robot0': ['arm']})
 
     # A torque holds the joint away from its goal for a while after the trajectory.
     simulation = running.simulation
@@ -133,18 +134,18 @@ def test_lockstep_goes_on_until_a_goal_has_ended_though_its_trajectory_is_over(r
     assert simulation.time_ns == end_ns == goal.view.time_ns
 
 
-def test_lockstep_gives_the_same_end_in_every_run(runner):
+def test_lockstep_gives_the_same_end_in_every_run(tracked_thread):
     def end():
-        running = runner(stepping='lockstep', lockstep_parts={'robot0': ['arm']})
+        running = tracked_thread(stepping='lockstep', lockstep_parts={'robot0': ['arm']})
         goal = running.start(position=0.7)
         running.next_end()
         return goal.view.time_ns, goal.view.position.tobytes()
     assert len({end() for _ in range(3)}) == 1
 
 
-def test_goal_of_one_robot_does_not_answer_for_another(runner):
+def test_goal_of_one_robot_does_not_answer_for_another(tracked_thread):
     world = World([Panda(idn=0), UR5e(idn=1)])
-    running = runner(world, stepping='lockstep',
+    running = tracked_thread(world, stepping='lockstep',
                      lockstep_parts={'robot0': ['arm'], 'robot1': ['arm']})
     first, second = running.simulation.robots.values()
     goal = running.start(robot=first)

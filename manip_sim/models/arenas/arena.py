@@ -16,6 +16,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import ObjectModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.models.spec_edits import begin_like
 from manip_sim.models.validation import finite_numbers
 from manip_sim.resources import asset_path
 
@@ -73,6 +74,10 @@ class Arena(MujocoXMLModel):
         """Raise the cameras by as much as the furniture is higher than in the file."""
         for camera in self._spec.cameras:
             camera.pos[2] += higher_m
+
+    def empty_spec(self) -> mujoco.MjSpec:
+        """Return a new spec with the options and visual settings of the arena and nothing else."""
+        return begin_like(self._spec)
 
     def compose(self) -> mujoco.MjSpec:
         """Return a new spec of the arena with its objects."""
