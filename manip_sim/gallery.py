@@ -36,7 +36,7 @@ _FRONT_AND_SIDE, _FRONT_AND_BACK = (View(200.0), View(110.0)), (View(140.0), Vie
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """
-    Render robots with their default gripper and base, and grippers and bases alone.
+    Render robots with their default gripper, open, and base, and grippers and bases alone.
 
     :param arguments: the command line, by default that of the process
     :returns: exit code; 1 if a name is unknown or nothing can be rendered
@@ -56,9 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='python3 -m manip_sim.gallery',
-        description='Render each robot with its default gripper and base, each gripper and each '
-                    'base from two sides, to NAME.png, grippers/NAME.png and bases/NAME.png, and '
-                    f'all pictures of a folder together to its {CONTACT_SHEET}. '
+        description='Render each robot with its default gripper, open, and base, each gripper and '
+                    'each base from two sides, to NAME.png, grippers/NAME.png and bases/NAME.png, '
+                    f'and all pictures of a folder together to its {CONTACT_SHEET}. '
                     'Needs pillow: pip install "manip_sim[gallery]".',
         epilog='On Linux pictures are rendered without a screen, by EGL; set the environment '
                'variable MUJOCO_GL to glfw or osmesa to choose another way. One picture of any '
@@ -118,7 +118,8 @@ def _pictures(kind: str, names: Sequence[str], optional: bool) -> Iterator[tuple
     from manip_sim.models.bases import create_base
     from manip_sim.models.grippers import create_gripper
     render: dict[str, Callable[[str], Image]] = {
-        'robots': lambda name: picture_of_world(compose(name), _SIZE, in_studio=True),
+        'robots': lambda name: picture_of_world(
+            compose(name), _SIZE, in_studio=True, grippers_open=True),
         'grippers': lambda name: picture_of_part(
             create_gripper(name), _SMALL_SIZE, _FRONT_AND_SIDE, in_studio=True),
         'bases': lambda name: picture_of_part(

@@ -101,3 +101,16 @@ def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, wi
         sizes.append((shown[2] - shown[0], shown[3] - shown[1]))
         assert max(sizes[-1][0] / width, sizes[-1][1] / height) > 0.9
     assert all(abs(one - other) < 0.03 * height for one, other in zip(*sizes))
+
+
+def test_robots_are_shown_with_open_hands(monkeypatch):
+    from manip_sim.gallery import _pictures
+    shown = []
+    monkeypatch.setattr('manip_sim.cli.rendering._picture',
+                        lambda model, data, *_: shown.append(data))
+    list(_pictures('robots', ['Jaco', 'Panda'], optional=False))
+    jaco, panda = shown
+    # The Jaco's hand starts at 0.5 rad, which is nearly closed.
+    assert all(jaco.joint(f'gripper0_right_joint_{finger}').qpos > 1.4
+               for finger in ('thumb', 'index', 'pinky'))
+    assert panda.joint('gripper0_right_finger_joint1').qpos > 0.039

@@ -20,11 +20,14 @@ if TYPE_CHECKING:
 
     from manip_sim.models import World
     from manip_sim.models.mjcf import MujocoXMLModel
+    from manip_sim.simulation import Simulation
 
 #: Height above the floor of the lowest shape of a part that is shown alone [m].
 _ABOVE_FLOOR = 0.01
 #: How long couplings are simulated to bring their joints to the start [s].
 _SETTLE_S = 0.5
+#: The period of the commands that open grippers, and their number.
+_OPENING_PERIOD_S, _OPENING_PERIODS = 0.05, 240
 #: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
 
@@ -42,17 +45,18 @@ def check_pillow() -> None:
 
 
 def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] = TWO_SIDES,
-                     in_studio: bool = False) -> Image:
+                     in_studio: bool = False, grippers_open: bool = False) -> Image:
     """
     Render a world at its start.
 
     :param size: width and height of the picture; views stand side by side in it [pixels]
     :param views: directions of view, from left to right
     :param in_studio: before a backdrop of one colour instead of the arena's floor and sky
+    :param grippers_open: as they are after a command to open, wherever they start
     :raises UnknownNameError: if there is no such camera
     :raises ManipSimError: if nothing can be rendered
     """
-    model, data = _start_of(world)
+    model, data = _start_of(world, grippers_open)
     return _picture(model, data, size, views, in_studio, _FLOOR if not world.robots else ())
 
 
@@ -124,15 +128,26 @@ def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
     return picture
 
 
-def _start_of(world: World) -> tuple[Any, Any]:
+def _start_of(world: World, grippers_open: bool = False) -> tuple[Any, Any]:
     """Return model and data of a world at its start, even if it cannot be controlled."""
     from manip_sim.simulation import Simulation
     if world.robots:
         with contextlib.suppress(ModelError):
             simulation = Simulation(world, visual=True)
+            if grippers_open:
+                _open_grippers(simulation)
             return simulation.model, simulation.data
     model = world.compile()
     return model, _at_start(model, world.init_qpos())
+
+
+def _open_grippers(simulation: Simulation) -> None:
+    for _ in range(_OPENING_PERIODS):
+        for robot in simulation.robots.values():
+            for part, gripper in robot.grippers.items():
+                robot.apply(robot.parse.action(part, [-1.0] * gripper.dof),
+                            period_s=_OPENING_PERIOD_S)
+        simulation.advance(round(_OPENING_PERIOD_S / simulation.timestep_s))
 
 
 def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:
