@@ -68,6 +68,7 @@ def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mo
     ([J1], {'effort': [1]}, r'^arm: effort must have 1 number, got 1: one for each joint$|'
      r"^arm: joint 'robot0_joint1' is in position mode, which does not use the field effort"),
     ([J1, J2], {'position': [0, np.inf]}, r'^arm: position must be finite, got inf at index 1$'),
+    ([J1, J2], {'position': [np.inf, -np.inf]}, r'must be finite, got inf at index 0$'),
     ([J1], {'position': [0], 'velocity': [-np.inf]}, r'^arm: velocity must be finite, got -inf'),
     ([J1], {'position': ['0']}, r"^arm: position must be numbers, got \['0'\]$"),
     ([J1, J2], {'position': [0, 'one']}, r'^arm: position must be numbers, got '),

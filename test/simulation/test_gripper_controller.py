@@ -135,6 +135,18 @@ def test_joint_command_is_approached_no_faster_than_the_fingers_may_move(panda_s
     np.testing.assert_allclose(setpoints(panda_sim), [0.0, 0.0], atol=1e-12)
 
 
+def test_fingers_that_are_pushed_ahead_do_not_take_their_setpoints_along(panda_sim, run):
+    open_fully(panda_sim, run)
+    panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
+    run(panda_sim, 0.2)
+    before = setpoints(panda_sim)
+    address = panda_sim.model.joint(LEFT).qposadr[0]
+    panda_sim.data.qpos[address] -= 0.01
+    panda_sim.advance(5)
+    # 50 mm/s for 10 ms.
+    np.testing.assert_allclose(setpoints(panda_sim) - before, [-5e-4, 5e-4], atol=1e-6)
+
+
 def test_joint_command_ends_an_action(panda_sim, run):
     panda_sim.robot.apply(panda_sim.robot.parse.action(GRIPPER, [1.0]))
     run(panda_sim, 0.1)

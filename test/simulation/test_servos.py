@@ -546,3 +546,14 @@ def test_the_gains_of_a_servo_are_those_of_the_model_however_small(actuator, gai
     assert kv == pytest.approx([gains[1]])
     if gains[0] is not None:
         assert kp == pytest.approx([gains[0]])
+
+
+@pytest.mark.parametrize('gear', [1.0, 4.0])
+def test_a_motor_becomes_a_critically_damped_servo_that_lags_by_thirteen_milliseconds(gear):
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody>{LINK}</worldbody><actuator><motor joint="joint1" gear="{gear}"/>'
+        '</actuator></mujoco>')
+    kp, kv = stiffness_and_damping(model, np.array([0]), np.array([0]))
+    # In the differential equation I q'' = kp (goal - q) - kv q' at the joint.
+    assert kv == pytest.approx(2.0 * np.sqrt(kp * model.dof_M0[0] / gear**2))
+    assert kv / kp == pytest.approx(0.013)
