@@ -202,8 +202,9 @@ def test_a_pose_may_be_given_in_a_link():
     assert max(distance(op.pose, goal)) < 1e-3
 
 
-def test_a_pose_in_the_frame_of_the_hand_is_meant_where_that_is_now():
-    op = hand_of('IIWA')
+@pytest.mark.parametrize('base', ['default', 'none'])
+def test_a_pose_in_the_frame_of_the_hand_is_meant_where_that_is_now(base):
+    op = hand_of('IIWA', base=base)
     start = op.pose
     handle = op.go_to((np.array([0.0, 0.0, 0.05]), np.eye(3)), op.robot.end_effectors[
         'right'].grip_site)

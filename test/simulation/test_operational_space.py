@@ -205,6 +205,15 @@ def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings
     assert not motion.slowed and not motion.singular
 
 
+@pytest.mark.parametrize(('smallest', 'axis', 'singular'), [
+    (0.02, 5, True), (0.02, 0, False), (0.9, 5, False), (0.9, 0, False)])
+def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest, axis, singular):
+    jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest])
+    error = 0.01 * np.eye(6)[axis]
+    motion = wanted_motion(jacobian, error, np.zeros(6), CartesianSettings(), np.full(6, 10.0))
+    assert motion.singular == singular
+
+
 def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
     settings, error = CartesianSettings(), np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.0])
     free = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))

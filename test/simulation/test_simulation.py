@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.models import compose_robot
+from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
@@ -124,6 +124,20 @@ def test_time_counts_steps_exactly(panda):
         simulation.advance(3)
     assert simulation.step_count == 21
     assert simulation.robot.state().time_ns == 31_500_000
+
+
+@pytest.mark.parametrize(('timestep_s', 'steps', 'intervals'), [
+    (0.002, 5, [2, 2, 1]), (0.0005, 20, [7, 7, 6]), (0.0005, 8, [8]), (0.005, 2, [1, 1])])
+def test_setpoints_move_every_four_milliseconds_or_more_often(
+        timestep_s, steps, intervals, monkeypatch):
+    simulation = Simulation(compose('Panda', timestep_s=timestep_s))
+    robot, durations_s = simulation.robot, []
+    robot.apply(robot.parse.action('arm', [0.5] * 7))
+    tick = robot.tick
+    monkeypatch.setattr(robot, 'tick', lambda duration_s: (durations_s.append(duration_s),
+                                                           tick(duration_s)))
+    simulation.advance(steps)
+    np.testing.assert_allclose(durations_s, timestep_s * np.array(intervals))
 
 
 def test_same_commands_give_bit_identical_states():
