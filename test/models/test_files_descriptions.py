@@ -240,6 +240,12 @@ def test_a_mount_of_a_file_carries_the_robot_on_its_highest_point(tmp_path):
     np.testing.assert_allclose(load_base(tmp_path / 'stand.xml').top_offset, [0.0, 0.0, 0.3])
 
 
+def test_a_mount_whose_root_is_above_its_floor_carries_the_robot_on_its_highest_point(tmp_path):
+    text = MOUNT.replace('name="stand"', 'name="stand" pos="0 0 0.1"')
+    base = load_base(write(tmp_path / 'stand.xml', text.replace('0 0 0.2"', '0 0 0.1"')))
+    np.testing.assert_allclose(base.top_offset, [0.0, 0.0, 0.3])
+
+
 @pytest.mark.parametrize('height', [0.25, 0.6])
 def test_a_mount_that_is_not_on_a_floor_carries_the_robot_at_its_origin(tmp_path, height):
     base = load_base(write(tmp_path / 'stand.xml', MOUNT.replace('0 0 0.2"', f'0 0 {height}"')))

@@ -139,6 +139,13 @@ def test_a_finger_that_bends_closes_towards_the_palm(tmp_path):
     np.testing.assert_allclose(hand.format_action([-1.0, 0.0, 0.5]), [-1.0, 0.0, 0.5])
 
 
+def test_an_actuator_that_moves_nothing_closes_at_its_upper_end_as_a_guess(tmp_path):
+    idle = '<general name="idle" joint="left_finger" gainprm="0" ctrlrange="0 1"/>'
+    hand = load_gripper(write(tmp_path / 'hand.xml', HAND.replace(
+        '</actuator>', f'{idle}</actuator>')))
+    assert any('idle from 0 to 1 (a guess)' in sentence for sentence in hand.inferred)
+
+
 def test_a_control_range_is_no_longer_than_what_the_joint_can_reach(tmp_path):
     text = HAND.replace('name="pull" tendon="split" ctrlrange="0 255"',
                         'name="pull" joint="left_finger" ctrlrange="-1 1"')

@@ -366,3 +366,16 @@ def test_an_actuator_that_sticks_to_things_drives_no_joint():
     ([], 'a'), (['a'], 'a1'), (['a', 'a1'], 'a2'), (['a', 'a2'], 'a1')])
 def test_a_free_name_has_the_first_number_that_is_free(taken, found):
     assert free_name(taken, 'a') == found
+
+
+def test_a_tendon_through_sites_acts_on_the_joints_that_move_some_of_them(tmp_path):
+    text = ARM_WITH_HAND
+    for side in ('left', 'right'):
+        text = text.replace(f'<geom name="{side}_pad"',
+                            f'<site name="{side}"/><geom name="{side}_pad"')
+    text = text.replace('<tendon>', '<tendon><spatial name="rope"><site site="left"/>'
+                        '<site site="right"/></spatial>')
+    text = text.replace('<actuator>', '<actuator><motor name="rope" tendon="rope"/>')
+    model = mujoco.MjModel.from_xml_string(text.replace(' ctrl="', ' ctrl="0 '))
+    joints = BodyTree(model).driven(model.actuator('rope').id)
+    assert {model.joint(joint).name for joint in joints} == {'left_finger', 'right_finger'}

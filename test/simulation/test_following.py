@@ -259,6 +259,9 @@ def test_joint_that_is_named_is_the_one_that_exceeds_its_limit_most(op):
     # The one that is faster may also move faster, by more than that.
     with pytest.raises(CommandError, match=r"^joint 'robot0_joint1' would"):
         op.follow('arm', [J1, 'robot0_joint5'], [1e-5], [[2.0, 2.2]])
+    # Both have the same limit.
+    with pytest.raises(CommandError, match=r"^joint 'robot0_joint3' would"):
+        op.follow('arm', [J1, 'robot0_joint3'], [1e-5], [[1.0, 1.0 + 1e-9]])
 
 
 @pytest.mark.parametrize(('times', 'positions', 'velocities'), [

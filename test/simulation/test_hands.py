@@ -271,6 +271,14 @@ def test_two_actuators_on_one_joint_end_the_start(hand_sim, second):
         hand_sim(SERVO.format('left') + second)
 
 
+def test_two_actuators_on_one_joint_are_seen_behind_one_that_drives_none(hand_sim):
+    with pytest.raises(ModelError, match="'gripper0_left' and 'gripper0_right' of right/gripper "
+                                         "both drive joint 'gripper0_left'"):
+        hand_sim('<motor name="thruster" site="grip_site" ctrlrange="0 1"/>'
+                 + SERVO.format('left')
+                 + SERVO.format('right').replace('joint="right"', 'joint="left"'))
+
+
 def test_two_motors_on_one_joint_are_driven_one_by_one(hand_sim, run):
     simulation = hand_sim('<motor name="pull" joint="left" ctrlrange="0 3"/>'
                           '<motor name="push" joint="left" gear="-1" ctrlrange="0 1"/>')
