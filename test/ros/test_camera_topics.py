@@ -108,10 +108,11 @@ def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serv
 
 
 def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen, client):
-    serve_seen(cameras=[FRONT], camera__front__rate=25.0, **SMALL)
+    # A busy machine without a graphics card renders five images a second or a few more.
+    serve_seen(cameras=[FRONT], camera__front__rate=25.0, real_time_factor=0.25, **SMALL)
     topics = ('color/image_raw', 'depth/image_raw', 'color/camera_info', 'depth/camera_info')
     heard = [listen(client, f'front/{topic}') for topic in topics]
-    client.spin_until(lambda: all(len(messages) > 20 for messages in heard))
+    client.spin_until(lambda: all(len(messages) > 15 for messages in heard))
     for messages in heard:
         stamps = [nanoseconds(message) for message in messages][2:]
         assert {stamp % 40_000_000 for stamp in stamps} == {0}
