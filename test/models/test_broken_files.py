@@ -301,6 +301,44 @@ def test_what_is_not_broken_is_loaded(content, tmp_path):
     assert MujocoXMLModel(file).compile().ngeom >= 1
 
 
+@pytest.mark.parametrize(('most', 'more'), [
+    *((f'<size nuser_{kind}="1000"/>', f'<size nuser_{kind}="1001"/>') for kind in (
+        'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')),
+    ('<size nuserdata="10000000"/>', '<size nuserdata="10000001"/>'),
+    ('<size nkey="1000"/>', '<size nkey="1001"/>'),
+    ('<hfield nrow="4000" ncol="4000"/>', '<hfield nrow="16000001"/>'),
+    ('<numeric size="1000000"/>', '<numeric size="1000001"/>'),
+    # Numbers below one count as one.
+    ('<hfield nrow="0" ncol="16000000"/>', '<hfield nrow="-1" ncol="16000001"/>'),
+    ('<hfield nrow="0.5" ncol="16000000"/>', '<hfield nrow="0.5" ncol="16000001"/>'),
+    ('<hfield nrow="2" ncol="8000000"/>', '<hfield nrow="2" ncol="8000001"/>'),
+    ('<mesh params="500"/>', '<mesh params="1 501"/>'),
+    ('<mesh params="2 499"/>', '<mesh params="501 1"/>'),
+    # Sizes of other elements are lengths.
+    ('<geom size="2e6" params="501"/><site size="2e6"/><spatial width="5000"/>',
+     '<numeric size="2e6"/>'),
+    ('<texture type="2d" width="12000" height="10000"/>',
+     '<texture type="2d" width="120000001"/>'),
+    # A cube has six square sides, whatever its height.
+    ('<texture type="cube" width="4472" height="4473"/>', '<texture width="4473"/>'),
+    (1000 * '<key/>', 1001 * '<key/>'),
+    (999 * '<include file="empty.xml"/>', 1000 * '<include file="empty.xml"/>'),
+    ('<include file="1.xml"/>', '<include file="0.xml"/>')],
+    ids=lambda text: text[:40])
+def test_as_much_as_allowed_is_read_and_not_more(most, more, tmp_path):
+    (tmp_path / 'empty.xml').write_text('<x/>')
+    # Fifty files that load each other, and one before them.
+    for number in range(51):
+        (tmp_path / f'{number}.xml').write_text(
+            f'<x><include file="{number + 1}.xml"/></x>' if number < 50 else '<x/>')
+    file = tmp_path / 'main.xml'
+    file.write_text(mjcf(before=most))
+    check_xml(file)
+    file.write_text(mjcf(before=more))
+    with pytest.raises(ModelError, match='more than|50 deep'):
+        check_xml(file)
+
+
 def test_elements_that_are_written_out_do_not_count_as_made_by_others(tmp_path):
     written = '<option timestep="0.004"/>' * 20_001
     file = tmp_path / 'main.xml'

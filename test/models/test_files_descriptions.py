@@ -98,6 +98,15 @@ arms:
     np.testing.assert_allclose(grip - data.body('robot0_palm').xpos, [0.0, 0.0, 0.5], atol=1e-9)
 
 
+def test_a_gripper_of_the_yaml_is_mounted_in_place_of_an_own_hand(tmp_path):
+    robot = described(tmp_path, 'arms: {right: {gripper: RethinkGripper}}', ARM_WITH_HAND)
+    assert robot.own_hands == ('right',)
+    assert [gripper.name for gripper in compose_robot(robot).grippers.values()] == [
+        'RethinkGripper0_right']
+    robot = described(tmp_path, '', ARM_WITH_HAND)
+    assert compose_robot(robot).own_hands == ('right',)
+
+
 def test_yaml_tells_two_arms_apart(tmp_path):
     text = TWO_ARMS.replace('left/', 'one/').replace('right/', 'two/')
     robot = described(tmp_path, 'arms: {left: {mount: one/lower, hand: none}, '

@@ -13,6 +13,7 @@ from files_rig import HAND, write
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import load_gripper
+from manip_sim.models.files.fingers import control_range
 from manip_sim.models.robots import Panda
 
 
@@ -161,6 +162,40 @@ def test_a_control_range_that_ends_a_little_beyond_the_joint_presses(tmp_path):
     text = text.replace('gainprm="1.5"', 'gainprm="12750"')
     model = load_gripper(write(tmp_path / 'hand.xml', text)).compile()
     np.testing.assert_allclose(model.actuator('gripper0_pull').ctrlrange, [-0.001, 0.031])
+
+
+@pytest.mark.parametrize(('actuator', 'expected'), [
+    # Half a range beyond the joint's is no more than pressing.
+    ('<position joint="j" kp="4" ctrlrange="-0.5 1.5"/>', (-0.5, 1.5)),
+    ('<position joint="j" kp="4" ctrlrange="-0.51 0.5"/>', (0.0, 0.5)),
+    ('<position joint="j" kp="4" ctrlrange="0.5 1.51"/>', (0.5, 1.0)),
+    ('<position joint="j" kp="4" ctrlrange="-9 9"/>', (0.0, 1.0)),
+    ('<position joint="j" kp="4" ctrlrange="1 9"/>', None),
+    ('<position joint="j" kp="0.5"/>', (0.0, 1.0)),
+    ('<position joint="j" kp="4" gear="-2"/>', (-2.0, 0.0)),
+    ('<general joint="j" gainprm="4" biastype="affine" biasprm="1 -8 0" gear="2"/>',
+     (-0.25, 3.75)),
+    ('<position joint="endless" kp="4"/>', None),
+    ('<position joint="endless" kp="4" ctrlrange="-9 9"/>', (-9.0, 9.0)),
+    ('<position joint="j" kp="4" kv="1" ctrlrange="-1 3"/>', (0.0, 1.0)),
+    # A motor, a damper and what pushes away from its target are no servos.
+    ('<motor joint="j" ctrlrange="-9 9"/>', (-9.0, 9.0)),
+    ('<damper joint="j" kv="1" ctrlrange="0 9"/>', (0.0, 9.0)),
+    ('<general joint="j" gainprm="4" biastype="affine" biasprm="0 0.5 0"/>', None),
+    ('<general joint="j" gainprm="-0.5" biastype="affine" biasprm="0 -4 0"/>', None),
+    ('<general joint="j" gainprm="4" forcerange="-8 2"/>', (-2.0, 0.5)),
+    ('<general joint="j" gainprm="0.5" forcerange="-8 2"/>', (-16.0, 4.0)),
+    ('<general joint="j" gainprm="0" forcerange="-8 2"/>', None),
+    ('<general joint="j" gainprm="-4" forcerange="-8 2"/>', None),
+    ('<general joint="j" gainprm="4"/>', None),
+    ('<position joint="endless" kp="4" forcerange="-8 2"/>', None)])
+def test_the_control_range_is_what_limits_an_actuator_first(actuator, expected):
+    model = mujoco.MjModel.from_xml_string(f"""
+<mujoco><compiler angle="radian"/><worldbody>
+  <body><geom size="1"/><joint name="endless"/>
+    <body><geom size="1"/><joint name="j" range="0 1"/></body></body></worldbody>
+  <actuator><motor joint="endless"/>{actuator}</actuator></mujoco>""")
+    assert control_range(model, 1) == (None if expected is None else pytest.approx(expected))
 
 
 def test_an_actuator_without_any_limit_is_told(tmp_path):

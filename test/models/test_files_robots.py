@@ -67,6 +67,17 @@ def test_names_of_other_models_tell_the_subsystem(tmp_path, name, subsystem):
     assert robot.joints_of(subsystem)[0] == f'robot0_{name}'
 
 
+def test_the_name_of_a_ball_joint_tells_its_subsystem_but_not_that_of_a_free_joint(tmp_path):
+    robot = load_robot(write(tmp_path / 'dog.xml', """
+<mujoco><worldbody><body name="trunk" pos="0 0 0.5"><freejoint name="neck"/><geom size="0.1"/>
+  <body name="thigh" pos="0 0 -0.3"><joint name="hip" type="ball"/><geom size="0.05"/>
+    <body name="shank" pos="0 0 -0.1"><joint name="knee"/><geom size="0.05"/></body></body></body>
+  </worldbody><actuator><motor joint="knee"/></actuator></mujoco>"""))
+    assert robot.legs_joints == ['robot0_hip', 'robot0_knee']
+    assert 'legs: hip, knee' in robot.inferred
+    assert not any(said.startswith('head') for said in robot.inferred)
+
+
 def test_a_waist_is_of_the_arm_where_it_moves_nothing_else(tmp_path):
     robot = load_robot(write(tmp_path / 'arm.xml', ARM.replace('"turn"', '"waist"')))
     assert robot.arm_joints[0] == 'robot0_waist'

@@ -154,6 +154,12 @@ def test_body_in_a_frame_is_the_root_and_stands_where_the_frame_is(mjcf):
     np.testing.assert_allclose(model.compile().body('0_base').pos, [1, 0, 2])
 
 
+def test_a_part_stands_with_its_root_and_what_it_carries_stands_at_its_origin(mjcf):
+    model = MujocoXMLModel(mjcf('<body name="base" pos="1 2 3"><geom size="0.1"/></body>'))
+    np.testing.assert_array_equal(model.bottom_offset, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(model.top_offset, [0.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize('angle', ['degree', 'radian'])
 def test_composed_model_equals_the_plain_one(mjcf, angle):
     path = mjcf("""

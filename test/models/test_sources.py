@@ -145,12 +145,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 def names():
-    return ['acme', 'far']
+    return ['acme', 'far', 'wordy']
 
 def get(name):
     def path():
         if name == 'far':
             raise OSError('no\\nnetwork')
+        if name == 'wordy':
+            raise OSError(201 * 'x')
         return Path(__file__).parent / 'models' / name
     return SimpleNamespace(path=path, default_model='arm',
                            entry=lambda entry: SimpleNamespace(file=f'{entry}.xml'))
@@ -160,6 +162,8 @@ def get(name):
         create_robot('menagerie:acm')
     with pytest.raises(ModelError, match=r'menagerie:far cannot be loaded: no\\nnetwork'):
         create_robot('menagerie:far')
+    with pytest.raises(ModelError, match=r'menagerie:wordy cannot be loaded: x{200}\.\.\.$'):
+        create_robot('menagerie:wordy')
 
 
 def test_menagerie_without_package_and_checkout_says_what_it_needs(monkeypatch):

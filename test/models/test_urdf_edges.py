@@ -14,7 +14,7 @@ from urdf_rig import (
 from manip_sim.models import compose, World
 from manip_sim.models.urdf_writer import Hardware, urdf_of
 from manip_sim.models.urdf_writer.meshes import binary_stl, stl_of
-from manip_sim.models.urdf_writer.numbers import rpy_of
+from manip_sim.models.urdf_writer.numbers import rpy_of, text_of
 from manip_sim.models.urdf_writer.unit_sphere import unit_sphere
 from manip_sim.resources import share_directory
 
@@ -87,6 +87,13 @@ def test_roll_pitch_and_yaw_are_exact_also_where_the_pitch_is_a_right_angle(pitc
                                    atol=3e-16 * 4)
 
 
+@pytest.mark.parametrize(('number', 'text'), [
+    (0.1, '0.1'), (-3.0, '-3'), (1e-16, '1e-16'), (-0.9e-16, '0'), (1e15 - 1, '999999999999999'),
+    (1e15, '1000000000000000.0'), ([1.0, 0.5], '1 0.5')])
+def test_numbers_are_written_as_short_as_they_can_be_read_again(number, text):
+    assert text_of(number) == text
+
+
 def about(axis, angle):
     c, s = np.cos(angle), np.sin(angle)
     return {'x': np.array([[1, 0, 0], [0, c, -s], [0, s, c]]),
@@ -107,6 +114,17 @@ def test_a_free_robot_and_ball_joints_are_left_to_tf(written):
     assert ball.get('type') == 'floating' and ball.find('limit') is None
     assert joint_of(urdf, 'swing').get('type') == 'continuous'
     assert len(scalar_joints(model, urdf.tree)) == 1
+
+
+def test_a_slide_follows_the_ball_joint_of_the_same_body(written):
+    _, urdf = written("""
+        <body name="base"><geom size=".1"/><body name="hand" pos="0 0 .3"><geom size=".1"/>
+          <joint name="ball" type="ball"/><joint name="slide" type="slide" axis="1 0 0" ref=".5"/>
+        </body></body>""")
+    places = {name: [joint_of(urdf, name).find(part).get(key) for part, key in (
+        ('parent', 'link'), ('child', 'link'), ('origin', 'xyz'))] for name in ('ball', 'slide')}
+    assert places == {'ball': ['robot0_base', 'robot0_ball_link', '0 0 0.3'],
+                      'slide': ['robot0_ball_link', 'robot0_hand', '-0.5 0 0']}
 
 
 CHAIN = ''.join(f'<body name="{n}"><joint name="{n}" type="slide" ref="{r}" user="0.5"/>'
@@ -209,6 +227,19 @@ def test_a_capsule_is_a_cylinder_and_two_spheres_at_its_ends(written):
     assert shapes['cylinder'] == [([1.0, 1.5, 0.5], {'radius': 0.1, 'length': 3.0})]
     places = sorted(place for place, size in shapes['sphere'] if size == {'radius': 0.1})
     np.testing.assert_allclose(places, [[1.0, 0.0, 0.5], [1.0, 3.0, 0.5]], atol=1e-12)
+
+
+@pytest.mark.parametrize(('geom', 'tag', 'expected'), [
+    ('type="box" size=".1 .2 .3"', 'box', {'size': [0.2, 0.4, 0.6]}),
+    ('type="cylinder" size=".1 .2"', 'cylinder', {'radius': [0.1], 'length': [0.4]}),
+    ('type="sphere" size=".1"', 'sphere', {'radius': [0.1]}),
+    ('type="ellipsoid" size=".1 .2 .3"', 'mesh', {'scale': [0.1, 0.2, 0.3]})])
+def test_shapes_have_the_size_of_their_geoms(geom, tag, expected, written):
+    _, urdf = written(f'<body name="base"><geom {geom}/></body>')
+    (solid,) = ElementTree.fromstring(urdf.xml).findall('link/collision/geometry/*')
+    assert solid.tag == tag
+    assert {key: pytest.approx([float(word) for word in text.split()])
+            for key, text in solid.items() if key != 'filename'} == expected
 
 
 def test_what_has_no_like_in_urdf_is_told(written):
