@@ -114,6 +114,16 @@ def test_yaml_tells_two_arms_apart(tmp_path):
     assert robot.eef_name == {'right': 'robot0_two/lower', 'left': 'robot0_one/lower'}
 
 
+@pytest.mark.parametrize(('first', 'second'), [('left', 'right'), ('right', 'left')])
+def test_what_yaml_says_of_one_arm_is_not_for_the_other(tmp_path, first, second):
+    robot = described(tmp_path, f"""
+arms:
+  {first}: {{mount: {{at: {first}/lower, position: [0, 0, 0.3]}}, hand: none}}
+  {second}: {{mount: {second}/lower, hand: none}}
+""", TWO_ARMS)
+    assert robot.eef_name == {first: f'robot0_{first}_hand', second: f'robot0_{second}/lower'}
+
+
 def test_the_yaml_may_be_given_instead_of_the_model(tmp_path):
     write(tmp_path / 'models' / 'any.xml', ARM)
     file = write(tmp_path / 'mine.yaml', 'model: models/any.xml\nstart: {turn: -0.5}')

@@ -83,19 +83,27 @@ def test_a_waist_is_of_the_arm_where_it_moves_nothing_else(tmp_path):
     assert robot.arm_joints[0] == 'robot0_waist'
 
 
-def test_zero_outside_a_range_starts_inside_of_it(tmp_path):
+@pytest.mark.parametrize(('limits', 'start'), [
+    ('1 2', 1.5), ('-2 -1', -1.5), ('0 1', 0.0), ('-1 0', 0.0)])
+def test_zero_outside_a_range_starts_inside_of_it(tmp_path, limits, start):
     text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
-    robot = load_robot(write(tmp_path / 'arm.xml', text.replace('range="0 1"', 'range="1 2"')))
-    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, 1.5])
-    assert 'start pose: zero, and the middle of the range for bend' in robot.inferred
+    robot = load_robot(write(tmp_path / 'arm.xml',
+                             text.replace('range="0 1"', f'range="{limits}"')))
+    np.testing.assert_allclose(robot.init_qpos, [0.0, 0.0, start])
+    said = ', and the middle of the range for bend' if start else ''
+    assert f'start pose: zero{said}' in robot.inferred
 
 
-def test_a_start_in_which_links_overlap_is_avoided(tmp_path):
-    text = ARM[:ARM.index('<keyframe>')] + '</mujoco>'
+@pytest.mark.parametrize(('limits', 'start'), [
+    ('0 1', 0.25), ('-1 0', -0.25), ('-0.08 1.92', 0.42), ('-1.92 0.08', -0.42),
+    # Farther than a twentieth of the range from its end, so only the middle is another pose.
+    ('-0.05 0.95', 0.45), ('-0.95 0.05', -0.45)])
+def test_a_start_in_which_links_overlap_is_avoided(tmp_path, limits, start):
+    text = ARM[:ARM.index('<keyframe>')].replace('range="0 1"', f'range="{limits}"') + '</mujoco>'
     # At zero the last link lies on the first one.
     text = text.replace('pos="0 0 0.2" euler="0 0 0.5"', 'pos="0 0 0.2" euler="0 3.1 0"')
     robot = load_robot(write(tmp_path / 'arm.xml', text.replace('0 0 0.07"', '0 0 0.3"')))
-    assert robot.init_qpos[2] == pytest.approx(0.25)
+    assert robot.init_qpos[2] == pytest.approx(start)
     assert any('because links overlap at zero' in said for said in robot.inferred)
 
 
@@ -152,6 +160,17 @@ def test_two_arms_with_roots_of_their_own_are_one_robot(tmp_path):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(data.body('robot0_left/base').xpos, [1.0, 0.4, 0.0])
+
+
+@pytest.mark.parametrize(('taken', 'name'), [
+    (('root', 'elbow'), 'root1'), (('root', 'root1'), 'root2'), (('root1', 'root2'), 'root')])
+def test_a_new_root_has_a_name_that_no_body_has(tmp_path, taken, name):
+    text = TWO_ARMS
+    for side, body in zip(('left', 'right'), taken):
+        text = text.replace(f'"{side}/upper"', f'"{body}"')
+    robot = load_robot(write(tmp_path / 'pair.xml', text))
+    assert robot.root_body == f'robot0_{name}'
+    assert set(robot.bodies) >= {f'robot0_{body}' for body in taken}
 
 
 def test_several_arms_without_sides_are_an_error_that_says_what_to_write(tmp_path):
