@@ -97,7 +97,7 @@ def test_zero_outside_a_range_starts_inside_of_it(tmp_path, limits, start):
 @pytest.mark.parametrize(('limits', 'start'), [
     ('0 1', 0.25), ('-1 0', -0.25), ('-0.08 1.92', 0.42), ('-1.92 0.08', -0.42),
     # Farther than a twentieth of the range from its end, so only the middle is another pose.
-    ('-0.05 0.95', 0.45), ('-0.95 0.05', -0.45)])
+    ('-0.1 1.9', 0.9), ('-1.9 0.1', -0.9)])
 def test_a_start_in_which_links_overlap_is_avoided(tmp_path, limits, start):
     text = ARM[:ARM.index('<keyframe>')].replace('range="0 1"', f'range="{limits}"') + '</mujoco>'
     # At zero the last link lies on the first one.
