@@ -10,7 +10,7 @@ or exhaust the memory.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import os
 from pathlib import Path
 from typing import NoReturn
@@ -49,9 +49,9 @@ class XmlFacts:
     :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
     """
 
-    is_urdf: bool = False
-    folders: list[AssetFolders] = field(default_factory=list)
-    mesh_files: dict[str, str] = field(default_factory=dict)
+    is_urdf: bool
+    folders: list[AssetFolders]
+    mesh_files: dict[str, str]
 
 
 def check_xml(file: Path) -> XmlFacts:

@@ -64,10 +64,11 @@ def control_range(model: mujoco.MjModel, actuator: int) -> tuple[float, float] |
     reach = _reach(model, actuator)
     if model.actuator_ctrllimited[actuator]:
         low, high = model.actuator_ctrlrange[actuator]
-        # A target that is a little beyond the joint's range makes the servo press.
-        beyond = _BEYOND * (reach[1] - reach[0]) if reach else 0.0
-        if reach and (low < reach[0] - beyond or high > reach[1] + beyond):
-            low, high = max(low, reach[0]), min(high, reach[1])
+        if reach:
+            # A target that is a little beyond the joint's range makes the servo press.
+            beyond = _BEYOND * (reach[1] - reach[0])
+            if low < reach[0] - beyond or high > reach[1] + beyond:
+                low, high = max(low, reach[0]), min(high, reach[1])
         return (float(low), float(high)) if low < high else None
     if reach:
         return reach

@@ -12,6 +12,7 @@ import warnings
 import mujoco
 
 from manip_sim.errors import ModelError
+from manip_sim.models.files.frames import free_name
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
@@ -51,7 +52,7 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     if free:
         raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, one of '
                          f'which is free: {quoted_names([body.name for body in roots])}')
-    name = _free_name(spec, 'root')
+    name = free_name({body.name for body in spec.bodies}, 'root')
     held = f' and {len(loose)} shapes and sites of the world body' if loose else ''
     told.append(f"new root body '{name}' that holds "
                 f'{quoted_names([body.name for body in roots])}{held}')
@@ -127,14 +128,6 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
 
 def _is_free(body: Any) -> bool:
     return any(int(joint.type) == _FREE for joint in body.joints)
-
-
-def _free_name(spec: mujoco.MjSpec, wanted: str) -> str:
-    taken = {body.name for body in spec.bodies}
-    name, number = wanted, 1
-    while name in taken:
-        name, number = f'{wanted}{number}', number + 1
-    return name
 
 
 def _wrapped(spec: mujoco.MjSpec, name: str) -> Any:
