@@ -205,13 +205,20 @@ def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings
     assert not motion.slowed and not motion.singular
 
 
-@pytest.mark.parametrize(('smallest', 'axis', 'singular'), [
-    (0.02, 5, True), (0.02, 0, False), (0.9, 5, False), (0.9, 0, False)])
-def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest, axis, singular):
+@pytest.mark.parametrize(('smallest', 'share', 'singular'), [
+    (0.02, 1.0, True), (0.028, 0.55, True), (0.028, -0.55, True), (0.028, 0.45, False),
+    (0.032, 0.55, False), (0.02, 0.0, False), (0.9, 1.0, False), (0.9, 0.0, False)])
+def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest, share, singular):
     jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest])
-    error = 0.01 * np.eye(6)[axis]
-    motion = wanted_motion(jacobian, error, np.zeros(6), CartesianSettings(), np.full(6, 10.0))
+    twist = 0.8 * np.array([np.sqrt(1.0 - share**2), 0.0, 0.0, 0.0, 0.0, share])
+    motion = wanted_motion(jacobian, np.zeros(6), twist, CartesianSettings(), np.full(6, 100.0))
     assert motion.singular == singular
+
+
+def test_a_hand_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
+    motion = wanted_motion(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6),
+                           CartesianSettings(), np.full(6, 10.0))
+    assert not motion.singular
 
 
 def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
