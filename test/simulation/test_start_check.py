@@ -144,6 +144,22 @@ def test_joint_outside_its_range_is_told(kind, unit):
     assert told_of(worldbody, f'{compiler}<keyframe><key qpos="0.5"/></keyframe>') == []
 
 
+def test_each_joint_outside_its_range_is_told_whatever_those_before_it_do():
+    starts = {'endless': 9.0, 'low': -1.5, 'lowest': -1.0019, 'within': 0.5, 'highest': 1.0019,
+              'high': 1.0021}
+    links = ''.join(
+        f'<body pos="{3 * index} 5 0"><joint name="{name}" type="slide" axis="0 0 1" '
+        f'limited="{str(name != "endless").lower()}" range="-1 1"/>{BALL.format(name, 0)}</body>'
+        for index, name in enumerate(starts))
+    door = (f'<body pos="0 9 0"><joint name="door" type="slide" range="-1 1"/>'
+            f'{BALL.format("door", 0)}</body>')
+    qpos = ' '.join(map(str, [7.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, *starts.values()]))
+    sentences = told_of(
+        f'{door}<body name="root"><freejoint/>{BALL.format("root", 0)}{links}</body>',
+        f'<keyframe><key qpos="{qpos}"/></keyframe>')
+    assert [sentence.split("'")[1] for sentence in sentences] == ['low', 'high']
+
+
 def test_check_changes_neither_the_model_nor_the_state():
     robot = create_robot('Panda')
     robot.add_gripper(create_gripper('FourierRightHand'))
