@@ -12,6 +12,7 @@ import pytest
 from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Status
 from manip_sim.simulation.goals import Ending, GoalCode, GoalError
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 
@@ -285,10 +286,74 @@ def test_what_interferes_ends_the_goal_and_is_told(at_a_cube, interfere, reason,
     assert (goal.outcome.ending, goal.outcome.reason) == (Ending.ABORTED, reason)
 
 
+@pytest.mark.parametrize('offset', [-0.00081, -0.00079, 0.00079, 0.00081])
+def test_a_goal_is_reached_within_a_fiftieth_of_the_range(panda, offset):
+    goal = panda.start(0.02)
+    panda.simulation.data.joint(FINGER).qpos[0] = 0.02 + offset
+    goal.check(panda.simulation)
+    assert goal.view.reached == (abs(offset) < 0.0008)
+
+
+@pytest.mark.parametrize('offset', [-0.0101, -0.0099, 0.0099, 0.0101])
+def test_a_goal_of_a_joint_without_a_range_is_reached_within_a_hundredth(hand_sim, offset):
+    actor = Actor(hand_sim(
+        '<position tendon="both" kp="900" kv="9" ctrlrange="0 0.08"/>',
+        '<tendon><fixed name="both"><joint joint="left" coef="1"/><joint joint="right" coef="1"/>'
+        '</fixed></tendon>'))
+    actor.simulation.model.jnt_limited[:] = 0
+    goal = actor.start(0.02)
+    actor.simulation.data.joint('gripper0_left').qpos[0] = 0.02 + offset
+    goal.check(actor.simulation)
+    assert goal.view.reached == (abs(offset) < 0.01)
+
+
+def start_still(actor):
+    """Start a goal whose command is done and whose fingers stand still far from it."""
+    goal = actor.start(0.0)
+    goal.command.handle.end(Status.DONE)
+    for joint, position in ((FINGER, 0.03), (OTHER, -0.03)):
+        actor.simulation.data.joint(joint).qpos[0] = position
+    return goal
+
+
+def periods_until_stalled(actor, goal, speed_of=lambda period: 0.0):
+    """Return how many periods of 10 ms it takes; each looks at fingers of a speed."""
+    for period in range(100):
+        actor.simulation.step_count += 5
+        for joint in (FINGER, OTHER):
+            actor.simulation.data.joint(joint).qvel[0] = speed_of(period)
+        goal.check(actor.simulation)
+        if goal.outcome is not None:
+            assert goal.view.stalled
+            return period
+    return None
+
+
+def test_fingers_have_stalled_after_a_quarter_of_a_second_and_anew_when_they_have_moved(panda):
+    assert periods_until_stalled(panda, start_still(panda)) == 25
+    assert periods_until_stalled(
+        panda, start_still(panda), lambda period: 0.5 * (period == 20)) == 46
+
+
+@pytest.mark.parametrize(('speed', 'still'), [
+    (0.00099, True), (-0.00099, True), (0.00101, False), (-0.00101, False)])
+def test_a_finger_that_takes_forty_seconds_to_cross_its_range_stands_still(panda, speed, still):
+    goal = start_still(panda)
+    assert (periods_until_stalled(panda, goal, lambda period: speed) == 25) == still
+
+
+def test_fingers_that_stand_still_have_not_stalled_before_the_command_is_done(panda):
+    goal = start_still(panda)
+    goal.command.handle.status = Status.RUNNING
+    assert periods_until_stalled(panda, goal) is None
+
+
 @pytest.mark.parametrize(('request_', 'code', 'text'), [
     ({'position': math.nan}, 'INVALID_GOAL', 'position must be finite, got nan'),
     ({'position': 0.0, 'max_effort': -1.0}, 'INVALID_GOAL',
      'max_effort must be finite and not negative, got -1'),
+    ({'position': 0.0, 'max_velocity': -1e-3}, 'INVALID_GOAL',
+     'max_velocity must be finite and not negative, got -0.001'),
     ({'position': 0.0, 'max_velocity': math.inf}, 'INVALID_GOAL', 'max_velocity must be finite'),
     ({'position': 0.0, 'joint': 'thumb'}, 'INVALID_JOINTS', "has no joint 'thumb'")])
 def test_goal_that_cannot_be_is_rejected_with_its_code(panda, request_, code, text):
