@@ -3,10 +3,16 @@
 
 """Tests of the whole simulation: start, state of one instant, reset, determinism, divergence."""
 
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+
 import mujoco
 import numpy as np
 import pytest
 
+from manip_sim import simulation as package
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import TableArena
@@ -14,6 +20,37 @@ from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Command
+
+#: Classes of data that change: all others are handed from thread to thread as they are.
+CHANGING = {'commands.CommandHandle', 'cartesian.reports.CartesianReport',
+            'cartesian.targets.Target'}
+
+
+def data_classes():
+    """Return the classes of data of the package, by module and name."""
+    modules = [importlib.import_module(found.name)
+               for found in pkgutil.walk_packages(package.__path__, f'{package.__name__}.')]
+    return {f'{module.__name__.removeprefix(package.__name__)[1:]}.{name}': found
+            for module in modules for name, found in vars(module).items()
+            if dataclasses.is_dataclass(found) and found.__module__ == module.__name__}
+
+
+@pytest.mark.parametrize('name', sorted(data_classes().keys() - CHANGING))
+def test_what_is_handed_from_thread_to_thread_cannot_be_changed(name):
+    found = data_classes()[name]
+    value = object.__new__(found)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(value, dataclasses.fields(found)[0].name, None)
+
+
+@pytest.mark.parametrize('name', sorted(
+    name for name, found in data_classes().items() if issubclass(found, Command)))
+def test_commands_are_made_by_name_and_differ_whatever_their_numbers_are(name):
+    found = data_classes()[name]
+    assert object.__new__(found) != object.__new__(found)
+    kinds = {parameter.kind for parameter in inspect.signature(found).parameters.values()}
+    assert kinds == {inspect.Parameter.KEYWORD_ONLY}
 
 
 @pytest.fixture
