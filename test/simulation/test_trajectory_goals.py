@@ -389,6 +389,52 @@ def test_goal_that_cannot_be_is_rejected_with_its_code(panda, more, code, text):
     assert panda.simulation.robot.joints.busy_parts == before
 
 
+def test_a_goal_is_late_in_the_first_period_after_its_time_and_no_slowing_is_told(panda):
+    panda.run(0.5)
+    begin_ns = panda.simulation.time_ns
+    goal = panda.start(times_s=[0.6, 1.0], positions=[[0.1], [0.3]], goal_time_s=0.3,
+                       goal_tolerance=at_most(position=1e-12))
+    panda.run(3.0, until=goal)
+    assert ended(goal) == LATE and 'slowed' not in goal.outcome.reason
+    assert goal.view.time_ns - begin_ns == 1_310_000_000
+
+
+def test_a_trajectory_that_ends_now_by_its_stamp_is_followed_and_an_older_one_is_not(panda):
+    panda.run(2.0)
+    start_ns = panda.simulation.time_ns - 1_000_000_000
+    with pytest.raises(GoalError) as error:
+        panda.start(start_ns=start_ns - 1)
+    assert error.value.code is GoalCode.OLD_HEADER_TIMESTAMP
+    goal = panda.start(start_ns=start_ns)
+    panda.run(2.0, until=goal)
+    assert ended(goal) == SUCCESS
+
+
+@pytest.mark.parametrize('end', [-2.8973, 2.8973])
+@pytest.mark.parametrize(('tolerance', 'most'), [((), 0.01), (at_most(0.1), 0.1),
+                                                 (at_most(0.001), 0.001)])
+def test_the_last_point_may_be_beyond_the_range_by_the_tolerance(panda, end, tolerance, most):
+    for share, starts in ((0.99, True), (1.01, False)):
+        point = end + np.sign(end) * share * most
+        if starts:
+            panda.start(positions=[[point]], goal_tolerance=tolerance)
+            continue
+        with pytest.raises(GoalError, match='its range ends at') as error:
+            panda.start(positions=[[point]], goal_tolerance=tolerance)
+        assert error.value.code is GoalCode.INVALID_GOAL
+
+
+@pytest.mark.parametrize(('speed', 'stands'), [
+    (0.0099, True), (-0.0099, True), (0.0101, False), (-0.0101, False)])
+def test_a_joint_stands_still_below_a_hundredth_per_second(panda, speed, stands):
+    goal = panda.start(goal_tolerance=at_most(position=10.0))
+    panda.run(0.01)
+    goal.command.handle.end(Status.DONE)
+    panda.simulation.data.joint(J1).qvel[0] = speed
+    goal.check(panda.simulation)
+    assert (ended(goal) == SUCCESS) == stands
+
+
 def test_goal_in_another_mode_is_rejected(panda):
     panda.simulation.robot.set_control_mode('arm', 'velocity')
     with pytest.raises(GoalError, match='in position mode only') as error:
