@@ -229,6 +229,17 @@ def test_goal_is_approached_no_faster_than_the_client_wants(panda):
     assert np.median(speeds) == pytest.approx(0.02, rel=0.02) and max(speeds) < 0.0205
 
 
+def test_a_goal_of_a_velocity_that_is_where_the_finger_is_leaves_it_there(panda):
+    panda.run(goal=panda.start(0.02))
+    panda.run(0.5)
+    panda.simulation.data.joint(FINGER).qpos[0] = 0.02
+    goal = panda.start(0.02, max_velocity=0.02)
+    panda.run(0.1)
+    assert goal.outcome.ending is Ending.SUCCEEDED
+    assert panda.simulation.diverged is None
+    assert panda.where() == pytest.approx(0.02, abs=1e-4)
+
+
 def test_cancelled_goal_stops_the_fingers(panda):
     panda.run(goal=panda.start(0.0))
     goal = panda.start(0.04)
