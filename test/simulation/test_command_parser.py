@@ -297,3 +297,49 @@ def test_commands_are_told_apart_by_identity_and_not_by_what_they_say(panda_sim)
     assert len({type(command) for command in commands}) == 3
     for command in commands:
         assert copy.copy(command) != command == command
+
+
+def trajectory_of(simulation, times_s, positions, start_s=0.0, names=(J1,)):
+    """Return the command for a trajectory that is parsed at ten seconds."""
+    return simulation.robot.parse.trajectory(
+        'arm', list(names), times_s, positions, start_ns=round(start_s * 1e9), now_ns=10**10)
+
+
+@pytest.mark.parametrize(('start_s', 'time_s', 'slowed', 'kept'), [
+    (9.5, 2.0, False, True), (9.5, 0.51, True, False), (10.5, 0.01, True, True),
+    (10.5, 2.0, False, True), (10.0, 0.01, True, True)])
+def test_a_trajectory_begins_now_if_it_is_under_way_and_has_to_be_slowed_down(
+        panda_sim, start_s, time_s, slowed, kept):
+    command = trajectory_of(panda_sim, [time_s], [[1.0]], start_s)
+    assert (command.slowed > 1.0) == slowed
+    assert command.start_ns == (round(start_s * 1e9) if kept else 0)
+
+
+def test_a_trajectory_may_begin_in_an_hour_and_not_later(panda_sim):
+    assert trajectory_of(panda_sim, [1.0], [[0.1]], 3609.9).start_ns == 3_609_900_000_000
+    with pytest.raises(CommandError, match='would start in 3600 s'):
+        trajectory_of(panda_sim, [1.0], [[0.1]], 3610.1)
+
+
+def test_a_trajectory_has_not_ended_before_its_last_point(panda_sim):
+    assert trajectory_of(panda_sim, [0.2, 2.0], [[0.1], [0.2]], 9.5).start_ns == 9_500_000_000
+
+
+def test_a_trajectory_may_have_ten_thousand_points(panda_sim):
+    command = trajectory_of(panda_sim, 0.01 * np.arange(1.0, 10_001.0), np.zeros((10_000, 1)))
+    assert len(command.trajectory.times_s) == 10_000
+
+
+def test_a_trajectory_is_slowed_down_a_thousand_times_at_most(panda_sim):
+    whole = 0.01 * trajectory_of(panda_sim, [0.01], [[1.0]]).slowed
+    slowed = trajectory_of(panda_sim, [whole / 999.9], [[1.0]]).slowed
+    assert slowed == pytest.approx(999.9)
+    with pytest.raises(CommandError, match='would have to move'):
+        trajectory_of(panda_sim, [whole / 1000.1], [[1.0]])
+
+
+def test_the_joint_that_is_farthest_above_its_own_limit_is_told(panda_sim):
+    # The limit of the last joint is 2.61 rad/s.
+    here = float(panda_sim.data.joint('robot0_joint7').qpos[0])
+    with pytest.raises(CommandError, match="'robot0_joint1' would .* its limit is 2.175$"):
+        trajectory_of(panda_sim, [1e-4], [[1.0, here + 1.1]], names=[J1, 'robot0_joint7'])

@@ -31,3 +31,14 @@ def test_shapes_that_are_only_seen_are_left_out_unless_they_are_wanted():
 def test_no_command_has_come_too_late_at_the_start():
     timeouts = whole_robot('PandaOmron').robot.joints.timeouts
     assert {'arm', 'torso', 'base'} <= set(timeouts) and set(timeouts.values()) == {0}
+
+
+@pytest.mark.parametrize('part', ['arm', 'right/gripper'])
+def test_a_robot_moves_and_does_not_rest_while_its_joints_or_its_fingers_move(panda_sim, part):
+    robot = panda_sim.robot
+    panda_sim.advance(1)
+    assert robot.resting and not robot.moving
+    length = robot.grippers[part].dof if part in robot.grippers else 7
+    robot.apply(robot.parse.action(part, [0.5] * length))
+    panda_sim.advance(1)
+    assert robot.moving and not robot.resting
