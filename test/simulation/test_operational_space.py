@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.simulation.cartesian.frames import rotation_of_vector, rotation_vector
 from manip_sim.simulation.cartesian.operational_space import wanted_motion
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 
@@ -230,3 +231,11 @@ def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():
     np.testing.assert_allclose(slow.twist, free.twist / 4.0, atol=1e-12)
     np.testing.assert_allclose(slow.joints, free.joints / 4.0, atol=1e-12)
     assert slow.slowed and not free.slowed
+
+
+@pytest.mark.parametrize('axis', [[1.0, 0.0, 0.0], [0.0, -0.6, 0.8], [-2 / 3, 2 / 3, 1 / 3]])
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 0.5, 2.0, 3.14])
+def test_a_rotation_vector_has_the_axis_and_the_angle_of_the_rotation(axis, angle):
+    vector = angle * np.array(axis)
+    np.testing.assert_allclose(rotation_of_vector(vector), turned(axis, angle), atol=1e-12)
+    np.testing.assert_allclose(rotation_vector(turned(axis, angle)), vector, atol=1e-12)
