@@ -224,6 +224,12 @@ def test_writing_what_is_told_mends_a_joint_without_actuator():
     assert defects_of(chain('"a"'), f'<actuator>{motor}</actuator>') == []
 
 
+def test_what_mends_one_joint_without_actuator_is_told_to_be_for_each_of_several():
+    one, several = (defects_of(chain(*joints))[0].remedy for joints in (('"a"',), ('"a"', '"b"')))
+    assert ', and so for each of them' not in one
+    assert ', and so for each of them' in several
+
+
 TENDON = '<tendon><fixed name="t"><joint joint="a" coef="1"/><joint joint="b" coef="1"/></fixed>'
 SPRING = TENDON.replace('<fixed ', '<fixed stiffness="1" ')
 SPATIAL = """<tendon><spatial name="s"><site site="at_root"/><site site="at_tip"/></spatial>
