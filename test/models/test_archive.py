@@ -18,8 +18,10 @@ import pytest
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.arenas import Arena, TableArena
+from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.xml_check import XmlFacts
 
 MENAGERIE = Path(os.environ.get('MENAGERIE_ROOT') or 'no_menagerie')
 
@@ -225,6 +227,22 @@ def test_a_mesh_that_is_added_in_python_travels_along(part, arm_class, loads):
     assert edges_m(world.compile()) == {'robot0_a': 0.1, 'robot0_b': 0.2}
     model = mujoco.MjSpec.from_zip(io.BytesIO(world.to_archive())).compile()
     assert edges_m(model) == {'robot0_a': 0.1, 'robot0_b': 0.2}
+
+
+@pytest.mark.parametrize('facts', [None, XmlFacts(False, [], {})])
+def test_files_are_named_by_absolute_paths_whatever_is_before_them(facts, tmp_path):
+    spec = mujoco.MjSpec()
+    for name in 'ab':
+        (tmp_path / f'{name}.obj').write_bytes(tetrahedron(0.1))
+    before = [tmp_path / 'a.obj', 'b.obj']
+    if facts is not None:
+        spec.assets = {'held.obj': tetrahedron(0.2)}
+        before.insert(0, 'held.obj')
+    for file in before:
+        spec.add_mesh(name=Path(file).stem, file=str(file))
+    resolve_files(spec, tmp_path / 'model.xml', facts)
+    assert [mesh.file for mesh in spec.meshes][-2:] == [
+        str(tmp_path / 'a.obj'), str(tmp_path / 'b.obj')]
 
 
 def test_an_archive_is_the_same_each_time(part, arm_class):

@@ -109,10 +109,11 @@ def test_the_fingers_point_away_from_the_arm_however_the_file_lays_the_hand(tmp_
 
 
 @pytest.mark.parametrize('collides', ['', 'contype="0"', 'conaffinity="0"'])
-def test_a_palm_far_behind_its_frame_is_put_in_front_of_the_mount(collides, tmp_path):
+@pytest.mark.parametrize('pose', ['', 'quat="0 1 0 1"', 'pos="0 0 0.3" quat="0 1 0 0"'])
+def test_a_palm_far_behind_its_frame_is_put_in_front_of_the_mount(collides, pose, tmp_path):
     text = HAND.replace('size="0.03 0.04 0.01"',
                         f'size="0.03 0.04 0.045" pos="0 0 -0.045" {collides}')
-    hand = load_gripper(write(tmp_path / 'hand.xml', text.replace('quat="0 1 0 1"', '')))
+    hand = load_gripper(write(tmp_path / 'hand.xml', text.replace('quat="0 1 0 1"', pose)))
     model = hand.compile()
     np.testing.assert_allclose(model.body('gripper0_palm').pos, [0.0, 0.0, 0.09], atol=1e-9)
     assert 'mount: 0.090 m along z, so that the palm is in front of it' in hand.inferred

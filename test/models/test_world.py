@@ -273,7 +273,8 @@ def test_a_timestep_that_is_no_time_is_rejected(timestep_s):
         World([Panda()], timestep_s=timestep_s)
 
 
-@pytest.mark.parametrize('nanoseconds', [100_000, 333_333, 1_000_001, 1_666_667, 9_999_999])
+@pytest.mark.parametrize(
+    'nanoseconds', [100_000, 300_000, 333_333, 1_000_001, 1_666_667, 9_999_999])
 def test_any_whole_number_of_nanoseconds_is_a_timestep(nanoseconds):
     assert World([Panda()], timestep_s=nanoseconds / 1e9).timestep_s == nanoseconds / 1e9
     assert World([Panda()], timestep_s=nanoseconds * 1e-9).timestep_s == nanoseconds * 1e-9

@@ -260,6 +260,16 @@ def test_joint_command_to_what_is_no_position_servo_is_rejected(hand_sim, actuat
         simulation.robot.parse.joint_command([LEFT], [0.01])
 
 
+def test_a_start_that_violates_a_coupling_is_one_that_satisfies_it(hand_sim, hand_class):
+    hand_class.init_qpos = [0.03, 0.01]
+    simulation = hand_sim(SERVO.format('left'))
+    left, right = fingers(simulation)
+    assert left == pytest.approx(right, abs=1e-5)
+    assert 0.01 < left < 0.03
+    simulation.reset()
+    np.testing.assert_array_equal(fingers(simulation), [left, right])
+
+
 @pytest.mark.parametrize('second', [
     '<velocity name="damper" joint="left" kv="5" ctrlrange="-1 1"/>',
     '<position name="damper" joint="left" kp="5" ctrlrange="0 1"/>'])

@@ -127,8 +127,8 @@ def test_start_after_the_last_point_leaves_that():
 def test_slowed_motion_has_the_same_path():
     random = np.random.default_rng(4)
     times, points = np.array([0.5, 0.9, 2.0]), random.normal(size=(3, 2))
-    speeds, bends = random.normal(size=(2, 3, 2))
-    for derivatives in ((), (speeds,), (speeds, bends)):
+    velocities, accelerations = random.normal(size=(2, 3, 2))
+    for derivatives in ((), (velocities,), (velocities, accelerations)):
         trajectory = spline(times, points, *derivatives, start=np.zeros(2), speed=np.zeros(2))
         slow = trajectory.slowed(3.0)
         slow.begin_at(np.zeros(2), np.zeros(2))
@@ -139,11 +139,14 @@ def test_slowed_motion_has_the_same_path():
                 np.testing.assert_allclose(slower, value / 3.0**power, atol=1e-9)
 
 
-def test_rest_of_a_path_is_slowed_from_a_time_on():
-    trajectory = spline([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
-    slow = trajectory.slowed(2.0, from_s=1.5)
-    np.testing.assert_allclose(slow.times_s, [1.0, 3.0])
-    np.testing.assert_allclose(slow.positions[:, 0], [2.0, 3.0])
+@pytest.mark.parametrize(('from_s', 'times_s'), [
+    (0.0, [0.0, 1.0, 4.0, 6.0]), (0.2, [0.6, 3.6, 5.6]), (0.5, [3.0, 5.0]), (1.5, [1.0, 3.0]),
+    (4.0, [0.0])])
+def test_rest_of_a_path_is_slowed_from_a_time_on(from_s, times_s):
+    trajectory = Trajectory(np.array([0.0, 0.5, 2.0, 3.0]), np.arange(4.0)[:, None])
+    slow = trajectory.slowed(2.0, from_s)
+    np.testing.assert_allclose(slow.times_s, times_s)
+    np.testing.assert_allclose(slow.positions[:, 0], np.arange(4.0)[-len(times_s):])
 
 
 def test_highest_velocity_is_that_of_a_fine_sampling():
