@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _ABOVE_FLOOR = 0.01
 #: How long couplings are simulated to bring their joints to the start [s].
 _SETTLE_S = 0.5
-#: The period of the commands that open grippers, and their number.
-_OPENING_PERIOD_S, _OPENING_PERIODS = 0.05, 240
+#: How long grippers are given to open; the slowest one takes ten seconds [s].
+_OPENING_S = 12.0
 #: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
 
@@ -142,12 +142,10 @@ def _start_of(world: World, grippers_open: bool = False) -> tuple[Any, Any]:
 
 
 def _open_grippers(simulation: Simulation) -> None:
-    for _ in range(_OPENING_PERIODS):
-        for robot in simulation.robots.values():
-            for part, gripper in robot.grippers.items():
-                robot.apply(robot.parse.action(part, [-1.0] * gripper.dof),
-                            period_s=_OPENING_PERIOD_S)
-        simulation.advance(round(_OPENING_PERIOD_S / simulation.timestep_s))
+    for robot in simulation.robots.values():
+        for part, gripper in robot.grippers.items():
+            robot.apply(robot.parse.action(part, [-1.0] * gripper.dof))
+    simulation.advance(round(_OPENING_S / simulation.timestep_s))
 
 
 def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:

@@ -315,10 +315,10 @@ class SetpointGenerator:
 
     def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:
         """Return velocities, at the end of an interval, that allow braking within the range."""
-        bend = self._acceleration_limit * duration_s / 2.0
+        change = self._acceleration_limit * duration_s / 2.0
         highest, lowest = (
-            np.sqrt(np.maximum(bend**2 + 2.0 * self._acceleration_limit * np.maximum(
-                distance - towards * duration_s / 2.0, 0.0), 0.0)) - bend
+            np.sqrt(np.maximum(change**2 + 2.0 * self._acceleration_limit * np.maximum(
+                distance - towards * duration_s / 2.0, 0.0), 0.0)) - change
             for distance, towards in ((np.minimum(self._high - self.position, 1e6), self._stream),
                                       (np.minimum(self.position - self._low, 1e6), -self._stream)))
         return np.where(self._seeks, velocity, np.clip(velocity, -lowest, highest))
@@ -340,7 +340,7 @@ def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float)
     :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
     :param interval_s: [s]
     """
-    size, bend = np.minimum(np.abs(distance), 1e6), limit * interval_s
-    # The root of v^2 + 2 bend v = 2 limit size, written so that it is exact for small sizes.
+    size, change = np.minimum(np.abs(distance), 1e6), limit * interval_s
+    # The root of v^2 + 2 change v = 2 limit size, written so that it is exact for small sizes.
     return np.asarray(np.sign(distance) * 2.0 * limit * size / (
-        bend + np.sqrt(bend**2 + 2.0 * limit * size)))
+        change + np.sqrt(change**2 + 2.0 * limit * size)))

@@ -176,8 +176,8 @@ def _quintic(times: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> 
     h = np.diff(times)[:, None]
     rest = np.diff(p, axis=0) - v[:-1] * h - a[:-1] * h**2 / 2.0
     speed = (v[1:] - v[:-1] - a[:-1] * h) * h
-    bend = (a[1:] - a[:-1]) * h**2
+    change = (a[1:] - a[:-1]) * h**2
     return np.stack([p[:-1], v[:-1], a[:-1] / 2.0,
-                     (10.0 * rest - 4.0 * speed + bend / 2.0) / h**3,
-                     (-15.0 * rest + 7.0 * speed - bend) / h**4,
-                     (6.0 * rest - 3.0 * speed + bend / 2.0) / h**5], axis=1)
+                     (10.0 * rest - 4.0 * speed + change / 2.0) / h**3,
+                     (-15.0 * rest + 7.0 * speed - change) / h**4,
+                     (6.0 * rest - 3.0 * speed + change / 2.0) / h**5], axis=1)

@@ -190,9 +190,9 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     whole = 1.0 + present * interval_s
     possible = float((joints.acceleration_limit / size).min())
     limit = _BRAKING * possible
-    bend = limit * interval_s / 2.0
-    root = bend**2 + 2.0 * limit * (whole - present * interval_s / 2.0)
-    braking = math.sqrt(max(root, 0.0)) - bend
+    change = limit * interval_s / 2.0
+    root = change**2 + 2.0 * limit * (whole - present * interval_s / 2.0)
+    braking = math.sqrt(max(root, 0.0)) - change
     # All joints gain speed evenly, so that the path is straight from the beginning.
     return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
                max(whole, 0.0) * min(_APPROACH / interval_s, _MAX_RATE),
