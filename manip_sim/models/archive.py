@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pack a spec and the files that it refers to into a zip archive that loads on any machine."""
+"""Pack a model and the files that it refers to into a zip archive that loads on any machine."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from pathlib import Path, PurePosixPath
 import re
 from xml.etree import ElementTree
 import zipfile
-
-import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
@@ -26,18 +24,19 @@ _FOLDER = 'assets'
 _NAMES_A_FILE = re.compile(r'file(right|left|up|down|front|back)?')
 
 
-def pack(spec: mujoco.MjSpec) -> bytes:
+def pack(xml: str, assets: Mapping[str, bytes | str]) -> bytes:
     """
-    Return a zip of the spec's XML, ``model.xml``, and its files, in the folder ``assets``.
+    Return a zip of a model's XML, ``model.xml``, and its files, in the folder ``assets``.
 
     Files of equal content and suffix are packed once; those of equal name and different content
-    get a number. The same spec gives the same bytes.
+    get a number. The same model gives the same bytes.
 
-    :param spec: compiled; it names its files by absolute paths, or has them in ``spec.assets``
+    :param xml: MJCF that names its files by absolute paths, or as they are named in ``assets``
+    :param assets: contents of files by their name
     :raises ModelError: if a file cannot be read, or is neither in the assets nor an absolute path
     """
-    root = ElementTree.fromstring(spec.to_xml())
-    files = _Files(spec.assets or {})
+    root = ElementTree.fromstring(xml)
+    files = _Files(assets)
     for element in root.iter():
         for attribute, value in element.items():
             if value and _NAMES_A_FILE.fullmatch(attribute):
@@ -48,7 +47,7 @@ def pack(spec: mujoco.MjSpec) -> bytes:
 class _Files:
     """The files of an archive; each is read once."""
 
-    def __init__(self, held: Mapping[str, bytes]) -> None:
+    def __init__(self, held: Mapping[str, bytes | str]) -> None:
         self.contents: dict[str, bytes] = {}
         self._held = {PurePosixPath(name): content for name, content in held.items()}
         self._name_of_file: dict[str, str] = {}
@@ -63,10 +62,10 @@ class _Files:
     def _read(self, file: str) -> bytes:
         held = self._held.get(PurePosixPath(file))
         if held is not None:
-            return held if isinstance(held, bytes) else str(held).encode()
+            return held if isinstance(held, bytes) else held.encode()
         if not Path(file).is_absolute():
             raise ModelError(f'cannot pack {quoted(file)}: it is neither an absolute path nor in '
-                             'the assets of the spec')
+                             'the assets of the model')
         return read_file(Path(file), 'asset file', MAX_ASSET_BYTES)
 
     def _add(self, file: PurePosixPath, content: bytes) -> str:

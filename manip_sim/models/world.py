@@ -159,8 +159,7 @@ class World:
 
         :raises ModelError: with MuJoCo's message
         """
-        xml: str = self._compose_to_write().to_xml()
-        return xml
+        return self._written()[0]
 
     def to_archive(self) -> bytes:
         """
@@ -172,7 +171,16 @@ class World:
 
         :raises ModelError: with MuJoCo's message, or if a file cannot be read
         """
-        return pack(self._compose_to_write())
+        return pack(*self._written())
+
+    def to_xml_and_archive(self) -> tuple[str, bytes]:
+        """
+        Return what :meth:`to_xml` and :meth:`to_archive` do, composed once.
+
+        :raises ModelError: as they do
+        """
+        xml, assets = self._written()
+        return xml, pack(xml, assets)
 
     def to_urdf(self, robot: str | None = None) -> str:
         """
@@ -186,12 +194,13 @@ class World:
         from manip_sim.models.urdf_writer import urdf_of  # It imports this module.
         return urdf_of(self, robot).xml
 
-    def _compose_to_write(self) -> mujoco.MjSpec:
+    def _written(self) -> tuple[str, Mapping[str, bytes | str]]:
+        """Return the XML and the files, by their names in it, that are not on the disk."""
         spec = self.compose()
         # Parts may differ in compiler settings for masses that no file gives; the XML has one set.
         spec.compiler.saveinertial = True
         compile_spec(spec, self.name)
-        return spec
+        return spec.to_xml(), spec.assets or {}
 
     def init_qpos(self) -> dict[str, float]:
         """Return start positions by name of the joint of robots, bases and grippers [rad or m]."""

@@ -128,5 +128,6 @@ class ModelPublisher:
         self._publish(self._world.with_objects(simulation.plan.objects))
 
     def _publish(self, world: World) -> None:
-        self._mjcf.publish(String(data=world.to_xml()))
-        self._archive.publish(UInt8MultiArray(data=array('B', world.to_archive())))
+        xml, archive = world.to_xml_and_archive()
+        self._mjcf.publish(String(data=xml))
+        self._archive.publish(UInt8MultiArray(data=array('B', archive)))

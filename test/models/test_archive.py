@@ -249,6 +249,7 @@ def test_an_archive_is_the_same_each_time(part, arm_class):
     world = World([arm_class(part('robot', '<asset><mesh file="a.obj"/></asset>', MESH,
                                   a_obj=tetrahedron(0.1)))])
     assert world.to_archive() == world.to_archive()
+    assert world.to_xml_and_archive() == (world.to_xml(), world.to_archive())
 
 
 def test_a_file_that_is_gone_is_told(part, arm_class):

@@ -131,7 +131,7 @@ def test_streamed_sine_is_followed_in_full_and_on_time(name, frequency_hz):
     for joints in [everything] if frequency_hz <= 1.0 else [[joint] for joint in everything]:
         simulation.reset()
         begin, rows = simulation.step_count, []
-        for _ in range(round(3.0 / frequency_hz * 100)):
+        for _ in range(round(2.0 / frequency_hz * 100)):
             time_s = (simulation.step_count - begin) * 0.002
             ramp = min(1.0, time_s * frequency_hz)
             goals = middle + ramp * amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
@@ -257,7 +257,7 @@ def test_streamed_sine_of_velocities_is_followed_in_full_and_on_time(name, frequ
     for joints in [everything] if frequency_hz <= 1.0 else [[joint] for joint in everything]:
         simulation.reset()
         rows, begin = [], simulation.step_count
-        for _ in range(round(3.0 / frequency_hz * 100)):
+        for _ in range(round(2.0 / frequency_hz * 100)):
             time_s = (simulation.step_count - begin) * 0.002
             goals = min(1.0, time_s * frequency_hz) * amplitude[joints] * np.sin(
                 angle_rate * time_s)
