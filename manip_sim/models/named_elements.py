@@ -41,27 +41,26 @@ class NamedElements:
         """Record what is in the part, compiled alone."""
         self._own_model = alone
 
-        def names(count: int, kind: Callable[[int], Any], wanted: Iterable[int] | None = None
-                  ) -> list[str]:
-            ids = range(count) if wanted is None else wanted
-            return [kind(i).name for i in ids]
-
-        collides = (alone.geom_contype != 0) | (alone.geom_conaffinity != 0)
-        free = int(mujoco.mjtJoint.mjJNT_FREE)
-        not_free = np.flatnonzero(alone.jnt_type != free).tolist()
-        self._bodies = names(alone.nbody, alone.body)[1:]
-        self._joints = names(alone.njnt, alone.joint, not_free)
-        self._actuators = names(alone.nu, alone.actuator)
-        self._sites = names(alone.nsite, alone.site)
-        self._sensors = names(alone.nsensor, alone.sensor)
-        self._cameras = names(alone.ncam, alone.camera)
-        self._contact_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(collides).tolist())
-        self._visual_geoms = names(alone.ngeom, alone.geom, np.flatnonzero(~collides).tolist())
+        not_free = alone.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)
+        self._bodies = _names(alone.body, range(1, alone.nbody))
+        self._joints = _names(alone.joint, np.flatnonzero(not_free).tolist())
+        self._actuators = _names(alone.actuator, range(alone.nu))
+        self._sensors = _names(alone.sensor, range(alone.nsensor))
+        self._cameras = _names(alone.camera, range(alone.ncam))
+        self._record_shapes(alone, range(alone.nbody))
         self._check_important('site', self._important_sites.values(), self._sites)
         self._check_important('sensor', self._important_sensors.values(), self._sensors)
-        geoms = self._contact_geoms + self._visual_geoms
+
+    def _record_shapes(self, model: mujoco.MjModel, bodies: Iterable[int]) -> None:
+        """Record the sites and geoms of some bodies."""
+        own = list(bodies)
+        here = np.isin(model.geom_bodyid, own)
+        collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        self._sites = _names(model.site, np.flatnonzero(np.isin(model.site_bodyid, own)).tolist())
+        self._contact_geoms = _names(model.geom, np.flatnonzero(here & collides).tolist())
+        self._visual_geoms = _names(model.geom, np.flatnonzero(here & ~collides).tolist())
         for group in self._important_geoms.values():
-            self._check_important('geom', group, geoms)
+            self._check_important('geom', group, self._contact_geoms + self._visual_geoms)
 
     def _check_important(self, kind: str, wanted: Iterable[str], existing: list[str]) -> None:
         for name in wanted:
@@ -196,3 +195,7 @@ class NamedElements:
     def dof(self) -> int:
         """Number of :attr:`joints`."""
         return len(self._joints)
+
+
+def _names(kind: Callable[[int], Any], ids: Iterable[int]) -> list[str]:
+    return [kind(i).name for i in ids]

@@ -19,6 +19,7 @@ from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
+from manip_sim.models.spec_edits import delete_elements
 
 if TYPE_CHECKING:
     from manip_sim.models.robots.robot_model import RobotModel
@@ -61,33 +62,54 @@ class OwnHand(HandFromFile, registered=False):
                         if int(tree.model.jnt_type[joint]) != 0]
         self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
 
-    def bind(self, robot: RobotModel) -> None:
-        """Record the elements of the hand in the robot's compiled model."""
+    def bind(self, robot: RobotModel, model: mujoco.MjModel) -> None:
+        """
+        Record the elements of the hand.
+
+        :param robot: with this hand
+        :param model: the robot, compiled alone
+        """
         self._robot = robot
         self.file = robot.file
-        model = self._own_model = robot._own_model
+        self._own_model = model
         tree = BodyTree(model)
         bodies = tree.below(int(model.body(self._body).id))
         self._bodies = [tree.name(body) for body in sorted(bodies)]
-        self._sites = [site for site in robot._sites
-                       if int(model.site_bodyid[model.site(site).id]) in bodies]
         self._sensors = list(self._important_sensors.values())
         self._cameras = []
-        geoms = {str(model.geom(g).name) for g in range(model.ngeom)
-                 if int(model.geom_bodyid[g]) in bodies}
-        self._contact_geoms = [geom for geom in robot._contact_geoms if geom in geoms]
-        self._visual_geoms = [geom for geom in robot._visual_geoms if geom in geoms]
-        for group in self._important_geoms.values():
-            self._check_important('geom', group, sorted(geoms))
+        self._record_shapes(model, bodies)
         hand = FoundHand(int(model.body(self._body).id),
                          tuple(int(model.joint(name).id) for name in self._joints),
                          tuple(int(model.actuator(name).id) for name in self._actuators))
         self._set_closing(Fingers(tree, hand, self._start), list(hand.actuators))
         self.current_action = np.zeros(self.dof)
 
+    @property
+    def names_in_file(self) -> set[str]:
+        """Names of its joints and actuators in the robot's file."""
+        return {*self._joints, *self._actuators}
+
+    def remove_from(self, spec: mujoco.MjSpec) -> None:
+        """
+        Delete the hand; a body that the arm moves remains, with nothing of the hand on it.
+
+        :param spec: of the robot
+        """
+        body = spec.body(self._body)
+        joints, moves = set(self._joints), len(body.joints) > 0
+        for child in list(body.bodies):
+            carries = joints.intersection(joint.name for joint in child.find_all('joint'))
+            if carries or child.name == self._eef_body or not moves:
+                spec.delete(child)
+        own = {*self._important_sites.values(), f'{self.idn}_hand_ft_frame'}
+        delete_elements(spec, [site for site in body.sites if site.name in own or not moves])
+        if not moves:
+            delete_elements(spec, [*body.geoms, *body.cameras, *body.lights])
+            body.explicitinertial = False
+            body.mass, body.inertia, body.fullinertia = 0.0, [0.0] * 3, [np.nan] + [0.0] * 5
+
     def refresh(self) -> None:
-        """Update the recorded lists, ranges and offsets after edits of the robot's spec."""
-        self.bind(self._robot)
+        """Change nothing: the hand is updated when the robot is, whose spec it shares."""
 
     @property
     def spec(self) -> Any:

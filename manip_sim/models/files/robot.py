@@ -15,7 +15,6 @@ from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
-from manip_sim.models.spec_edits import delete_elements
 
 
 class FileRobot(RobotModel, registered=False):
@@ -45,12 +44,12 @@ class FileRobot(RobotModel, registered=False):
     def _record(self) -> None:
         super()._record()
         hands = self._own_hands.values()
-        not_ours = {name for hand in hands for name in [*hand._joints, *hand._actuators]}
+        not_ours = set().union(*(hand.names_in_file for hand in hands))
         self._joints = [name for name in self._joints if name not in not_ours]
         self._actuators = [name for name in self._actuators
                            if name not in not_ours | self._plan.still]
         for hand in hands:
-            hand.bind(self)
+            hand.bind(self, self._own_model)
 
     @property
     def name(self) -> str:
@@ -144,18 +143,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         if hand is None:
             return
         del self._grippers[arm]
-        spec, body = self._spec, self._spec.body(hand._body)
-        joints, moves = set(hand._joints), len(body.joints) > 0
-        for child in list(body.bodies):
-            carries = joints.intersection(joint.name for joint in child.find_all('joint'))
-            if carries or child.name == hand._eef_body or not moves:
-                spec.delete(child)
-        own = {*hand._important_sites.values(), f'{arm}_hand_ft_frame'}
-        delete_elements(spec, [site for site in body.sites if site.name in own or not moves])
-        if not moves:
-            delete_elements(spec, [*body.geoms, *body.cameras, *body.lights])
-            body.explicitinertial = False
-            body.mass, body.inertia, body.fullinertia = 0.0, [0.0] * 3, [np.nan] + [0.0] * 5
+        hand.remove_from(self._spec)
         self._record()
         self.update_joints()
         self.update_actuators()
