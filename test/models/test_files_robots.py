@@ -149,6 +149,21 @@ def test_an_own_hand_goes_when_another_gripper_or_none_is_wanted(tmp_path, gripp
     np.testing.assert_allclose(model.body('robot0_link3').mass, expected.body('link3').mass)
 
 
+@pytest.mark.parametrize('side', ['right', 'left'])
+def test_one_own_hand_of_two_goes_and_the_other_stays_as_it_is(tmp_path, side):
+    file = write(tmp_path / 'pair.xml', TWO_ARMS)
+    other = {'right': 'left', 'left': 'right'}[side]
+    before = load_robot(file).grippers[other]
+    robot = load_robot(file)
+    robot.add_gripper(PandaGripper(), side)
+    after = robot.grippers[other]
+    assert (after.joints, after.actuators) == (before.joints, before.actuators)
+    np.testing.assert_allclose(after.init_qpos, before.init_qpos)
+    np.testing.assert_allclose(after.format_action([1.0]), before.format_action([1.0]))
+    # Four of the arms, one of the hand that stays, two of the Panda's.
+    assert robot.compile().nu == 7
+
+
 def test_two_arms_with_roots_of_their_own_are_one_robot(tmp_path):
     robot = load_robot(write(tmp_path / 'pair.xml', TWO_ARMS))
     assert robot.arm_type == 'bimanual'

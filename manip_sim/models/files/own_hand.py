@@ -81,7 +81,10 @@ class OwnHand(HandFromFile, registered=False):
         hand = FoundHand(int(model.body(self._body).id),
                          tuple(int(model.joint(name).id) for name in self._joints),
                          tuple(int(model.actuator(name).id) for name in self._actuators))
-        self._set_closing(Fingers(tree, hand, self._start), list(hand.actuators))
+        # Joints of the other arm's hand may have gone with it.
+        present = {model.joint(joint).name for joint in range(model.njnt)}
+        start = {name: value for name, value in self._start.items() if name in present}
+        self._set_closing(Fingers(tree, hand, start), list(hand.actuators))
         self.current_action = np.zeros(self.dof)
 
     @property
