@@ -64,6 +64,21 @@ def test_the_hand_goes_straight_and_within_all_limits():
     assert max(p @ along for p in path) < goal[0] @ along + 2e-4
 
 
+@pytest.mark.parametrize(('period_s', 'solutions'), [(0.002, 1), (0.01, 1), (0.02, 2),
+                                                     (0.05, 5)])
+def test_the_kinematics_is_solved_once_in_twelve_milliseconds(period_s, solutions, monkeypatch):
+    from manip_sim.simulation.cartesian import controller
+    op, solved, approach = hand_of('Panda', period_s=period_s), [], controller.approach
+
+    def counted(*arguments):
+        solved.append(1)
+        return approach(*arguments)
+    monkeypatch.setattr(controller, 'approach', counted)
+    op.go_to(op.reachable(0.5, 1))
+    op.run(4 * period_s)
+    assert len(solved) == 4 * solutions
+
+
 def test_a_target_that_jumps_leaves_the_setpoints_continuous():
     op = hand_of('Panda')
     limit = op.robot.joints._servos.acceleration_limit[op.robot.joints.indices_of('right')]

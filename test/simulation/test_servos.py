@@ -90,6 +90,14 @@ def test_effort_mode_floats_with_zero_effort(panda_sim, run):
     assert gives.tolist() == [True] + [False] * 6
 
 
+def test_the_reference_effort_is_that_of_the_command_and_zero_for_servos(panda_sim, run):
+    panda_sim.robot.set_control_mode('arm', 'effort')
+    command(panda_sim, 'effort', panda_sim.robot.joint_names[1], 0.5)
+    run(panda_sim, 0.05)
+    reference = panda_sim.robot.controller_state('arm').reference
+    np.testing.assert_array_equal(reference.effort, [0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize('joint', range(7))
 def test_velocity_mode_meets_the_velocity(panda_sim, run, joint):
     panda_sim.robot.set_control_mode('arm', 'velocity')
