@@ -108,6 +108,12 @@ def test_the_fingers_point_away_from_the_arm_however_the_file_lays_the_hand(tmp_
     assert turned == bool(pose)
 
 
+def test_fingers_that_reach_nowhere_tell_no_direction(tmp_path):
+    text = HAND.replace('pos="0 0 0.05"', 'pos="0 0 0.01"')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    assert not any('mount: turned' in said for said in hand.inferred)
+
+
 @pytest.mark.parametrize('collides', ['', 'contype="0"', 'conaffinity="0"'])
 @pytest.mark.parametrize('pose', ['', 'quat="0 1 0 1"', 'pos="0 0 0.3" quat="0 1 0 0"'])
 def test_a_palm_far_behind_its_frame_is_put_in_front_of_the_mount(collides, pose, tmp_path):

@@ -378,3 +378,12 @@ def test_position_outside_the_range_is_clamped_and_counted(panda):
     assert goal.command.clamped == 1
     panda.run(goal=goal)
     assert goal.view.reached
+
+
+def test_fingers_without_a_range_are_still_where_they_do_not_move(panda, monkeypatch):
+    joints, data = panda.robot.grippers[GRIPPER].joints, panda.simulation.data
+    monkeypatch.setattr(
+        joints, 'ranges', lambda names: np.tile([-math.inf, math.inf], (len(names), 1)))
+    assert joints.are_still(data)
+    data.joint(OTHER).qvel[0] = 0.5
+    assert not joints.are_still(data)

@@ -98,6 +98,14 @@ def test_the_reference_effort_is_that_of_the_command_and_zero_for_servos(panda_s
     np.testing.assert_array_equal(reference.effort, [0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
+def test_servos_need_no_force_for_joints_that_give_effort(panda_sim, run):
+    panda_sim.robot.set_control_mode('arm', 'effort')
+    before = panda_sim.data.act[:7].copy()
+    command(panda_sim, 'effort', panda_sim.robot.joint_names[1], 0.0)
+    run(panda_sim, 0.01)
+    np.testing.assert_allclose(np.delete(panda_sim.data.act[:7] - before, 1), 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize('joint', range(7))
 def test_velocity_mode_meets_the_velocity(panda_sim, run, joint):
     panda_sim.robot.set_control_mode('arm', 'velocity')

@@ -285,3 +285,20 @@ def test_robot_without_grippers_has_no_end_effectors(one_joint_arm):
     simulation = Simulation(World([one_joint_arm()]))
     simulation.advance(1)
     assert simulation.robot.state().end_effectors == {}
+
+
+@pytest.mark.parametrize(('timestep_s', 'steps', 'intervals'), [
+    (0.002, 5, [0.004, 0.004, 0.002]), (0.0015, 8, [0.0045, 0.0045, 0.003]),
+    (0.001, 4, [0.004]), (0.005, 2, [0.005, 0.005])])
+def test_setpoints_move_in_intervals_of_whole_steps_of_about_four_milliseconds(
+        timestep_s, steps, intervals, monkeypatch):
+    simulation, seen = Simulation(compose('Panda', timestep_s=timestep_s)), []
+    robot, tick = simulation.robot, simulation.robot.tick
+
+    def noted(duration_s):
+        seen.append(duration_s)
+        tick(duration_s)
+    monkeypatch.setattr(robot, 'tick', noted)
+    robot.apply(*robot.parse.joint_command(robot.joints.names[:1], position=[0.5]))
+    simulation.advance(steps)
+    np.testing.assert_allclose(seen, intervals)
