@@ -164,6 +164,13 @@ def test_one_own_hand_of_two_goes_and_the_other_stays_as_it_is(tmp_path, side):
     assert robot.compile().nu == 7
 
 
+@pytest.mark.parametrize(('gripper', 'actuators'), [
+    ('none', 4), ({'left': 'none'}, 5), ({'right': 'none'}, 5), ('PandaGripper', 8)])
+def test_own_hands_of_two_arms_go_where_others_or_none_are_wanted(tmp_path, gripper, actuators):
+    robot = compose_robot(write(tmp_path / 'pair.xml', TWO_ARMS), gripper)
+    assert robot.compile().nu == actuators
+
+
 def test_two_arms_with_roots_of_their_own_are_one_robot(tmp_path):
     robot = load_robot(write(tmp_path / 'pair.xml', TWO_ARMS))
     assert robot.arm_type == 'bimanual'
