@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _ABOVE_FLOOR = 0.01
 #: How long couplings are simulated to bring their joints to the start [s].
 _SETTLE_S = 0.5
-#: How long grippers are given to open; the slowest one takes ten seconds [s].
+#: How long grippers are given to open; the slowest one takes eight to nine seconds [s].
 _OPENING_S = 12.0
 #: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))

@@ -13,6 +13,7 @@ from sampling import Driven, sampled, whole_robot
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
+from manip_sim.simulation.cartesian import controller
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.spawning import plan_with
 
@@ -67,7 +68,6 @@ def test_the_hand_goes_straight_and_within_all_limits():
 @pytest.mark.parametrize(('period_s', 'solutions'), [(0.002, 1), (0.01, 1), (0.02, 2),
                                                      (0.05, 5)])
 def test_the_kinematics_is_solved_once_in_twelve_milliseconds(period_s, solutions, monkeypatch):
-    from manip_sim.simulation.cartesian import controller
     op, solved, approach = hand_of('Panda', period_s=period_s), [], controller.approach
 
     def counted(*arguments):
