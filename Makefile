@@ -2,7 +2,7 @@
 # make pick   in a second shell: pick the cube up
 # make view   in another shell: see and drive it in the browser
 # make test   set up and run all tests, four files at a time (TEST_JOBS=4)
-# make lint   style and types
+# make lint   style, docstrings and types
 # make coverage  the same, and which lines no test runs
 # make mutate    change 150 places of the code, one by one, and see which changes no test finds
 #                (MUTATE_ARGS=--help)
@@ -22,6 +22,7 @@ RUN_ARGS ?= --ros-args -p arena:=table
 VIEW_ARGS ?=
 PYTEST_ARGS ?=
 TEST_JOBS ?= 4
+PYTHON_SOURCES = manip_sim test benchmark docs setup.py
 # The files begin in the order of test/conftest.py.
 TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150
@@ -79,7 +80,8 @@ mutate: $(MUTATE_READY)
 	$(BIN)/python test/mutation/mutate.py $(MUTATE_ARGS)
 
 lint: $(TEST_READY)
-	$(BIN)/python -m ruff check manip_sim test benchmark docs setup.py
+	$(BIN)/python -m ruff check $(PYTHON_SOURCES)
+	$(BIN)/python -m flake8 $(PYTHON_SOURCES)
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy benchmark/*.py benchmark/targets/*.py
 

@@ -51,8 +51,8 @@ nitpick_ignore_regex = [
     ('py:(attr|data)', '.*'),
     # Classes and functions that the documented ones use.
     ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
-                        r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera|InitializationNoise'
-                        r'|create_camera)'),
+                        r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera'
+                        r'|InitializationNoise|create_camera)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.

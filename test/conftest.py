@@ -57,7 +57,7 @@ LONGEST = (
     'ros/test_soak.py', 'cli/test_cli_render.py', 'ros/test_parameters.py',
     'ros/test_camera_topics.py', 'moveit/test_moveit_package.py', 'ros/test_commands.py',
     'ros/test_start.py', 'models/test_add_your_own.py', 'ros/test_bad_input.py',
-    'ros/test_topic_hardware.py', 'test_flake8.py', 'rendering/test_catalogue_cameras.py',
+    'ros/test_topic_hardware.py', 'rendering/test_catalogue_cameras.py',
     'test_typing.py')
 
 
