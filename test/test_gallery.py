@@ -21,6 +21,17 @@ def run_gallery(*arguments, **environment):
         timeout=120)
 
 
+@pytest.fixture(scope='module')
+def gallery(tmp_path_factory, renderer):
+    """Return the folder with pictures of a robot, a gripper and two bases."""
+    pytest.importorskip('PIL', reason='pillow is in the extra gallery')
+    folder = tmp_path_factory.mktemp('gallery')
+    done = run_gallery('--output', folder, 'Panda', 'PandaGripper', 'RethinkMount',
+                       'RethinkMinimalMount')
+    assert (done.returncode, done.stdout) == (0, ''), done.stderr
+    return folder
+
+
 def test_help_names_the_folder_and_the_extra():
     done = run_gallery('--help')
     assert done.returncode == 0
@@ -36,13 +47,12 @@ def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
     assert not (tmp_path / 'gallery').exists()
 
 
-def test_grippers_and_bases_have_folders_and_contact_sheets_of_their_own(tmp_path, renderer):
-    pytest.importorskip('PIL', reason='pillow is in the extra gallery')
-    done = run_gallery('--output', tmp_path, 'PandaGripper', 'RethinkMount')
-    assert done.returncode == 0, done.stderr
-    files = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob('*.png')}
-    assert files == {'grippers/PandaGripper.png', 'grippers/contact_sheet.png',
-                     'bases/RethinkMount.png', 'bases/contact_sheet.png'}
+def test_grippers_and_bases_have_folders_and_contact_sheets_of_their_own(gallery):
+    files = {str(file.relative_to(gallery)) for file in gallery.rglob('*') if file.is_file()}
+    assert files == {
+        'Panda.png', 'contact_sheet.png',
+        'grippers/PandaGripper.png', 'grippers/contact_sheet.png',
+        'bases/RethinkMount.png', 'bases/RethinkMinimalMount.png', 'bases/contact_sheet.png'}
 
 
 def test_a_part_without_shapes_is_told_where_it_is_asked_for(tmp_path):
@@ -65,16 +75,11 @@ def test_every_part_with_shapes_is_in_the_gallery_of_the_documentation():
     assert shown == {*robot_names(), *(f'{folder}/{name}' for folder, name in with_shapes)}
 
 
-def test_a_robot_is_rendered_small_and_in_colour(tmp_path, renderer):
-    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
-    done = run_gallery('--output', tmp_path, 'Panda')
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == ''
-    files = sorted(file.name for file in tmp_path.iterdir())
-    assert files == ['Panda.png', 'contact_sheet.png']
-    for file in tmp_path.iterdir():
-        assert file.stat().st_size < 150_000
-    picture = image.open(tmp_path / 'Panda.png').convert('RGB')
+def test_a_robot_is_rendered_small_and_in_colour(gallery):
+    from PIL import Image
+    for name in ('Panda.png', 'contact_sheet.png'):
+        assert (gallery / name).stat().st_size < 150_000
+    picture = Image.open(gallery / 'Panda.png').convert('RGB')
     assert picture.size == (800, 540)
     # The arm is white, the pedestal black; a picture of nothing has neither.
     left = picture.crop((0, 0, 400, 540)).getcolors(1 << 20)
@@ -85,11 +90,9 @@ def test_a_robot_is_rendered_small_and_in_colour(tmp_path, renderer):
 @pytest.mark.parametrize(('name', 'width', 'height'), [
     ('Panda', 400, 540), ('bases/RethinkMinimalMount', 300, 405)])
 def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, width, height,
-                                                                        tmp_path, renderer):
-    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
-    chops = pytest.importorskip('PIL.ImageChops', reason='pillow is in the extra gallery')
-    assert run_gallery('--output', tmp_path, Path(name).name).returncode == 0
-    picture = image.open(tmp_path / f'{name}.png').convert('RGB')
+                                                                        gallery):
+    from PIL import Image, ImageChops
+    picture = Image.open(gallery / f'{name}.png').convert('RGB')
     assert picture.size == (2 * width, height)
     sizes = []
     for left in (0, width):
@@ -97,7 +100,7 @@ def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, wi
         backdrop = view.getpixel((0, 0))
         # No tiles, no horizon, no haze.
         assert {view.getpixel((x, y)) for x in (0, width - 1) for y in range(height)} == {backdrop}
-        shown = chops.difference(view, image.new('RGB', view.size, backdrop)).getbbox()
+        shown = ImageChops.difference(view, Image.new('RGB', view.size, backdrop)).getbbox()
         sizes.append((shown[2] - shown[0], shown[3] - shown[1]))
         assert max(sizes[-1][0] / width, sizes[-1][1] / height) > 0.9
     assert all(abs(one - other) < 0.03 * height for one, other in zip(*sizes))

@@ -1,24 +1,47 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim render``: pictures, each by a process of its own."""
+"""``manip_sim render``: pictures, by processes in which MuJoCo renders without a screen."""
 
+import json
 from pathlib import Path
+import subprocess
+import sys
 
 import pytest
 
 pytest.importorskip('PIL', reason='pillow is in the extra gallery')
 from PIL import Image, ImageChops, ImageStat  # noqa: E402
 
+SOURCE = Path(__file__).resolve().parents[2]
+#: Runs commands, each a line of JSON, and tells their exit codes.
+COMMANDS = """
+import json, sys
+from manip_sim.cli.main import main
+for line in sys.stdin:
+    print(main(json.loads(line)), flush=True)
+"""
+
+
+@pytest.fixture(scope='module')
+def process(renderer):
+    """Return a process that runs one command after another, so that it starts only once."""
+    process = subprocess.Popen([sys.executable, '-c', COMMANDS], cwd=SOURCE, text=True,
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE)
+    yield process
+    assert process.communicate(timeout=60.0) == ('', '')
+
 
 @pytest.fixture
-def rendered(command, tmp_path, renderer):
+def rendered(process, tmp_path):
     """Return a function that renders and returns the picture."""
     def render(*arguments, name='picture.png'):
-        done = command('render', tmp_path / name, *arguments)
-        assert (done.returncode, done.stderr) == (0, '')
-        assert done.stdout == f'{tmp_path / name}\n'
-        with Image.open(tmp_path / name) as picture:
+        file = tmp_path / name
+        process.stdin.write(json.dumps(['render', str(file), *arguments]) + '\n')
+        process.stdin.flush()
+        assert [process.stdout.readline() for _ in range(2)] == [f'{file}\n', '0\n']
+        with Image.open(file) as picture:
             return picture.convert('RGB')
     return render
 
@@ -34,8 +57,11 @@ def difference(one, other):
     return max(ImageStat.Stat(ImageChops.difference(one, other)).mean)
 
 
-def test_a_robot_is_shown_from_two_sides(rendered):
-    picture = rendered('--size', '301x200')
+def test_a_robot_is_shown_from_two_sides(command, renderer):
+    done = command('render', 'picture.png', '--size', '301x200')
+    assert (done.returncode, done.stdout, done.stderr) == (0, 'picture.png\n', '')
+    with Image.open('picture.png') as image:
+        picture = image.convert('RGB')
     assert picture.size == (301, 200)
     left, right = picture.crop((0, 0, 150, 200)), picture.crop((151, 0, 301, 200))
     # The pedestal is black and is seen from both sides.

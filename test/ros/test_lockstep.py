@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.errors import CommandError
 
-CYCLES = 1000
+CYCLES = 500
 PERIOD_NS = 2_000_000
 BUSY = 'import time; end = time.time() + 120\nwhile time.time() < end: pass'
 

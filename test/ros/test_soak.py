@@ -13,7 +13,7 @@ SOAK = Path(__file__).parent.parent / 'soak' / 'soak.py'
 def test_the_soak_scripts_run_and_lose_nothing():
     done = subprocess.run(
         [sys.executable, str(SOAK), '--only', 'malformed', 'floods', 'stops', 'time',
-         '--messages', '500', '--flood', '0.5', '--stops', '2', '--hours', '0.003'],
+         '--messages', '500', '--flood', '0.1', '--stops', '2', '--hours', '0.003'],
         capture_output=True, text=True, timeout=100.0)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith('|')]

@@ -146,9 +146,10 @@ def floods(duration_s: float) -> list[Row]:
                 sent = flooder.communicate(timeout=20.0)[0].strip()
             p50, p99 = np.percentile(latencies, [50, 99])
             rows.append({
-                'load': f'flood of {what}', 'amount': f'{sent} messages/s for {duration_s:.0f} s',
+                'load': f'flood of {what}', 'amount': f'{sent} messages/s for {duration_s:g} s',
                 'result': f'real-time factor {factor:.3f}; service p50 {p50:.1f} ms, '
-                          f'p99 {p99:.1f} ms', 'growth': target.growth()})
+                          f'p99 {p99:.1f} ms, longest {max(latencies):.1f} ms',
+                'growth': target.growth()})
         target.check()
         target.stop()
     return rows
