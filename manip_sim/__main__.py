@@ -45,7 +45,7 @@ def main() -> int:
     # Nothing that is imported and built at the start is garbage; run() enables collection again.
     gc.disable()
     try:
-        from manip_sim.without_opengl import import_mujoco
+        from manip_sim.startup import import_mujoco
         import_mujoco()
         from manip_sim.ros.main import run
     except ModuleNotFoundError as error:

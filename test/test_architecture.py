@@ -28,7 +28,7 @@ MAY_IMPORT = {
     'viewer': ({'viewer'}, PURE | {'viser'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
-TOP_LEVEL = {'arrays', 'errors', 'quoting', 'resources', 'without_opengl'}
+TOP_LEVEL = {'arrays', 'errors', 'quoting', 'resources', 'startup'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

@@ -19,6 +19,7 @@ import sys
 from manip_sim.cli.parser import parse
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
+from manip_sim.startup import use_one_blas_thread
 
 PROBLEM = 1
 
@@ -31,6 +32,7 @@ def run() -> int:
     """
     # Ctrl-C ends it as it ends other commands.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    use_one_blas_thread()
     logging.basicConfig(format='manip_sim: %(message)s', level=logging.WARNING)
     try:
         return main()

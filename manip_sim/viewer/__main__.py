@@ -33,8 +33,9 @@ def main() -> int:
         signal.signal(number, lambda *_: os._exit(0))
     try:
         from manip_sim.errors import ManipSimError
+        from manip_sim.startup import import_mujoco, use_one_blas_thread
         from manip_sim.viewer.display import check_display
-        from manip_sim.without_opengl import import_mujoco
+        use_one_blas_thread()
         if options.native:
             check_display()
         else:

@@ -64,7 +64,7 @@ def _start(arguments: list[str]) -> Start:
 
 if __name__ == '__main__':
     from manip_sim.__main__ import main
-    from manip_sim.without_opengl import import_mujoco
+    from manip_sim.startup import import_mujoco
     import_mujoco()
     import manip_sim.ros.main  # noqa: F401
     found = []
