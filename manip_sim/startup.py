@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What programs do before their slow imports: choose what NumPy and MuJoCo load with themselves."""
+"""What programs do before slow imports: choose what NumPy and MuJoCo load with themselves."""
 
 from __future__ import annotations
 
