@@ -28,6 +28,9 @@ MAY_IMPORT = {
     'viewer': ({'viewer'}, PURE | {'viser'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }
+#: The module that imports what rclpy has no public name for, and the layers that use rclpy.
+INTERNALS = 'rclpy_internals'
+WITH_RCLPY = ('ros', 'examples', 'viewer/ros', f'{INTERNALS}.py')
 TOP_LEVEL = {'arrays', 'errors', 'quoting', 'resources', 'startup'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
@@ -48,13 +51,16 @@ def test_a_module_imports_from_its_own_layer_or_below(path):
     layers, libraries = MAY_IMPORT.get(layer, (None, None))
     for name in imports(path):
         first, _, rest = name.partition('.')
-        if first == 'manip_sim' and layers is not None:
+        if rest == INTERNALS:
+            assert layer in WITH_RCLPY, f'{path} imports {name}'
+        elif first == 'manip_sim' and layers is not None:
             assert rest.split('.')[0] in layers | TOP_LEVEL, f'{path} imports {name}'
             assert layer != 'viewer/page' or not rest.startswith('viewer.ros'), f'{path}: {name}'
         elif libraries is not None and not _is_standard(first):
             assert first in libraries, f'{path} imports {name}'
         elif first == 'rclpy':
-            assert layer in ('ros', 'examples', 'viewer/ros'), f'{path} imports {name}'
+            assert layer in WITH_RCLPY, f'{path} imports {name}'
+            assert '._' not in name or path.stem == INTERNALS, f'{path} imports {name}'
 
 
 def _is_standard(name):

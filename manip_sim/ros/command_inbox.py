@@ -23,8 +23,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
+from manip_sim.rclpy_internals import InUse, RCLError, WaitSet
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.rclpy_internals import InUse, RCLError, WaitSet
 from manip_sim.runtime.inbox import Inbox
 
 #: The releases of rclpy, those of ROS 2 Jazzy, whose wait sets are known.

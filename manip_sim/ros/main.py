@@ -20,9 +20,9 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
+from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.overrides import for_other_nodes, without_source
-from manip_sim.ros.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime.camera_thread import THREAD_NAME
 

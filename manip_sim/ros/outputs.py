@@ -16,8 +16,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from manip_sim.arrays import FloatArray
+from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.rclpy_internals import RCLError
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
 

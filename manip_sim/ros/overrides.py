@@ -19,7 +19,7 @@ import yaml
 from manip_sim.errors import describe_choices, ParameterError
 from manip_sim.interface.parameter_files import matches, sections_of
 from manip_sim.quoting import quoted, quoted_names
-from manip_sim.ros.rclpy_internals import parameter_overrides
+from manip_sim.rclpy_internals import parameter_overrides
 
 _QOS = 'qos_overrides.'
 _CHOICES = {

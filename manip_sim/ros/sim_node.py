@@ -17,6 +17,7 @@ from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
+from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import Actions, offer_actions
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.cartesian import CartesianSubscribers
@@ -29,7 +30,6 @@ from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
-from manip_sim.ros.rclpy_internals import RCLError
 from manip_sim.ros.robot_description import DescriptionPublisher
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.services import SimulationServices

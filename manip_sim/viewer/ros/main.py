@@ -13,12 +13,12 @@ import time
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
+from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.viewer.page.server import close_server, open_server
 from manip_sim.viewer.ros.polling import PolledExecutor
 from manip_sim.viewer.ros.session import Session
