@@ -4,14 +4,16 @@
 """
 Measure how fast the node is, and print a table of the figures against their targets.
 
-Every figure is a ratio to something bare in the same run, or the node as another process sees it,
-and the median of several rounds in which what is compared takes turns (A B A B). All processes
+Figures are ratios to a bare baseline in the same run, or what another process sees of the node.
+Each is the median of several rounds, in which the compared programs take turns (A B A B); that of
+memory is the median of the last samples of one run. All processes
 stay on two cores of this machine, in a ROS domain that nobody else uses. The column "plain loop"
 is a loop of rclpy and MuJoCo without this package. What is measured:
 docs/explanation/performance.md.
 
-Writes bench.json and, where matplotlib is installed, pictures. The exit code is 0 if all targets
-are met, 1 if one is missed or could not be measured, 2 if the command line is wrong.
+Writes bench.json and, where matplotlib is installed, pictures. The exit code is 0 if no
+target is missed, no figure is behind the plain loop and no row fails; else 1. It is 2 if the
+command line is wrong. Rows that need ROS are skipped without it.
 """
 
 from __future__ import annotations
@@ -110,7 +112,7 @@ def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[st
 
 
 def machine() -> dict[str, Any]:
-    """Return on what it is measured."""
+    """Return what the figures were measured on."""
     lines = Path('/proc/cpuinfo').read_text().splitlines()
     model = next((line.split(':', 1)[1].strip() for line in lines
                   if line.startswith('model name')), platform.machine())
@@ -128,7 +130,7 @@ def save(series: dict[str, Any], folder: Path) -> None:
 
 
 def settle_down() -> None:
-    """Set what this process and all that it starts have in common."""
+    """Set the environment and the CPU affinity of this process and all that it starts."""
     from domains import reserve_domain  # Of the tests.
     from targets.processes import stay_on_two_cores
     os.environ['ROS_DOMAIN_ID'] = str(reserve_domain()[0])
@@ -141,7 +143,7 @@ def settle_down() -> None:
 
 
 def report(figures: list[Figure], about: dict[str, Any], missing: dict[str, str]) -> None:
-    """Print the table, and what one must know of it."""
+    """Print the table, the rows that are missing, and a warning if the machine was busy."""
     print(f'{about["processor"]}, {about["cores"]} cores, Python {about["python"]}, '
           f'MuJoCo {about["mujoco"]}, {about["rounds"]} rounds'
           f'{", quick" if about["quick"] else ""}\n')

@@ -74,7 +74,7 @@ class Rounds:
             rclpy.spin_once(self._node, timeout_sec=0.1)
 
     def measure(self, duration_s: float) -> dict[str, float]:
-        """Return figures of a round [s]."""
+        """Return the figures of a round of this duration [s]."""
         first, used, begin = len(self._wall), cpu_s(self._process.pid), time.perf_counter()
         self.spin(duration_s)
         used = (cpu_s(self._process.pid) - used) / (time.perf_counter() - begin)
@@ -121,7 +121,7 @@ def main() -> None:
         process.wait(timeout=20.0)
     alone, seen = tell('without', without), tell('with   ', with_camera)
     print(f'ratios : {seen["factor"] / alone["factor"]:.4f} of the real-time factor, '
-          f'{seen["late"] / alone["late"]:.2f} of the late periods; {seen["images"]:.1f} images '
+          f'{seen["late"] / alone["late"]:.2f} of the 99 % quantile; {seen["images"]:.1f} images '
           f'per second of {IMAGES}, {seen["ms"]:.1f} ms each')
 
 

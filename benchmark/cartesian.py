@@ -6,7 +6,7 @@ What Cartesian commands cost, as ratios to the bare physics, how many poses are 
 
 The poses to be reached are those of random joint positions within 40 % of the ranges about their
 middle, so each can be reached by some way; local methods such as this one find about four of five
-from the start. How straight ways are is measured on those of setpoints to poses nearby.
+from the start. Straightness is measured on paths of setpoints to poses nearby.
 
 usage: python3 benchmark/cartesian.py [robot ...]
 """
@@ -31,7 +31,7 @@ RATE_HZ = 100
 ROUNDS, PERIODS = 5, 100
 #: A pose is reached within this [m], [rad].
 NEAR, TURNED = 1e-3, np.radians(0.5)
-#: How many ways, how far joints are away at their ends at most [rad], and how long they take [s].
+#: Number of paths, largest joint displacement at their ends [rad], and their duration [s].
 WAYS, AWAY_RAD, WAY_S = 28, 0.8, 3.0
 
 
@@ -81,7 +81,7 @@ def random_poses(simulation: Simulation, arm: str) -> list[tuple[Any, Any]]:
 
 
 def deviations(simulation: Simulation, steps: int, arm: str) -> list[float]:
-    """Return how far from the line setpoints lead the hand on ways to poses nearby [m]."""
+    """Return the largest distance of each path of setpoints from the straight line [m]."""
     random, (low, high) = np.random.default_rng(4), joint_ranges(simulation, arm)
     robot, quat, found = simulation.robot, np.empty(4), []
     for _ in range(WAYS):
@@ -105,7 +105,7 @@ def deviations(simulation: Simulation, steps: int, arm: str) -> list[float]:
 
 
 def print_straightness(deviation: list[float]) -> None:
-    """Print how many ways are how straight."""
+    """Print how many paths stay how close to the straight line."""
     within = [sum(value < limit for value in deviation) for limit in (1e-4, 1e-3)]
     in_mm = 1e3 * np.array(deviation)
     print(f'ways: {within[0]} of {len(deviation)} within 0.1 mm of the line, {within[1]} within '

@@ -14,12 +14,12 @@ Each row is one model in a process of its own:
   there, within 5 mrad or 5 mm and without a fall, with the controls of the keyframe, or those
   that hold.
 - loads: as a robot, or as a hand on a post.
-- same: names, limits and masses of joints and bodies, and poses of all bodies and sites in random
-  configurations, are those of the original.
+- same: names and limits of joints, masses of bodies, and poses of bodies and sites in random
+  configurations, are those of the original; missing bodies and sites are not compared.
 - holds: the same start pose, on a floor; what cannot fall stands 1.5 m above it.
 - position, velocity: all joints of a part follow a sine of at most 0.1 rad at 0.5 Hz, with a
-  residual below 15 % after the best delay up to 50 ms; what floats is fixed for this, without
-  gravity and floor; hands follow a sine of actions, 0.2 of the stroke to each side, with a
+  residual below 15 % after the best delay up to 50 ms; floating bases are fixed for this, without
+  gravity and floor; hands follow a sine of actions, 0.1 of the stroke to each side, with a
   residual below 30 %. "untouched" does so only if its bodies may pass through each other, and
   the servos of "as bare" follow as badly in the bare model, which is given the same controls.
 """
@@ -110,7 +110,7 @@ def bare_holds(file: Path) -> tuple[Any, bool]:
 
 
 def differences(original: Any, model: Any, prefix: str, robot_root: str) -> list[str]:
-    """Say what of a composed model is not as in the original."""
+    """Return how a composed model differs from the original, in words."""
     told = []
     joints = [original.joint(i).name for i in range(original.njnt)
               if original.joint(i).name and original.jnt_type[i] >= 2]
@@ -442,7 +442,7 @@ def _simulation(kind: str, file: Path, hangs: bool = False) -> Simulation:
 
 
 def _hung(simulation: Simulation) -> Simulation:
-    """Return the same without floor, and with what floats fixed where it is."""
+    """Return the same simulation without floor, and with floating bases fixed in place."""
     model = simulation.model
     floor = model.geom_bodyid == 0
     model.geom_contype[floor] = model.geom_conaffinity[floor] = 0
@@ -451,7 +451,7 @@ def _hung(simulation: Simulation) -> Simulation:
 
 
 def _hang(model: Any) -> None:
-    """Take the weight from a model, and let what floats be too heavy to move."""
+    """Switch gravity off in a model, and make its floating bases too heavy to move."""
     for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
         address = model.jnt_dofadr[joint]
         # Much more than a robot, yet not so much that light links are lost beside it.
@@ -488,7 +488,7 @@ def in_process(kind: str, file: Path) -> dict[str, Any]:
 def main() -> None:
     """Print the table and how many of how many work."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
-    parser.add_argument('words', nargs='*', help='of the models to take; all without')
+    parser.add_argument('words', nargs='*', help='parts of model names (default: all)')
     parser.add_argument('--robosuite', type=Path, help='where the wheels are unpacked')
     arguments = parser.parse_args()
     columns = ('bare', 'bare_holds', 'loads', 'same', 'holds', 'position', 'velocity')

@@ -62,7 +62,7 @@ class Rounds:
             time.sleep(0.02)
 
     def measure(self, what: str, duration_s: float, viewer: Any = None) -> None:
-        """Print the figures of a round [s]."""
+        """Print the figures of a round of this duration [s]."""
         processes = [self._process, *([viewer] if viewer else [])]
         del self._seen[:]
         begin, used = time.perf_counter(), [cpu_s(process.pid) for process in processes]

@@ -21,8 +21,8 @@ Serve a simulated robot over ROS 2 until Ctrl-C or SIGTERM.
 
   sim_node --ros-args -p robot:=Panda -p arena:=table
 
-Parameters, topics and services are listed in the README and by
-'ros2 param describe /manip_sim NAME' while the node runs."""
+Parameters, topics and services are listed in docs/reference; while the node
+runs, 'ros2 param describe /manip_sim NAME' describes a parameter."""
 
 
 def main() -> int:

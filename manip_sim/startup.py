@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What programs do before slow imports: choose what NumPy and MuJoCo load with themselves."""
+"""The environment for the slow imports of NumPy and MuJoCo: no BLAS threads, no OpenGL."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ def use_one_blas_thread() -> None:
     """
     Let NumPy start without threads for linear algebra, unless ``OPENBLAS_NUM_THREADS`` is set.
 
-    Matrices of a robot are too small for them, and when NumPy is imported the threads of OpenBLAS
-    wait busily: a quarter of the processor time of a node's start on two processors.
+    A robot's matrices are too small for them, and after the import of NumPy the OpenBLAS threads
+    busy-wait: a quarter of the processor time of a node's start on two processors.
     """
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 

@@ -37,7 +37,8 @@ def test_every_part_of_the_catalogue_is_listed():
 def test_every_parameter_is_listed_with_type_default_and_unit():
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
-    specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *composition_parameters(scope),
+    specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *arena_specs('bins'),
+             *composition_parameters(scope),
              *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base']),
              *camera_parameters('<camera>', ImageSettings()),
              *cartesian_parameters(scope, ['right'])]

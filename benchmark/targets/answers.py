@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How soon commands have an effect, and how fast a controller goes round in lock-step."""
+"""Latency from command to effect, and the rate of a controller's lock-step round trips."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _COMMANDS, _ROUND_S = 300, 2.0
 
 
 def measure_effect(settings: Settings) -> Iterator[Figure]:
-    """Measure from the moment a controller publishes to that it sees the effect."""
+    """Measure the time from a controller's publication until it sees the effect."""
     settings.tell('effect, commands at 1000 Hz in real time')
     count = round(_COMMANDS * settings.scale)
     with tempfile.TemporaryDirectory() as folder:

@@ -6,10 +6,10 @@ A controller in a process of its own, as anyone would write it with rclpy.
 
 usage: python3 commander.py (effect JOINT | rounds)
 
-It obeys lines of its standard input, each with an answer of a line of JSON:
+It reads commands from standard input, and answers each with one line of JSON:
 
-- ``effect COUNT``: give efforts to a joint at random moments; how long it took until a state
-  showed each [s]
+- ``effect COUNT``: command efforts at random moments; the answer is how long each took to show
+  in a state [s]
 - ``rounds SECONDS``: answer each new state by a command with its stamp; how many of them per
   second
 """

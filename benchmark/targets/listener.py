@@ -6,7 +6,7 @@ A client of the node in a process of its own, as anyone would write it with rclp
 
 usage: python3 listener.py (TOPIC ... | all | nobody)
 
-It obeys lines of its standard input, each with an answer of a line of JSON:
+It reads commands from standard input, and answers each with one line of JSON:
 
 - ``ready``: wait until states come
 - ``begin``: forget what has come
@@ -14,7 +14,7 @@ It obeys lines of its standard input, each with an answer of a line of JSON:
 - ``first``: when the first state came since then, wall time [s]
 - ``walls``: when they all did
 
-With ``nobody`` it subscribes only for the moment that ``begin`` and ``report`` take.
+With ``nobody`` it subscribes only while it answers one of these.
 """
 
 from __future__ import annotations

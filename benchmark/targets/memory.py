@@ -20,7 +20,7 @@ _HOUR_S = 3600.0
 
 
 def measure(settings: Settings) -> Iterator[Figure]:
-    """Measure from the end of the first minute on, for so many hours or what fits."""
+    """Measure after a warm-up (60 s, scaled), for ``hours`` simulated, else 90 s of wall time."""
     with start_node('stepping:=free') as node, \
             start_script('listener.py', *ONE_CLIENT) as listener:
         listener.ask('ready', 60.0)

@@ -31,7 +31,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
             ('state', simulation.robot.state)]
         publish = _publishing(simulation, stack)
         if publish is not None:
-            parts.append(('state and publish, nobody listens', publish))
+            parts.append(('publish, nobody listens', publish))
         parts.append(('advance with goals that are streamed', _streaming(simulation)))
         for what, part in parts:
             settings.tell(f'period, {what}')
@@ -59,7 +59,7 @@ def _streaming(simulation: Simulation) -> Callable[[], object]:
 
 def _publishing(simulation: Simulation, stack: contextlib.ExitStack
                 ) -> Callable[[], object] | None:
-    """Return a function that publishes a state on all topics, or None without ROS."""
+    """Return a function that publishes to no subscriber, reading no state; None without ROS."""
     try:
         import rclpy
     except ImportError:

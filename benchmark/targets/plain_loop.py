@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A plain loop of rclpy and MuJoCo, as one writes it in an afternoon: what the node is measured by.
+A plain loop of rclpy and MuJoCo, as written in an afternoon: the baseline for the node.
 
 usage: python3 plain_loop.py MODEL EVERY REALTIME
 

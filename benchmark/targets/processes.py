@@ -178,10 +178,10 @@ def start_script(name: str, *arguments: str, piped: bool = True, apart: bool = F
 @cache
 def _other_domain() -> str:
     """
-    Return the domain of what the node is measured by.
+    Return the ROS domain of the programs that the node is compared with.
 
-    Fast DDS gives up the shared memory of a participant that stands still for a second while
-    others of its domain write to it; it hears nothing any more when it goes on.
+    If a participant is stopped for a second while others in its domain write to it, Fast DDS
+    abandons its shared-memory segment, and it receives nothing after it is resumed.
     """
     from domains import reserve_domain  # Of the tests.
     return str(reserve_domain()[0])

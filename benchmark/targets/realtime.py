@@ -15,9 +15,9 @@ from targets.figures import Figure, Settings, Target
 from targets.physics import Bare, panda
 from targets.watched import Watched, watched_loop, watched_node, Window
 
-#: Rate [Hz], timestep [s], length of all windows together [s], most of a core [%].
+#: Rate [Hz], timestep [s], total length of the windows [s], largest share of a core [%].
 RUNS = ((1000, 0.001, 60.0, 35.0), (500, 0.002, 15.0, 15.0), (100, 0.002, 15.0, 5.0))
-#: Of the same length, for the plain loop.
+#: Length of the windows of the plain loop, as a fraction of those of the node.
 _PLAIN = 0.25
 _TOPIC = ('joint_states',)
 

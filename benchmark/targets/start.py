@@ -17,7 +17,7 @@ from targets.figures import Figure, Settings, Target
 from targets.processes import Process, start_node, start_script
 
 TARGET = 1.3
-#: Until a listener has told of itself what comes with its own start [s].
+#: How long a new listener gets for its own start and DDS discovery [s].
 _SETTLE_S = 0.7
 BARE = ('import sys, rclpy, mujoco, numpy; mujoco.MjModel.from_xml_path(sys.argv[1]); '
         "print('compiled', flush=True)")

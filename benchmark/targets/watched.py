@@ -25,8 +25,8 @@ class Window:
 
     :ivar simulated_s: simulation time [s]
     :ivar wall_s: wall time [s]
-    :ivar core: part of a core that the publishing process used
-    :ivar walls: when states came, wall time [s], if that was asked for
+    :ivar core: fraction of a core that the publishing process used
+    :ivar walls: when states came, wall time [s], if requested
     """
 
     simulated_s: float

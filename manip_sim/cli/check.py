@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if not defects:
         return f'{name}: nothing is wrong with the start', 0
     count = '1 defect' if len(defects) == 1 else f'{len(defects)} defects'
-    lines = [f'{name}: {count}', *(f'- {defect.text}\n  mend: {defect.remedy}'
+    lines = [f'{name}: {count}', *(f'- {defect.text}\n  fix: {defect.remedy}'
                                    for defect in defects)]
     return '\n'.join([*lines, note] if note else lines), 1
 

@@ -48,7 +48,7 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
     their pictures have the same scale.
 
     :param points: in the world, (n, 3) [m]
-    :param aspect: width by height of each picture
+    :param aspect: aspect ratio of each picture, width / height
     :raises UnknownNameError: if there is no such camera
     """
     import mujoco

@@ -22,7 +22,7 @@ COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'id
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
 #: The least and the greatest edge of a picture [pixels].
 SMALLEST, LARGEST = 16, 8192
-#: Text is not wrapped to fewer characters, as that of argparse is not.
+#: Text is never wrapped to fewer characters than this, the minimum of argparse.
 _NARROWEST = 11
 _EXIT_CODES = ('Exit codes: 0 all right; 1 something is wrong, or cannot be done; 2 wrong command '
                'line')
@@ -62,7 +62,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
-    """Return that words have no meaning, or None if there are none."""
+    """Return an error message about words that were not recognized, or None."""
     if not words:
         return None
     named = hasattr(options, 'robot') and not words[0].startswith('-')
@@ -142,8 +142,8 @@ def _add_export(commands: Any) -> None:
                         help='a new folder for the package, which has its name')
     parser.add_argument('--name', metavar='ROBOT', help='which of several robots, for .urdf')
     parser.add_argument('--ros2-control', action='store_true',
-                        help='in a .urdf: what lets ros2_control command the node, as '
-                        'config/topic_based_ros2_control.yaml tells')
+                        help='add a <ros2_control> tag to a .urdf, for the setup in '
+                        'config/topic_based_ros2_control.yaml')
     _add_composition(parser)
 
 

@@ -28,7 +28,7 @@ _NEAR, _LATE_S = 0.01, 3.0
 #: have come, for a duration [s] and a number of states: a program that gets little processor time
 #: sees few states. What is held may creep.
 _STILL, _STILL_SHARE, _STILL_S, _STILL_STATES = 5e-4, 0.01, 0.3, 20
-#: How long a command may take until fingers move, or they need not: in simulation and wall time.
+#: How long to wait for fingers to start moving, in both simulation and wall time [s].
 _UNMOVED_S = 2.0
 #: Number of random postures to start from if the present one leads to no solution.
 _STARTS = 40

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compose the world that the parameters ask for: one robot, or several by name."""
+"""Compose the world that the parameters describe: one robot, or several by name."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Composition:
 
 def compose_world(parameters: ParameterSource) -> Composition:
     """
-    Declare the parameters that say what there is, and compose the world that they ask for.
+    Declare the parameters of the composition, and compose the world that they describe.
 
     What depends on the parts of the robots is left to :func:`declare_parts`.
 

@@ -20,7 +20,7 @@ _PARAMETERS = 'ros__parameters'
 
 
 class _Loader(StrictLoader):
-    """Takes plain scalars for what rcl_yaml_param_parser takes them for."""
+    """Resolves the types of plain scalars as rcl_yaml_param_parser does."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}
 
@@ -43,11 +43,11 @@ def read_parameters(file: Path, node_name: str = NODE) -> dict[str, Any]:
     """
     Return the parameters that a file has for a node, by name with dots.
 
-    Where several sections are for it, those further down count.
+    Where several sections are for it, later ones override earlier ones.
 
     :param node_name: with its namespace
     :raises ModelError: if the file cannot be read, or is not plain YAML
-    :raises ParameterError: if nothing in it is for the node
+    :raises ParameterError: if nothing in it is for the node, or a section is no mapping
     """
     sections = list(sections_of(read_yaml(file, _Loader)))
     if not any(matches(node, node_name) for node, _ in sections):

@@ -71,9 +71,9 @@ class ParameterSpec:
 
     def as_declared(self, value: Any) -> Any:
         """
-        Return a value in the declared type where ROS reads what was meant as another one.
+        Return a value converted to the declared type, where ROS parses it as another one.
 
-        Integers are numbers too, and an empty array of strings is one with an empty string.
+        Integers become doubles, and an empty array becomes one with an empty string.
         """
         if isinstance(self.default, float) and type(value) is int:
             return _as_double(value)

@@ -49,10 +49,10 @@ def node_parameters() -> list[ParameterSpec]:
                       'position: [1.5, 0.0, 1.5], look_at: [0.0, 0.0, 0.8], fovy: 45}.'),
         ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of what is added to "
                       "the start of the robots' own joints.", choices=TYPES),
-        ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation, or the largest '
-                      'change either way, of what is added to the start; 0 is nothing.',
+        ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation (gaussian) '
+                      'or half-width (uniform) of the noise on the start positions; 0 is none.',
                       'rad or m', minimum=0.0, maximum=3.0),
-        ParameterSpec('seed', 0, 'Of initialization_noise: the same seed gives the same start.',
+        ParameterSpec('seed', 0, 'Seed of initialization_noise; equal seeds give equal starts.',
                       minimum=0, maximum=2**31 - 1),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
@@ -68,7 +68,7 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('publish_tf', True, 'Publish /tf and /tf_static, where tf2_msgs is '
                       'installed; switch it off beside robot_state_publisher.'),
         ParameterSpec('tf_rate', 50.0, 'Messages on /tf and ~/markers per second of simulation '
-                      'time: the nearest rate that comes every so many control periods.', 'Hz',
+                      'time; rounded to publish_rate divided by a whole number.', 'Hz',
                       minimum=0.1, maximum=10000.0),
         ParameterSpec('frame_prefix', '', 'Beginning of all names of frames in messages, as that '
                       'of robot_state_publisher, such as left/.'),
@@ -142,7 +142,7 @@ def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
         moves = part == 'base'
         specs += [
             ParameterSpec(f'control_mode.{part}', 'velocity' if moves else 'position',
-                          f'What commands of the {part} mean; a change holds it where it is.',
+                          f'What commands of the {part} mean; a change brings it to rest.',
                           live=True, choices=MODES),
             ParameterSpec(f'command_timeout.{part}', 0.5 if moves else 0.0,
                           f'Without a fresh command of the {part} for so long (simulation time), '
@@ -164,8 +164,8 @@ def camera_parameters(camera: str, default: ImageSettings) -> list[ParameterSpec
         ParameterSpec(f'camera.{camera}.height', default.height, 'Height of the images.', 'pixels',
                       minimum=1, maximum=MAX_PIXELS),
         ParameterSpec(f'camera.{camera}.rate', default.rate_hz, 'Images per second of simulation '
-                      'time, at most publish_rate: the nearest rate that comes every so many '
-                      'control periods.', 'Hz', minimum=MIN_RATE_HZ, maximum=MAX_RATE_HZ),
+                      'time, at most publish_rate; rounded to publish_rate divided by a whole '
+                      'number.', 'Hz', minimum=MIN_RATE_HZ, maximum=MAX_RATE_HZ),
         ParameterSpec(f'camera.{camera}.depth', default.depth, 'Also publish depth.')]
 
 
@@ -175,7 +175,7 @@ def periods_per_image(publish_rate: float, rate: float, name: str) -> int:
 
     :param publish_rate: control periods per second [Hz]
     :param rate: images per second that are requested [Hz]
-    :param name: of the parameter that asks for it
+    :param name: of the parameter that sets the rate, named in errors
     :raises ParameterError: if there are more images than control periods
     """
     if rate > publish_rate * (1.0 + 1e-9):
@@ -197,12 +197,13 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
                       "per error, in all directions; robosuite's kp.", '1/s^2', live=True,
                       minimum=1.0, maximum=1000.0),
         ParameterSpec(f'cartesian.{arm}.damping_ratio', settings.damping_ratio,
-                      'Of the same: 1 is critical damping.', live=True, minimum=0.1, maximum=3.0),
+                      'Damping ratio of the same control; 1 is critical damping.', live=True,
+                      minimum=0.1, maximum=3.0),
         ParameterSpec(f'cartesian.{arm}.linear_velocity', settings.linear_velocity,
-                      'Of the hand at most; a target twist that is faster is clamped.', 'm/s',
+                      'Largest speed of the hand; a faster target twist is clamped.', 'm/s',
                       live=True, minimum=0.001, maximum=10.0),
         ParameterSpec(f'cartesian.{arm}.angular_velocity', settings.angular_velocity,
-                      'Of the hand at most; a target twist that is faster is clamped.', 'rad/s',
+                      'Largest angular speed of the hand; a faster twist is clamped.', 'rad/s',
                       live=True, minimum=0.001, maximum=30.0),
         ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
                       'Without a fresh target twist for so long (simulation time) the hand stops.',

@@ -5,8 +5,8 @@
 What the node publishes, takes and offers, as tables.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
-has one topic for each, ``<name>`` for each object and ``<camera>`` for each camera that is chosen;
-:func:`topics_of` fills them in.
+has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` for each object and
+``<camera>`` for each camera that is chosen; :func:`topics_of_world` fills in all of them.
 """
 
 from __future__ import annotations

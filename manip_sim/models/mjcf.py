@@ -49,7 +49,7 @@ class MujocoXMLModel(NamedElements):
         self._record()
 
     def _read(self) -> mujoco.MjSpec:
-        """Return the spec of the file; overridden by parts from files of other people."""
+        """Return the spec of the file; overridden by parts from third-party files."""
         return load_spec(self.file)
 
     def _prepare_spec(self, spec: mujoco.MjSpec) -> None:

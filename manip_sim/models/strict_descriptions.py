@@ -27,7 +27,7 @@ M = TypeVar('M', bound=BaseModel)
 
 def _number(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        hint = ', which YAML takes for a text: write 1.0e-3' if _is_exponent(value) else ''
+        hint = ', which YAML reads as a string: write 1.0e-3' if _is_exponent(value) else ''
         raise ValueError(f'must be a number{hint}')
     try:
         return float(value)
@@ -98,7 +98,7 @@ _MESSAGES: dict[str, Callable[[Any], str]] = {
     'list_type': lambda e: 'must be a list',
     'int_type': lambda e: 'must be a whole number',
     'bool_type': lambda e: 'must be true or false',
-    'string_type': lambda e: 'must be a text',
+    'string_type': lambda e: 'must be a string',
     'too_short': _length,
     'too_long': _length,
 }

@@ -34,7 +34,7 @@ class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise yaml.YAMLError(f'a key must be a text, got {key!r} in line '
+                raise yaml.YAMLError(f'a key must be a string, got {key!r} in line '
                                      f'{key_node.start_mark.line + 1}')
             if key in seen:
                 raise yaml.YAMLError(f'{quoted(key)} is there twice, again in line '

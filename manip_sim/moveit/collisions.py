@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which pairs of links MoveIt need not look at."""
+"""Pairs of links that MoveIt need not check for collisions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from manip_sim.simulation.couplings import JointCouplings
 _SAMPLES, _SEED = 5000, 0
 #: Shapes that come nearer than about this are taken for some that might collide [m].
 _MARGIN_M = 0.01
-#: In a posture shapes may touch, as fingers do: who looks for collisions may find some there [m].
+#: Shapes nearer than this in a posture, such as closed fingers, count as touching [m].
 _TOUCH_M = 1e-3
 #: Of joints without a range [rad or m].
 _ANYWHERE = (-np.pi, np.pi)
@@ -32,15 +32,15 @@ Pair = frozenset[str]
 def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
                    postures: Iterable[Posture]) -> dict[Pair, str]:
     """
-    Return the pairs of links whose collisions need not be looked at, with the reason.
+    Return the pairs of links that need not be checked for collisions, with the reason.
 
     ``User``: the model excludes them. ``Adjacent``: nothing with a shape is between them, or they
-    cannot move against one another. ``Default``: they touch in a posture. ``Always`` and
-    ``Never``: so they do in random configurations, where near counts as colliding.
+    cannot move relative to one another. ``Default``: they touch in a posture. ``Always``: they
+    collide in all random configurations. ``Never``: they come near each other in none of them.
 
     :param robot: in the world
     :param links: names by id of the body
-    :param postures: in which nothing may collide
+    :param postures: links that touch in one of these are not checked against each other
     """
     model, excluded = _without_filters(world, robot)
     sampler = _Sampler(model, robot, links)
@@ -59,7 +59,7 @@ def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
 
 def _without_filters(world: World, robot: RobotModel) -> tuple[Any, list[tuple[int, int]]]:
     """
-    Return a model where all shapes of the robot that collide do so.
+    Return a model in which all colliding shapes of the robot collide with each other.
 
     :returns: the model, and the ids of the bodies whose collisions were excluded
     """

@@ -36,7 +36,7 @@ install(FILES .setup_assistant DESTINATION share/${{PROJECT_NAME}})
 ament_package()
 """
 
-_LAUNCH = '''"""MoveIt for {robot}: move_group, RViz, and TF where nobody else makes it."""
+_LAUNCH = '''"""MoveIt for {robot}: move_group, RViz, and TF if nothing else publishes it."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
@@ -50,7 +50,7 @@ ARGUMENTS = {{
     'use_sim_time': ('true', 'take the time from /clock'),
     'use_rviz': ('true', 'start RViz'),
     'use_robot_state_publisher': (
-        'false', 'make TF from joint_states, if the node does not publish it'),
+        'false', 'publish TF from joint_states, if the node does not'),
 }}
 
 

@@ -120,7 +120,7 @@ def _read(urdf: Urdf) -> tuple[str, dict[str, float], dict[str, float]]:
 
 
 def _meshes(model: mujoco.MjModel) -> dict[str, tuple[str, bytes]]:
-    """Return the names and contents of mesh files, by mesh: one has them wherever it came from."""
+    """Return the name and content of an STL file for each mesh, whatever it was read from."""
     found = {ELLIPSOID: ('unit_sphere.stl', binary_stl(unit_sphere()))}
     for mesh in np.unique(model.geom_dataid[model.geom_type == _MESH]).tolist():
         found[model.mesh(mesh).name] = (f'mesh_{mesh}.stl', stl_of(model, mesh))

@@ -17,7 +17,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 START, OPEN, CLOSED = 'start', 'open', 'closed'
 #: Gripper actions; +1 closes.
 _ACTIONS = {OPEN: -1.0, CLOSED: 1.0}
-#: Fingers that are slower rest [rad/s or m/s], and those that go on are left [s].
+#: Fingers slower than this are at rest [rad/s or m/s]; longest wait for them to settle [s].
 _RESTS, _PATIENCE_S = 1e-4, 6.0
 _PERIOD_S = 0.05
 #: Of positions where fingers have come to rest.
@@ -41,7 +41,7 @@ class Posture:
 
 def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[Posture]:
     """
-    Return the start, and what an action of -1 and of +1 makes of each gripper with nothing in it.
+    Return the start posture, and those of each empty gripper opened (-1) and closed (+1).
 
     :param simulation: at its start; it is there again afterwards
     :param robot: of this simulation

@@ -17,9 +17,9 @@ from manip_sim.moveit.groups import Group
 from manip_sim.simulation.robot import SimulatedRobot
 
 Settings = dict[str, Any]
-#: Part of the limits that plans use unless they say more.
+#: Default velocity and acceleration scaling factor of plans.
 _CAUTION = 0.1
-#: A finger comes to its velocity limit in so long [s].
+#: Time in which a finger accelerates to its velocity limit [s].
 _FINGER_SPEED_UP_S = 0.1
 #: Joints that an arm needs to reach a pose with its orientation.
 _FULL_POSE = 6

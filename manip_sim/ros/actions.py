@@ -79,7 +79,7 @@ class Actions:
         self._servers = []
 
     def end(self) -> None:
-        """Abort all goals and wait until their clients know; the executor must still run."""
+        """Abort all goals and wait until their clients know, while the executor still spins."""
         with contextlib.suppress(SimulationEnded):
             if not self.tracker.goals:
                 return

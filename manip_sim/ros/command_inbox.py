@@ -5,8 +5,8 @@
 Take commands without rclpy's executor.
 
 An executor goes through all entities of a node, in Python, before and after each wait. Here one
-thread waits for commands alone and takes them: in lock-step the simulation's, which uses them
-next, else one of its own, because a flood would take time from the physics. rclpy has no public
+thread waits for nothing but commands: in lock-step the simulation's thread, which uses them next,
+else a separate thread, so that a flood takes no time from the physics. rclpy has no public
 way to wait for some subscriptions only; with releases of rclpy for which this is not known to
 work, the executor takes the commands too.
 """
@@ -98,8 +98,8 @@ class CommandInbox(Inbox):
         """
         with contextlib.suppress(InvalidHandle, RCLError):
             for _ in range(most):
-                # A wait with a time-out of zero takes longer than one that is woken. Other threads
-                # that wake this one have said why before, and are served before the next wait.
+                # A wait with a timeout of zero takes longer than one that is woken. If this
+                # swallows a wake-up by another thread, its cause is checked before the next wait.
                 self._guard.trigger()
                 if not self._receive(0.0):
                     break

@@ -125,7 +125,7 @@ class CommandSubscribers:
                 return
             self.count(topic, part, commands)
 
-        # To read a trajectory may take long, which would delay other commands and the physics.
+        # Reading a trajectory may take long and would delay other commands and the physics.
         inbox = None if message_type is JointTrajectory else self._inbox
         CommandSubscription(self._node, message_type, topic, take, inbox)
 

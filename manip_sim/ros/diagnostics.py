@@ -41,7 +41,7 @@ class Pace:
 
     :param thread: tells how far the simulation has come
     :ivar factor: simulation time per wall time; NaN when the window has just begun, 0 when paused
-    :ivar loss: part of the simulation time that was dropped, from 0 to 1
+    :ivar loss: fraction of the simulation time that was dropped, from 0 to 1
     """
 
     def __init__(self, thread: SimulationThread) -> None:

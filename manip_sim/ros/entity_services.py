@@ -36,7 +36,7 @@ class EntityServices:
                  ) -> None:
         self._simulation = simulation
         self._thread = thread
-        # A group of its own, because a request for many steps takes long.
+        # A group of their own: a request for many steps, in another group, does not hold them up.
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, meet in (
                 (types.GetEntities, 'get_entities', self._get_entities),

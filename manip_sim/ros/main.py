@@ -48,7 +48,7 @@ class EndSignals:
             signal.signal(number, lambda *_: None)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a signal, at most for a time-out [s]; tell whether one has come."""
+        """Wait for a signal, at most for a timeout [s]; tell whether one has come."""
         return bool(select.select([self._arrived], [], [], timeout_s)[0])
 
     def ignore_more(self) -> None:

@@ -83,7 +83,7 @@ class Parameters:
         """
         Let parameters of a part set those of the parts that it consists of, and of its other name.
 
-        Of the values that the user gave at the start, that for one arm overrides that for both.
+        At the start, a value given for one arm overrides one given for both.
 
         :param scope: the robot
         :param parts: its parts by name

@@ -80,10 +80,10 @@ def _check_counts(data: bytes) -> None:
     length, offset = read(_ENCODING_SIZE + 8)
     count, offset = read(offset + length)
     if count > _MAX_JOINTS:
-        raise CommandError(f'a trajectory may have {_MAX_JOINTS} joints, got {count}')
+        raise CommandError(f'a trajectory may have at most {_MAX_JOINTS} joints, got {count}')
     for _ in range(count):
         length, offset = read(offset)
         offset += length
     count, _ = read(offset)
     if count > MAX_POINTS:
-        raise CommandError(f'a trajectory may have {MAX_POINTS} points, got {count}')
+        raise CommandError(f'a trajectory may have at most {MAX_POINTS} points, got {count}')

@@ -24,7 +24,7 @@ class Rejection(ManipSimError):
 @contextmanager
 def told(result: Any) -> Iterator[None]:
     """
-    Write into a result whether what is done meanwhile succeeds; a ``ManipSimError`` ends here.
+    Write into a result whether the ``with`` block succeeds; a ``ManipSimError`` is suppressed.
 
     :param result: message ``Result``
     """

@@ -33,7 +33,7 @@ def check_frame_prefix(prefix: str) -> str:
     """
     Check a prefix of the names of frames, and return it.
 
-    :raises ParameterError: if tf2 does not accept names that begin so
+    :raises ParameterError: if it begins with '/' or contains spaces or unprintable characters
     """
     if prefix.startswith('/') or any(not c.isprintable() or c.isspace() for c in prefix):
         raise ParameterError(f"parameter 'frame_prefix': {quoted(prefix)} cannot begin the name "

@@ -219,7 +219,7 @@ class SimNode(Node):
         return self._command_thread is None or self._command_thread.is_alive
 
     def end_goals(self) -> None:
-        """Abort the goals of actions and inform their clients; the executor must still run."""
+        """Abort the goals of actions and inform their clients, while the executor still spins."""
         if self._actions is not None:
             self._actions.end()
 

@@ -34,12 +34,12 @@ class Progress:
     """
     How far the simulation has come.
 
-    :ivar wall_s: monotonic wall time of the last control period [s]
+    :ivar wall_s: monotonic wall time when the present state was last shown to observers [s]
     :ivar time_ns: simulation time then [ns]
     :ivar missed: control periods that were dropped because the machine could not keep up
     :ivar lost_s: simulation time that was lost with them [s]
-    :ivar waits_for: by robot, the parts whose commands lock-step lacked when it showed this state
-        once more, or for the first time after a start or a reset
+    :ivar waits_for: by robot, the parts that lock-step waits for; only filled in when a state is
+        repeated, or shown after a start or a reset
     """
 
     wall_s: float

@@ -109,7 +109,7 @@ class DryFriction:
 
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
-    """Return the velocity limits of joints: declared, of a velocity servo, or a default, (n,)."""
+    """Return velocity limits [rad/s or m/s], (n,): declared, of a velocity servo, or a default."""
     velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
     of_servo = np.where(velocity_servo & (model.actuator_ctrllimited[ids] != 0),
                         np.abs(model.actuator_ctrlrange[ids]).min(axis=1)
@@ -119,7 +119,7 @@ def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) ->
 
 
 def effort_range(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
-    """Return the lowest and highest effort at joints, infinite without a limit, shape (n, 2)."""
+    """Return the effort range of joints [N m or N], infinite without a limit, shape (n, 2)."""
     gear = model.actuator_gear[ids, :1]
     motor = (model.actuator_biasprm[ids, 1:3] == 0.0).all(axis=1)
     gain = np.where(motor, model.actuator_gainprm[ids, 0], 0.0)[:, None]

@@ -65,8 +65,8 @@ def _images_of(model: mujoco.MjModel, name: str) -> ImageSettings:
     if name not in camera_names(model):
         raise UnknownNameError('camera', name, camera_names(model))
     if not _TOKEN.fullmatch(name):
-        raise ModelError(f'the camera {quoted(name)} has a name that no topic can have: letters, '
-                         'digits and underscores')
+        raise ModelError(f'the camera {quoted(name)} cannot have a topic: its name must consist '
+                         'of letters, digits and underscores, and not begin with a digit')
     width, height = model.cam_resolution[model.camera(name).id].tolist()
     # MuJoCo's default resolution is 1 x 1.
     if (width, height) == (1, 1):

@@ -129,7 +129,7 @@ class CommandParser:
             return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
         self._check_position_mode(part, names)
         if len(times_s) > MAX_POINTS:
-            raise CommandError(f'{part}: a trajectory may have {MAX_POINTS} points, got '
+            raise CommandError(f'{part}: a trajectory may have at most {MAX_POINTS} points, got '
                                f'{len(times_s)}')
         times = finite_numbers(times_s, len(times_s), f'{part}: time_from_start')
         check_times(times)

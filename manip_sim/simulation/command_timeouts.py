@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which parts have had no fresh command for longer than their time-out."""
+"""Which parts have had no fresh command for longer than their timeout."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class CommandTimeouts:
     """
     The time of each part's last command, and how long it lasts without a fresh one.
 
-    :param parts: names of parts that do not overlap; none has a time-out at first
-    :ivar counts: number of time-outs of each part
+    :param parts: names of parts that do not overlap; none has a timeout at first
+    :ivar counts: number of timeouts of each part
     """
 
     def __init__(self, parts: Iterable[str]) -> None:
@@ -23,7 +23,7 @@ class CommandTimeouts:
 
     def set(self, part: str, timeout_s: float) -> None:
         """
-        Change the time-out of a part.
+        Change the timeout of a part.
 
         :param timeout_s: simulation time [s]; 0 for none
         """
@@ -31,7 +31,7 @@ class CommandTimeouts:
 
     def renew(self, parts: Iterable[str], now_s: float) -> None:
         """
-        Restart the time-outs of parts.
+        Restart the timeouts of parts.
 
         :param parts: those that have a fresh command
         :param now_s: simulation time [s]
@@ -50,12 +50,12 @@ class CommandTimeouts:
 
     @property
     def pending(self) -> bool:
-        """Whether any part that is watched has a time-out."""
+        """Whether any part that is watched has a timeout."""
         return any(self._timeout_s[part] for part in self._last_s)
 
     def overdue(self, now_s: float) -> list[str]:
         """
-        Return the parts whose last command is older than their time-out.
+        Return the parts whose last command is older than their timeout.
 
         :param now_s: simulation time [s]
         """
@@ -63,6 +63,6 @@ class CommandTimeouts:
                 if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9]
 
     def count(self, part: str) -> None:
-        """Count a time-out of a part, and stop watching it."""
+        """Count a timeout of a part, and stop watching it."""
         del self._last_s[part]
         self.counts[part] += 1

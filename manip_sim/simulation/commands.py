@@ -41,7 +41,7 @@ class CommandHandle:
     A command is *done* when a position or gripper goal is reached by the setpoint, a pose is
     reached, or a trajectory has ended; a velocity or an effort lasts. It is *replaced* when newer
     commands have taken over all of its joints, and *aborted* by a reset, a change of mode, a
-    time-out, a withdrawal or an empty trajectory.
+    timeout, a withdrawal or an empty trajectory.
 
     :ivar status: of the command
     :ivar reason: why it was aborted

@@ -90,7 +90,7 @@ class JointCouplings:
         return float(self._model.qpos0[self._model.jnt_qposadr[joint]])
 
     def _solve(self, polynomial: FloatArray, value: float, joint: int) -> float | None:
-        """Return the smallest offset of a joint, in range, at which a polynomial has a value."""
+        """Return the offset nearest to zero at which a polynomial has a value, or None."""
         if not polynomial[2:].any():
             return (value - polynomial[0]) / polynomial[1] if polynomial[1] else None
         roots = np.roots([*polynomial[:0:-1], polynomial[0] - value])

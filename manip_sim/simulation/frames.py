@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The tree of frames of a world: their names, their parents and their poses in these.
+The tree of frames of a world: their names, their parents, and their poses in their parents.
 
-There is one frame for each body, with the body's name; one for each site that is requested, as a
-child of its body; and two for each camera, that of MuJoCo and the optical one. The root is
-``world``.
+There is one frame for each body, with the body's name; one for each requested site, as a child of
+its body; two for each camera, MuJoCo's and the optical one; one for each joint between a body and
+its parent that needs one; and those that the caller places in the root, ``world``.
 """
 
 from __future__ import annotations

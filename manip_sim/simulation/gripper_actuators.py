@@ -4,8 +4,8 @@
 """
 What the actuators of a gripper can do: ranges, speeds and forces in the units of their controls.
 
-The setpoint of a position servo, in the units of its control, is where it rests at a given length
-of its transmission. Any other actuator, such as a motor, has only a control.
+The setpoint of a position servo is in the units of its control; the servo comes to rest where the
+length of its transmission matches it. Any other actuator, such as a motor, has only a control.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class GripperActuators:
                 raise ModelError(
                     f"actuators '{self.name(first)}' and '{self.name(index)}' of "
                     f"{self._part.name} both drive {what[0]} '{what[1](key[1]).name}' and one of "
-                    'them is a position servo, which the other one disturbs: leave one of them')
+                    'them is a position servo, which the other one disturbs: keep only one')
 
     def _range(self, index: int) -> tuple[float, float]:
         model, actuator = self._model, int(self.ids[index])
@@ -194,7 +194,7 @@ class GripperActuators:
             at_ends = -(self._bias[index, 0] + self._bias[index, 1] * ends) / self._gain[index]
             return float(at_ends.min()), float(at_ends.max())
         raise ModelError(f"actuator '{self.name(index)}' of {self._part.name} needs a control "
-                         'range, which actions of -1 to 1 stand for')
+                         'range, to which actions in [-1, 1] are mapped')
 
     def _speed(self, index: int) -> float:
         """Return the greatest speed of a setpoint at which no joint exceeds its limit."""

@@ -84,7 +84,7 @@ class GripperController:
 
     @property
     def faults(self) -> int:
-        """How many calls of the gripper's ``format_action`` failed and changed nothing."""
+        """How many calls of the gripper's ``format_action`` or ``start_at`` failed."""
         return self._formatter.faults
 
     @property
@@ -165,7 +165,7 @@ class GripperController:
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
-        Abort a command; if it was the last one, moving fingers stop and pressing ones go on.
+        Abort a command; if it was the last one, all fingers stop, unless one of them presses.
 
         :param handle: of the command
         :param reason: why, for the handle

@@ -68,7 +68,7 @@ class JointController(ControlledJoints):
 
     @property
     def timeouts(self) -> dict[str, int]:
-        """Number of command time-outs of each atomic part."""
+        """Number of command timeouts of each atomic part."""
         return self._timeouts.counts
 
     @property
@@ -94,7 +94,7 @@ class JointController(ControlledJoints):
         """
         Change how long the last command of a part lasts if no fresh one comes.
 
-        :param timeout_s: simulation time [s]; 0 for ever
+        :param timeout_s: simulation time [s]; 0 for no timeout
         :raises UnknownNameError: if there is no such part
         """
         for name in self.parts_of(self.indices_of(part)):
@@ -220,7 +220,7 @@ class JointController(ControlledJoints):
 
     def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         """
-        End the commands that are done or have timed out.
+        Begin a control period; end position commands that are done and commands that timed out.
 
         :param now_s: simulation time [s]
         :param period_s: length of the period [s]

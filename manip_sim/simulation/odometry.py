@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The pose of a mobile base, relative to that with its joints at zero, and its velocity."""
+"""Odometry: the pose of a mobile base relative to where its joints are zero, and its twist."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Odometry:
 
 class OdometryReader:
     """
-    A reader of a mobile base; the frame of its odometry is fixed in ``world``.
+    A reader of a mobile base's odometry; the odometry frame is fixed in ``world``.
 
-    That frame is where the base's frame is while the base's joints are at zero.
+    It coincides with the frame of the base when the joints of the base are at zero.
 
     :param model: the compiled ``mujoco.MjModel``
     :param joints: that move the base, such as ``SimulatedRobot.twist_joints``

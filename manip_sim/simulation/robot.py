@@ -154,7 +154,7 @@ class SimulatedRobot:
 
     def limits(self, part: str) -> FloatArray:
         """
-        Return the range that actions span for each driven joint in its mode, (n, 2), a copy.
+        Return the range that actions span, by driven joint in its mode, SI units, (n, 2), a copy.
 
         :param part: such as ``arm``
         :raises UnknownNameError: if there is no such part, or it is a gripper
@@ -185,7 +185,7 @@ class SimulatedRobot:
         Change how long the last command of a part lasts if no fresh one comes.
 
         :param part: such as ``arm``
-        :param timeout_s: simulation time [s]; 0 for ever
+        :param timeout_s: simulation time [s]; 0 for no timeout
         :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part
         """
@@ -194,7 +194,7 @@ class SimulatedRobot:
 
     def _check_no_gripper(self, part: str) -> None:
         if part in self.grippers:
-            raise CommandError(f'{part} is a gripper, which is always in position mode')
+            raise CommandError(f'{part} is a gripper: it has no control mode and no timeout')
 
     def tare_wrench(self) -> None:
         """Let the present external wrench of every arm read zero."""
@@ -235,7 +235,7 @@ class SimulatedRobot:
 
     def begin_period(self, period_s: float) -> None:
         """
-        End the commands that are done or have timed out.
+        Begin a control period; end position commands that are done and commands that timed out.
 
         :param period_s: length of the control period [s]
         """

@@ -24,7 +24,7 @@ from manip_sim.simulation.actuator_properties import (
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
 #: Largest effort of a joint without an effort limit [N m or N].
 _UNLIMITED_EFFORT = 1e3
-#: Share of the torque beyond weight and damping that steps may use.
+#: Share of the torque beyond weight and damping that a jump of the goal may use.
 _TORQUE_SHARE = 0.6
 #: Share of the torque beyond the weight that the joint's damping may use.
 _DAMPING_SHARE = 0.9
@@ -33,9 +33,9 @@ _SPEED_UP_S = 0.1
 #: Number of poses in which the inertia is computed, and the share of them that may be heavier.
 _POSES = 64
 _QUANTILE = 0.15
-#: Most damping x time step / inertia of a servo: one that saturates is integrated explicitly.
+#: Upper bound of damping x timestep / inertia: MuJoCo integrates a saturated servo explicitly.
 _EXPLICIT_DAMPING = 1.5
-#: Highest damping ratio that a servo keeps when its gains are lowered for that.
+#: Highest damping ratio that a servo keeps when its gains are lowered to that bound.
 _SOFT_RATIO = 3.0
 
 
@@ -57,7 +57,7 @@ class Servos:
     :ivar ranges: lowest and highest goal by control mode, at the joints in SI units, shape (n, 2)
     :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can keep
         up against the joint's damping [rad/s or m/s], shape (n,)
-    :ivar acceleration_limit: of steps [rad/s^2 or m/s^2], shape (n,)
+    :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
@@ -221,8 +221,8 @@ class Servos:
         """
         Let the setpoints move linearly to new ones within an interval.
 
-        The activation of a servo is position plus force over stiffness, for velocity, friction,
-        acceleration (present inertia matrix) and, with gravity compensation, Coriolis forces.
+        A servo's activation is the position plus feedforward force / stiffness; the force covers
+        damping, friction, inertia and, with gravity compensation, Coriolis forces.
 
         :param duration_s: length of the interval [s]
         :param position: at its end [rad or m], shape (n,)

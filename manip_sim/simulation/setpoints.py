@@ -71,7 +71,7 @@ class SetpointGenerator:
         self.now_s = 0.0
 
     def at_rest(self, indices: IntArray) -> bool:
-        """Tell whether some setpoints rest where they have been sent."""
+        """Tell whether all of the given setpoints rest at their goals."""
         if not self.moving:
             return True
         if self._stream[indices].any():

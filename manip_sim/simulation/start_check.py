@@ -100,8 +100,8 @@ def _apart(model: mujoco.MjModel, inner: int, outer: int, own: BoolArray) -> str
     if len(joints_between(model, *bodies)) < 2:
         # Geoms of neighbours often overlap at their common joint.
         return f'write <exclude body1="{other}" body2="{body}"/> into <contact>'
-    return ('start in another pose (init_qpos, or the keyframe), or mount farther out what is '
-            'mounted, or make the shapes smaller')
+    return ('start in another pose (init_qpos, or the keyframe), or mount the part farther out, '
+            'or make the shapes smaller')
 
 
 def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], joints: list[int],

@@ -115,7 +115,8 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
 def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], told: set[int]
                    ) -> Iterator[StartDefect]:
     """Yield the servos whose control is so far from the start that they exert their full force."""
-    is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
+    is_servo = ((model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
+                & (model.actuator_gainprm[:, 0] != 0.0))
     for actuator in np.flatnonzero(is_servo).tolist():
         driven = actuated_joints(model, actuator)
         if not joints.intersection(driven) or told.intersection(driven):
@@ -125,11 +126,13 @@ def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int],
         if not (np.abs(limit - force) <= _AT_LIMIT * np.abs(limit)).any() or force == 0.0:
             continue
         name, unit = model.actuator(actuator).name, _unit(model, driven[0])
-        length = float(data.actuator_length[actuator])
+        constant, slope = model.actuator_biasprm[actuator][:2]
+        held_by = -((constant + slope * data.actuator_length[actuator])
+                    / model.actuator_gainprm[actuator][0])
         yield StartDefect(
             'effort', f"actuator '{name}' starts with its full force of {force:.4g} {unit}: its "
-            f'control is {float(data.ctrl[actuator]):.4g} where the start is at {length:.4g}',
-            f'make both agree: write {length:.4g} for it into ctrl of the keyframe, or start the '
+            f'control is {float(data.ctrl[actuator]):.4g}, at {held_by:.4g} it would rest',
+            f'make both agree: write {held_by:.4g} for it into ctrl of the keyframe, or start the '
             'joint where the control holds it')
 
 

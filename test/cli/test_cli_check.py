@@ -27,7 +27,7 @@ def test_each_defect_of_a_composition_comes_with_what_mends_it(here):
     assert lines[0] == 'Panda0 in arena empty: 20 defects'
     assert lines[1].startswith("- geom 'gripper0_right_R_middle_proximal_link_col' of body")
     assert '47.4 mm inside' in lines[1]
-    assert lines[2].startswith('  mend: start in another pose')
+    assert lines[2].startswith('  fix: start in another pose')
     assert len(lines) == 1 + 2 * 20 + 1
     assert lines[-1] == ('Names in the files lack the prefixes robot0_, fixed_mount0_, '
                          'gripper0_right_.')
@@ -38,7 +38,7 @@ def test_a_robot_that_stands_in_the_table_is_told_to_move(here):
                          '0.4')
     assert code == 1
     assert "geom 'table_collision' of body 'table'" in text
-    assert "mend: place the robot elsewhere (its position, or base_xpos_offset), or move 'table'" \
+    assert "fix: place the robot elsewhere (its position, or base_xpos_offset), or move 'table'" \
         in text
 
 

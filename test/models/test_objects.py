@@ -274,7 +274,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     (f'objects: [{GOOD}, mass: .nan}}]', "'mass' must be .*, got nan"),
     (f'objects: [{GOOD}, mass: .inf}}]', "'mass' must be .*, got inf"),
     (f'objects: [{GOOD}, mass: heavy}}]', "'mass' must be a number, got 'heavy'"),
-    (f'objects: [{GOOD}, mass: 1e-3}}]', "'mass' must be a number, which YAML takes for a text: "
+    (f'objects: [{GOOD}, mass: 1e-3}}]', "'mass' must be a number, which YAML reads as a string: "
      "write 1.0e-3, got '1e-3'"),
     (f'objects: [{GOOD}, mass: {"9" * 400}}}]', "'mass' must be finite, got 999"),
     (f'objects: [{GOOD}, mass: 1, density: 1}}]', "give 'mass' or 'density', not both"),
@@ -292,7 +292,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     (f'objects: [{GOOD}, quat_xyzw: [1, 1, 0, 0]}}]',
      r"'quat_xyzw' must be a quaternion x, y, z, w of length 1, got .* of length 1\.41421"),
     (f'objects: [{GOOD}, file: mug.xml}}]', "object 'brick': give 'shape' or 'file', not both"),
-    ('objects: [{name: mug, file: 3}]', "object 'mug': 'file' must be a text, got 3"),
+    ('objects: [{name: mug, file: 3}]', "object 'mug': 'file' must be a string, got 3"),
     ('objects: [{name: mug, file: mug.xml, mass: 1}]',
      "object 'mug': unknown key 'mass': .*available: name, position, rpy, quat_xyzw, file"),
     ('objects: [{name: mug, file: none.xml}]', "object 'mug': no such MJCF file: .*none.xml"),
@@ -310,7 +310,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('a: &a [1]\nobjects: *a', "anchors and aliases are not read, found 'a' in line 1"),
     ('objects: ' + 3000 * '[', 'is invalid or unsafe YAML'),
     ('objects: ' + 3000 * '[' + 3000 * ']', 'it is nested too deeply'),
-    ('1: 2', 'a key must be a text, got 1 in line 1'),
+    ('1: 2', 'a key must be a string, got 1 in line 1'),
     ('objects: []' + 1_000_000 * ' ', r'parameters\.yaml is larger than 1000000 bytes')])
 def test_a_bad_list_is_rejected_in_one_line_with_file_object_and_key(written, text, message):
     path = written(text)

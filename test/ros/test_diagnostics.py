@@ -3,6 +3,8 @@
 
 """What the node tells of its health."""
 
+from pathlib import Path
+import re
 from threading import Event
 import time
 
@@ -37,6 +39,18 @@ def test_commands_are_counted_by_part(serve, client):
     assert float(arm()['age']) < 30.0
     gripper = values(next(s for s in arrays[-1].status if s.name == 'manip_sim: right/gripper'))
     assert gripper['age'] == 'never'
+
+
+def test_every_key_is_in_the_table_of_the_documentation(serve, client, renderer):
+    page = Path(__file__).parents[2] / 'docs' / 'reference' / 'topics.md'
+    section = page.read_text().split('## Diagnostics')[1].split('\n## ')[0]
+    told = {key for row in re.findall(r'^\| (`.*?) \|', section, re.MULTILINE)
+            for key in re.findall('`(.*?)`', row)}
+    serve(arena='table', cameras=['frontview'])
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: bool(arrays))
+    assert {pair.key.replace('frontview.', '<camera>.')
+            for status in arrays[-1].status for pair in status.values} == told
 
 
 def listen_with_times(client):

@@ -47,8 +47,8 @@ def test_a_trajectory_in_the_order_of_bytes_of_another_machine_is_read():
     for count in (0, 10_001):
         data = b'\0\0\0\0' + body + struct.pack('>I', count)
         if count:
-            with pytest.raises(CommandError, match=r'^a trajectory may have 10000 points, got '
-                                                   r'10001$'):
+            with pytest.raises(CommandError, match=r'^a trajectory may have at most 10000 points, '
+                                                   r'got 10001$'):
                 read_command(JointTrajectory, data)
         else:
             message = read_command(JointTrajectory, data)
@@ -87,10 +87,10 @@ def test_a_message_that_is_larger_than_any_command_is_rejected():
 
 
 @pytest.mark.parametrize('points, names, told', [
-    (100_000, ['joint'], 'a trajectory may have 10000 points, got 100000'),
-    (10_001, [], 'a trajectory may have 10000 points, got 10001'),
-    (0, ['j'] * 1001, 'a trajectory may have 1000 joints, got 1001'),
-    (0, ['j'] * 500_000, 'a trajectory may have 1000 joints, got 500000')],
+    (100_000, ['joint'], 'a trajectory may have at most 10000 points, got 100000'),
+    (10_001, [], 'a trajectory may have at most 10000 points, got 10001'),
+    (0, ['j'] * 1001, 'a trajectory may have at most 1000 joints, got 1001'),
+    (0, ['j'] * 500_000, 'a trajectory may have at most 1000 joints, got 500000')],
     ids=['points', 'points without names', 'joints', 'many joints'])
 def test_a_trajectory_that_is_too_long_costs_no_time(points, names, told):
     data = serialize_message(trajectory(points, names))

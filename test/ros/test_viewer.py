@@ -143,7 +143,8 @@ def test_the_picture_shows_the_cube_and_the_robot(page):
     image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
 
     # The cube is the only thing that is red, and little but the mount is as dark. A slow page lets
-    # the picture appear slowly, so that for a while it is pale.
+    # the picture appear slowly, so that for a while it is pale, and its camera is farther away if
+    # it was aimed while an arm was stretched out.
     end = time.monotonic() + START_S
     while time.monotonic() < end:
         pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
@@ -152,7 +153,7 @@ def test_the_picture_shows_the_cube_and_the_robot(page):
         brightness = pixels.max(axis=2)
         red = pixels[..., 0] - pixels[..., 1:].max(axis=2) > 40
         dark = 255 - brightness > 0.45 * (255 - brightness.min())
-        if red.sum() > 300 and dark.sum() > 5000:
+        if red.sum() > 150 and dark.sum() > 5000:
             return
         page.wait_for_timeout(500)
     pytest.fail(f'{red.sum()} red and {dark.sum()} dark pixels')

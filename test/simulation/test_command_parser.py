@@ -265,7 +265,7 @@ def test_of_a_command_only_the_joints_whose_mode_changed_are_lost(panda_sim, par
     ((['elbow'], [1.0], [[0.0]]), r"^arm has no joint 'elbow'"),
     ((['elbow'], [], []), r"^arm has no joint 'elbow'"),
     (([J1], np.arange(1.0, 10_002.0), np.zeros((10_001, 1))),
-     r'^arm: a trajectory may have 10000 points, got 10001$')])
+     r'^arm: a trajectory may have at most 10000 points, got 10001$')])
 def test_trajectory_that_does_not_fit_is_rejected(parse, arguments, message):
     with pytest.raises(CommandError, match=message):
         parse.trajectory('arm', *arguments)

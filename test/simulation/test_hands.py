@@ -277,7 +277,7 @@ def test_two_actuators_on_one_joint_end_the_start(hand_sim, second):
     with pytest.raises(ModelError, match=(
             "^actuators 'gripper0_left' and 'gripper0_damper' of right/gripper both drive joint "
             "'gripper0_left' and one of them is a position servo, which the other one disturbs: "
-            'leave one of them$')):
+            'keep only one$')):
         hand_sim(SERVO.format('left') + second)
 
 
@@ -337,7 +337,7 @@ def test_actuator_without_a_control_range_takes_that_of_its_joint(hand_sim, run)
 
 def test_motor_without_a_control_range_ends_the_start(hand_sim):
     with pytest.raises(ModelError, match="^actuator 'gripper0_m' of right/gripper needs a control "
-                                         'range, which actions of -1 to 1 stand for$'):
+                                         r'range, to which actions in \[-1, 1\] are mapped$'):
         hand_sim('<motor name="m" joint="left"/>')
 
 

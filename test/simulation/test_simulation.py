@@ -274,7 +274,7 @@ def test_unknown_part_tells_what_there_is(panda_sim):
 
 
 def test_mode_and_timeout_of_a_gripper_cannot_be_set(panda_sim):
-    message = r'^right/gripper is a gripper, which is always in position mode$'
+    message = r'^right/gripper is a gripper: it has no control mode and no timeout$'
     with pytest.raises(CommandError, match=message):
         panda_sim.robot.set_control_mode('right/gripper', 'effort')
     with pytest.raises(CommandError, match=message):

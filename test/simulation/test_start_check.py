@@ -350,10 +350,20 @@ def test_a_servo_whose_control_is_far_from_the_start_is_told():
     servo = hanging('<position name="m" joint="a" kp="1000" forcerange="-50 50"/>')
     key = '<keyframe><key qpos="1.2" {}/></keyframe>'
     defect, = efforts(servo[0], servo[1] + key.format(''))
-    assert defect.text == ("actuator 'm' starts with its full force of -50 N m: its control is 0 "
-                           'where the start is at 1.2')
+    assert defect.text == ("actuator 'm' starts with its full force of -50 N m: its control is 0, "
+                           'at 1.2 it would rest')
     assert 'write 1.2 for it into ctrl of the keyframe' in defect.remedy
     assert efforts(servo[0], servo[1] + key.format('ctrl="1.2"')) == []
+
+
+def test_the_control_that_is_told_holds_a_servo_whose_control_is_no_position():
+    servo = hanging('<general name="m" joint="a" gainprm="10" biastype="affine" '
+                    'biasprm="100 -1000 0" ctrlrange="-100 255" forcerange="-50 50"/>')
+    key = '<keyframe><key qpos="1.2" {}/></keyframe>'
+    defect, = efforts(servo[0], servo[1] + key.format(''))
+    # 10 u + 100 - 1000 * 1.2 = 0
+    assert 'write 110 for it into ctrl of the keyframe' in defect.remedy
+    assert efforts(servo[0], servo[1] + key.format('ctrl="110"')) == []
 
 
 def test_each_servo_that_pushes_is_told_whatever_those_before_it_do():

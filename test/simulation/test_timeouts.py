@@ -13,7 +13,7 @@ J1, J2 = 'robot0_joint1', 'robot0_joint2'
 
 @pytest.fixture
 def op(panda_op):
-    """Return an operator of the Panda whose arm has a time-out of 0.2 s."""
+    """Return an operator of the Panda whose arm has a timeout of 0.2 s."""
     panda_op.simulation.robot.set_command_timeout('arm', 0.2)
     return panda_op
 

@@ -18,8 +18,8 @@ class RobotBaseModel(MujocoXMLModel):
     """
     What a robot stands on; a subclass of one of the kinds below declares its offsets.
 
-    :attr:`bottom_offset` is the position of the root body in the file: that of the floor in the
-    frame of the robot's root if :attr:`top_offset` is zero.
+    :attr:`bottom_offset`, the position of the root body in the file, is the position of the floor
+    in the frame of the base.
     """
 
     #: The subsystem of joints whose names tell none.

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Load robots, grippers, bases and arenas from files of other people, with a YAML description."""
+"""Load robots, grippers, bases and arenas from third-party files, with a YAML description."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reduce the actuators in other people's files to one for each joint of a robot."""
+"""Reduce the actuators in third-party files to one for each joint of a robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LAG_S = 0.013
 _ABSURD_ACCELERATION = 5000.0
 #: A servo is stable at its force limit if its inertia over the damping is more than this [s].
 _DAMPED_S = 0.002 / 1.5
-#: Joints are not changed unless they are too light by more than this factor.
+#: Joints with a servo are not changed unless they are too light by more than this factor.
 _MUCH_TOO_LIGHT = 4.0
 #: Rotor inertia of an added servo [kg m^2 or kg]: this much per force, within limits.
 _ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
@@ -177,8 +177,8 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     """
     Add position servos to the joints of a model that has no actuators.
 
-    Their force limits are those of the joints. A joint that an equality constraint couples to
-    another one gets no servo.
+    Their force limits are those of the joints. Of two joints that an equality constraint couples,
+    the dependent one gets no servo.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param tree: of the same, compiled

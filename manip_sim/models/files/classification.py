@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sort the joints of other people's models into arm, base, torso, head and legs, by names."""
+"""Sort the joints of third-party models into arm, base, torso, head and legs, by names."""
 
 from __future__ import annotations
 

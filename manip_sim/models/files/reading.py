@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read a robot, hand or base from a file of other people: one tree, named, with a start."""
+"""Read a robot, hand or base from a third-party file: one tree, named, with a start."""
 
 from __future__ import annotations
 

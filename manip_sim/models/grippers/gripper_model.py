@@ -167,8 +167,8 @@ class GripperModel(MujocoXMLModel, ABC):
         """
         Make :meth:`format_action` continue from an actuator command.
 
-        :attr:`current_action` has one number per actuator or per action; of the two, or zeros,
-        the state is taken in which an action of zeros gives the nearest command.
+        :attr:`current_action` may have one number per actuator or per action; both and zeros are
+        tried, and the state from which a zero action gives the nearest command is kept.
 
         :param command: commands in [-1, 1], one for each actuator
         """

@@ -18,8 +18,8 @@ class Robotiq140GripperBase(CatalogueGripper, registered=False):
     """
 
     _folder = 'robotiq_140_gripper'
-    #: Open [rad]. These values of robosuite violate the closed linkage by up to 0.08 rad, which
-    #: its constraints correct in the first steps.
+    #: Open [rad]. These values from robosuite violate the closed linkage by up to 0.08 rad;
+    #: ``Simulation`` lets the linkage settle before the start.
     _start = 0.012, 0.065, 0.065, -0.012, 0.065, 0.065
     _important_geoms = {
         'left_finger': ['left_outer_finger_collision', 'left_inner_finger_collision',

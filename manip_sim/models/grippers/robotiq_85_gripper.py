@@ -14,7 +14,7 @@ class Robotiq85GripperBase(CatalogueGripper, registered=False):
 
     _folder = 'robotiq_85_gripper'
     #: Open [rad]. These values of robosuite are up to 0.2 rad outside the joint ranges and
-    #: leave the pads tilted by 0.29 rad; the linkage moves them to the open pose within 0.1 s.
+    #: leave the pads tilted by 0.29 rad; ``Simulation`` lets the linkage settle before the start.
     _start = -0.026, -0.267, -0.2, -0.026, -0.267, -0.2
     _important_geoms = {
         f'{side}_{part}': [f'{side}_{link}_collision' for link in links]

@@ -35,7 +35,7 @@ class Subsystems(MujocoXMLModel):
 
     @property
     def arm_joints(self) -> list[str]:
-        """Joints of the arms, the right one first."""
+        """Joints of the arms, in the order of the file."""
         return list(self._joints_of['arm'])
 
     @property
@@ -60,7 +60,7 @@ class Subsystems(MujocoXMLModel):
 
     @property
     def arm_actuators(self) -> list[str]:
-        """Actuators of the arms, the right one first."""
+        """Actuators of the arms, in the order of the file."""
         return list(self._actuators_of['arm'])
 
     @property

@@ -30,8 +30,8 @@ class CartesianPose(CartesianCommand):
     """
     A pose that ``grip_site`` comes to and keeps.
 
-    The frame's pose is that when the command takes effect. If the arm does not move the frame,
-    such as that of a mobile base, the goal then stays fixed in it, otherwise in ``world``.
+    The frame's pose is taken when the command takes effect. From then on the goal is fixed in that
+    frame if the arm does not move it (such as a mobile base), otherwise in ``world``.
 
     :ivar frame: of the pose
     :ivar position: [m], shape (3,)
@@ -46,7 +46,7 @@ class CartesianPose(CartesianCommand):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CartesianTwist(CartesianCommand):
     """
-    A velocity of ``grip_site``, which lasts until no fresh one has come for the time-out.
+    A velocity of ``grip_site``, which lasts until the timeout passes without a fresh one.
 
     :ivar frame: whose axes the twist is in; the linear velocity is that of ``grip_site``
     :ivar twist: linear [m/s] and angular [rad/s], shape (6,)

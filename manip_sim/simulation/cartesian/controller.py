@@ -47,9 +47,9 @@ class CartesianController:
     A controller of the hands of a robot, through the servos and setpoints of its arm joints.
 
     In position and velocity mode inverse kinematics runs on the setpoints, not on the measured
-    joints: a force at the hand does not change where the setpoints go, and one that deflects the
-    hand is answered by the servos. In effort mode operational space control runs in every interval
-    of the physics, on the measured joints.
+    joints: the servos resist a force at the hand, which does not change where the setpoints go
+    unless it exceeds the effort limits. In effort mode operational space control runs in every
+    tick, on the measured joints.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, whose joint positions are the posture
@@ -183,7 +183,7 @@ class CartesianController:
         joints = self._joints(indices, interval_s)
         scratch = self._scratch
         scratch.qpos[:] = data.qpos
-        # The joints have the velocities that are sought at the end of the interval.
+        # Velocities are sought for the end of the interval, so the arm is put where it is then.
         scratch.qpos[self._servos.qpos[indices]] = joints.position
         mujoco.mj_kinematics(self._model, scratch)
         mujoco.mj_comPos(self._model, scratch)

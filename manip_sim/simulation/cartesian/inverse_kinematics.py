@@ -148,7 +148,7 @@ def _displacements(jacobian: FloatArray, task: FloatArray, joints: JointState, l
     """
     Return the joint displacements for a task, and those in the null space towards the posture.
 
-    Joints that would go lower or higher than they may go as far, and the others do the rest.
+    Joints that would leave their limits are clamped to them, and the other joints compensate.
     """
     free = np.ones(len(low), dtype=bool)
     step = np.zeros(len(low))
@@ -208,7 +208,7 @@ def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> 
 
 
 def _evenly(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
-    """Return velocities in an interval on the way to others: joints gain speed by one share."""
+    """Limit changes of velocity: joints that speed up share one factor, others are clamped."""
     gains = np.abs(velocity) > np.abs(joints.velocity)
     change = np.abs(velocity - joints.velocity)[gains]
     possible = joints.acceleration_limit[gains] * interval_s

@@ -42,8 +42,8 @@ class CartesianParser:
         """
         Return the command to bring ``grip_site`` of an arm to a pose.
 
-        :param position: in the frame [m]
-        :param quat_xyzw: in the frame, of length 1
+        :param position: in the frame [m], shape (3,)
+        :param quat_xyzw: in the frame, of length 1, shape (4,)
         :param frame: a link of the robot or a frame on one; empty for ``world``
         :raises CommandError: if the frame is unknown, or the numbers are not those of a pose
         :raises UnknownNameError: if there is no such arm with a gripper
@@ -60,10 +60,10 @@ class CartesianParser:
         """
         Return the command for a velocity of ``grip_site`` of an arm.
 
-        A velocity above the limit of the settings is clamped in its direction, and counted.
+        A velocity above the limit of the settings is scaled down to it, and counted as clamped.
 
-        :param linear: [m/s]
-        :param angular: [rad/s]
+        :param linear: [m/s], shape (3,)
+        :param angular: [rad/s], shape (3,)
         :param frame: whose axes the velocity is in; empty for ``world``
         :raises CommandError: if the frame is unknown, or a number is not finite or too great
         :raises UnknownNameError: if there is no such arm with a gripper

@@ -16,7 +16,7 @@ from manip_sim.viewer.page.scene import FIELD_OF_VIEW, first_view
 _PANEL_PIXELS, _PHONE_PIXELS = 340, 576
 #: Share of its height that the open panel of a phone covers.
 _SHEET = 0.55
-#: Width by height of the first view where no browser has sent that of its window.
+#: Aspect ratio of the first view until a browser has sent the size of its window.
 _ASPECT = 1.4
 #: Cameras that are nearer to one another are the same [m].
 _SAME_M = 0.01
@@ -26,9 +26,9 @@ class Aiming:
     """
     The cameras of browsers.
 
-    The server gives all browsers that come the same first view, whatever their windows are like.
-    A slow one may take it over long after it was aimed, so a camera at that view is aimed again;
-    the button that resets a view leads there too.
+    The server gives every new browser the same first view, whatever the shape of its window. A
+    slow browser may apply that view after its camera was aimed, and the button that resets the
+    view always does; so any camera found at the first view is aimed again.
 
     :param server: the ``viser.ViserServer``
     """

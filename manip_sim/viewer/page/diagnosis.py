@@ -14,8 +14,8 @@ _SIGNS = {OK: '', WARN: 'Warning: ', ERROR: 'Error: '}
 _OUTCOMES = {
     'dropped': 'rejected', 'clamped': 'clamped', 'slowed': 'slowed down', 'timeouts': 'timed out',
     'faults': 'failed in the gripper', 'cartesian_unreachable': 'out of reach',
-    'cartesian_joint_limit': 'at the end of a joint', 'cartesian_singular': 'at a singularity',
-    'cartesian_slowed': 'slower than asked for'}
+    'cartesian_joint_limit': 'stopped by joint limits', 'cartesian_singular': 'at a singularity',
+    'cartesian_slowed': 'slower than requested'}
 _NEVER = 'never'
 
 

@@ -17,7 +17,7 @@ from manip_sim.viewer.page.robots import Joint, Part, Robot
 _STEPS = 500
 #: A joint that is slower is still [steps of the slider per second].
 _STILL = 2.0
-#: Time after which velocities that are not zero are sent again [s]; the node's time-outs are
+#: Time after which velocities that are not zero are sent again [s]; the node's timeouts are
 #: longer.
 _REPEAT_S = 0.1
 

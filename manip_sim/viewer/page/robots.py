@@ -59,7 +59,7 @@ class Part:
 
     @property
     def is_gripper(self) -> bool:
-        """Whether it takes actions, of which +1 closes."""
+        """Whether it is a gripper, which an action of +1 closes."""
         return self.name.endswith('/gripper')
 
 

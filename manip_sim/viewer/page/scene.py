@@ -23,7 +23,7 @@ _GRID = {'cell_color': (150, 150, 150), 'section_color': (120, 120, 120)}
 _FADE_M = 12.0
 #: Vertical field of view at first [rad].
 FIELD_OF_VIEW = math.radians(40.0)
-#: First view: from the front right of the robot, and so many times as far as need be.
+#: First view: from the front right of the robot; factor on the least distance that fits.
 _FROM = np.array([0.78, -0.82, 0.42])
 _ROOM = 1.4
 
@@ -159,7 +159,7 @@ def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covere
     """
     Return where to look from and to, so that robots and objects are seen.
 
-    :param aspect: width by height of the picture
+    :param aspect: aspect ratio of the picture, width / height
     :param covered: how much of its width something covers on the right, from 0 to 1
     :param below: how much of its height something covers below, from 0 to 1
     :returns: two positions in ``world`` [m]

@@ -52,7 +52,7 @@ class BodyMesh:
 
 def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
     """
-    Return all shapes of a model except transparent ones, planes and height fields.
+    Return all shapes of a model except invisible ones (alpha 0), planes and height fields.
 
     :param model: the ``mujoco.MjModel``
     """

@@ -59,7 +59,7 @@ class Discovery:
         self.models += 1
 
     def look(self) -> None:
-        """Look which topics the node has; to be called from time to time."""
+        """Check which topics the node has; to be called from time to time."""
         if not self.is_there:
             self.forget()
             return

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node offers, found in the names and types of its topics."""
+"""What a node offers, found in the names of its topics."""
 
 from __future__ import annotations
 

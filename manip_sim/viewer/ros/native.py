@@ -24,7 +24,7 @@ from manip_sim.viewer.ros.states import States
 
 _PERIOD_S = 1.0 / 60.0
 _LOOK_S = 0.5
-#: Width by height of the part of the picture that the panels of the window never cover.
+#: Aspect ratio of the part of the picture that the panels of the window never cover.
 _ASPECT = 0.6
 #: How long a window may take to close [s].
 _CLOSING_S = 5.0
