@@ -49,8 +49,9 @@ def test_what_cannot_be_chosen_is_rejected(given, error, what):
 
 def test_a_camera_whose_name_no_topic_can_have_is_rejected_and_told(one_joint_arm):
     world = with_cameras(one_joint_arm, {'name': 'left eye'})
-    with pytest.raises(ModelError, match="^the camera 'robot0_left eye' has a name that no topic "
-                                         'can have: letters, digits and underscores$'):
+    with pytest.raises(ModelError, match="^the camera 'robot0_left eye' cannot have a topic: its "
+                                         'name must consist of letters, digits and underscores, '
+                                         'and not begin with a digit$'):
         choose('robot0_left eye', world=world)
 
 
