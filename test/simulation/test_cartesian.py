@@ -11,8 +11,11 @@ import pytest
 from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
 from manip_sim.simulation.cartesian import controller
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.spawning import plan_with
@@ -110,6 +113,16 @@ def test_a_twist_moves_the_hand_at_that_velocity(mode):
     way, turn = distance(op.pose, start)
     assert way == pytest.approx(np.linalg.norm(wanted[:3]), abs=0.01)
     assert turn == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize('mode', MODES)
+def test_the_hand_of_an_arm_with_one_joint_goes_round_it(one_joint_arm, mode):
+    robot = one_joint_arm()
+    robot.add_gripper(PandaGripper(idn='0_right'))
+    op = HandOperator(Simulation(World([robot])), mode=mode)
+    axis, angular = op.simulation.data.joint('robot0_joint1').xanchor, np.array([0.0, 0.3, 0.0])
+    op.run(0.5, lambda: op.move_at(np.cross(angular, op.pose[0] - axis), angular))
+    assert op.simulation.data.joint('robot0_joint1').qvel[0] == pytest.approx(0.3, abs=0.01)
 
 
 @pytest.mark.parametrize('mode', MODES)

@@ -81,6 +81,13 @@ LATE = (Ending.ABORTED, GoalCode.GOAL_TOLERANCE_VIOLATED)
 INVALID = (Ending.ABORTED, GoalCode.INVALID_GOAL)
 
 
+def test_codes_are_those_of_control_msgs():
+    # As in FollowJointTrajectory.action.
+    assert {code.name: code.value for code in GoalCode} == {
+        'SUCCESSFUL': 0, 'INVALID_GOAL': -1, 'INVALID_JOINTS': -2, 'OLD_HEADER_TIMESTAMP': -3,
+        'PATH_TOLERANCE_VIOLATED': -4, 'GOAL_TOLERANCE_VIOLATED': -5}
+
+
 def test_goal_succeeds_when_the_joints_stand_at_the_last_point_and_not_before(panda):
     goal = panda.start(J1, J2, positions=[[0.3, 0.4]])
     panda.run(0.99)
