@@ -10,12 +10,15 @@ import os
 
 def use_one_blas_thread() -> None:
     """
-    Let NumPy start without threads for linear algebra, unless ``OPENBLAS_NUM_THREADS`` is set.
+    Let NumPy start without threads for linear algebra.
+
+    ``OPENBLAS_NUM_THREADS`` and ``OMP_NUM_THREADS`` count, where they are set.
 
     A robot's matrices are too small for them, and after the import of NumPy the OpenBLAS threads
     busy-wait: a quarter of the processor time of a node's start on two processors.
     """
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    if 'OMP_NUM_THREADS' not in os.environ:
+        os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 
 def import_mujoco() -> None:

@@ -42,6 +42,8 @@ def imports(path):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f'{path}: relative import'
             yield node.module
+            if node.module in ('manip_sim', 'rclpy'):  # Names may be modules.
+                yield from (f'{node.module}.{alias.name}' for alias in node.names)
 
 
 @pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -12,7 +12,7 @@ import pytest
 LOOK = """
 import os, sys
 print(len(os.listdir('/proc/self/task')), 'OpenGL' in sys.modules or 'glfw' in sys.modules,
-      os.environ.get('MUJOCO_GL'), os.environ['OPENBLAS_NUM_THREADS'])
+      os.environ.get('MUJOCO_GL'), os.environ.get('OPENBLAS_NUM_THREADS'))
 """
 IMPORT = f'from manip_sim.startup import import_mujoco; import_mujoco(){LOOK}'
 COMMAND = f"""
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(not os.path.isdir('/proc/self/task'),
 def seen(script, **variables):
     """Return threads, whether OpenGL is loaded, and two variables, after a script."""
     environment = {name: value for name, value in os.environ.items()
-                   if name not in ('MUJOCO_GL', 'OPENBLAS_NUM_THREADS')}
+                   if name not in ('MUJOCO_GL', 'OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
     done = subprocess.run([sys.executable, '-c', script], env={**environment, **variables},
                           capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
@@ -41,6 +41,7 @@ def test_mujoco_is_imported_without_opengl_and_without_threads_for_linear_algebr
 def test_what_the_user_chose_stands():
     assert seen(IMPORT, MUJOCO_GL='nonsense', OPENBLAS_NUM_THREADS='2')[1:] == [
         'False', 'nonsense', '2']
+    assert seen(IMPORT, OMP_NUM_THREADS='2')[1:] == ['False', 'None', 'None']
 
 
 def test_a_command_starts_no_thread():

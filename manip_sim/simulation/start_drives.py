@@ -24,6 +24,7 @@ _AT_LIMIT = 1e-6
 _LISTED = 8
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+_FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
 
 
 def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
@@ -115,8 +116,7 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
 def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], told: set[int]
                    ) -> Iterator[StartDefect]:
     """Yield the servos whose control is so far from the start that they exert their full force."""
-    is_servo = ((model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
-                & (model.actuator_gainprm[:, 0] != 0.0))
+    is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
     for actuator in np.flatnonzero(is_servo).tolist():
         driven = actuated_joints(model, actuator)
         if not joints.intersection(driven) or told.intersection(driven):
@@ -126,14 +126,25 @@ def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int],
         if not (np.abs(limit - force) <= _AT_LIMIT * np.abs(limit)).any() or force == 0.0:
             continue
         name, unit = model.actuator(actuator).name, _unit(model, driven[0])
-        constant, slope = model.actuator_biasprm[actuator][:2]
-        held_by = -((constant + slope * data.actuator_length[actuator])
-                    / model.actuator_gainprm[actuator][0])
+        there = _control_without_force(model, actuator, float(data.actuator_length[actuator]))
         yield StartDefect(
             'effort', f"actuator '{name}' starts with its full force of {force:.4g} {unit}: its "
-            f'control is {float(data.ctrl[actuator]):.4g}, at {held_by:.4g} it would rest',
-            f'make both agree: write {held_by:.4g} for it into ctrl of the keyframe, or start the '
-            'joint where the control holds it')
+            f'control is {float(data.ctrl[actuator]):.4g}'
+            + ('' if there is None else f', at {there:.4g} it would exert none'),
+            ('' if there is None else f'write {there:.4g} for it into ctrl of the keyframe, or ')
+            + 'start the joint where the control holds it')
+
+
+def _control_without_force(model: mujoco.MjModel, actuator: int, length: float) -> float | None:
+    """Return the control in range at which a servo exerts no force at rest, or None."""
+    gain, (constant, slope) = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[
+        actuator, :2]
+    if int(model.actuator_gaintype[actuator]) != _FIXED or gain == 0.0:
+        return None
+    control = float(-(constant + slope * length) / gain)
+    low, high = model.actuator_ctrlrange[actuator]
+    limited = bool(model.actuator_ctrllimited[actuator])
+    return control if not limited or low <= control <= high else None
 
 
 def _unit(model: mujoco.MjModel, joint: int) -> str:

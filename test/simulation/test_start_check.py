@@ -351,19 +351,23 @@ def test_a_servo_whose_control_is_far_from_the_start_is_told():
     key = '<keyframe><key qpos="1.2" {}/></keyframe>'
     defect, = efforts(servo[0], servo[1] + key.format(''))
     assert defect.text == ("actuator 'm' starts with its full force of -50 N m: its control is 0, "
-                           'at 1.2 it would rest')
+                           'at 1.2 it would exert none')
     assert 'write 1.2 for it into ctrl of the keyframe' in defect.remedy
     assert efforts(servo[0], servo[1] + key.format('ctrl="1.2"')) == []
 
 
 def test_the_control_that_is_told_holds_a_servo_whose_control_is_no_position():
-    servo = hanging('<general name="m" joint="a" gainprm="10" biastype="affine" '
-                    'biasprm="100 -1000 0" ctrlrange="-100 255" forcerange="-50 50"/>')
-    key = '<keyframe><key qpos="1.2" {}/></keyframe>'
+    general = ('<general name="m" joint="a" gainprm="10" biastype="affine" biasprm="100 -1000 0" '
+               'ctrlrange="-100 {}" forcerange="-50 50"/>')
+    servo, key = hanging(general.format(255)), '<keyframe><key qpos="1.2" {}/></keyframe>'
     defect, = efforts(servo[0], servo[1] + key.format(''))
     # 10 u + 100 - 1000 * 1.2 = 0
     assert 'write 110 for it into ctrl of the keyframe' in defect.remedy
     assert efforts(servo[0], servo[1] + key.format('ctrl="110"')) == []
+    out_of_range = hanging(general.format(100))
+    defect, = efforts(out_of_range[0], out_of_range[1] + key.format(''))
+    assert defect.text.endswith('its control is 0')
+    assert defect.remedy == 'start the joint where the control holds it'
 
 
 def test_each_servo_that_pushes_is_told_whatever_those_before_it_do():
