@@ -24,7 +24,7 @@ _AT_LIMIT = 1e-6
 _LISTED = 8
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
-_FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
+_FIXED, _INTEGRATOR = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 
 
 def find_drive_defects(model: mujoco.MjModel, data: mujoco.MjData, own: BoolArray
@@ -137,10 +137,11 @@ def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int],
 
 def _control_without_force(model: mujoco.MjModel, actuator: int, length: float) -> float | None:
     """Return the control in range at which a servo exerts no force at rest, or None."""
-    gain, (constant, slope) = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[
-        actuator, :2]
-    if int(model.actuator_gaintype[actuator]) != _FIXED or gain == 0.0:
+    gain = model.actuator_gainprm[actuator, 0]
+    if (int(model.actuator_gaintype[actuator]) != _FIXED or gain == 0.0
+            or int(model.actuator_dyntype[actuator]) == _INTEGRATOR):
         return None
+    constant, slope = model.actuator_biasprm[actuator, :2]
     control = float(-(constant + slope * length) / gain)
     low, high = model.actuator_ctrlrange[actuator]
     limited = bool(model.actuator_ctrllimited[actuator])

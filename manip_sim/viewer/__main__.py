@@ -35,7 +35,7 @@ def main() -> int:
         from manip_sim.errors import ManipSimError
         from manip_sim.startup import import_mujoco, use_one_blas_thread
         from manip_sim.viewer.display import check_display
-        use_one_blas_thread()
+        use_one_blas_thread()  # viser imports NumPy.
         if options.native:
             check_display()
         else:

@@ -4,6 +4,7 @@
 """``manip_sim render``: pictures, by processes in which MuJoCo renders without a screen."""
 
 import json
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -24,9 +25,11 @@ for line in sys.stdin:
 
 
 @pytest.fixture(scope='module')
-def process(renderer):
+def process(renderer, tmp_path_factory):
     """Return a process that runs one command after another, so that it starts only once."""
-    process = subprocess.Popen([sys.executable, '-c', COMMANDS], cwd=SOURCE, text=True,
+    process = subprocess.Popen([sys.executable, '-c', COMMANDS], text=True,
+                               cwd=tmp_path_factory.mktemp('render'),
+                               env={**os.environ, 'PYTHONPATH': str(SOURCE)},
                                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE)
     yield process

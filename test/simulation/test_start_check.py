@@ -364,10 +364,14 @@ def test_the_control_that_is_told_holds_a_servo_whose_control_is_no_position():
     # 10 u + 100 - 1000 * 1.2 = 0
     assert 'write 110 for it into ctrl of the keyframe' in defect.remedy
     assert efforts(servo[0], servo[1] + key.format('ctrl="110"')) == []
-    out_of_range = hanging(general.format(100))
-    defect, = efforts(out_of_range[0], out_of_range[1] + key.format(''))
-    assert defect.text.endswith('its control is 0')
-    assert defect.remedy == 'start the joint where the control holds it'
+    # Out of its range; and a velocity, where the servo integrates.
+    integrating = ('<intvelocity name="m" joint="a" kp="1000" ctrlrange="-1 1" actrange="-2 2" '
+                   'forcerange="-50 50"/>')
+    for actuator in (general.format(100), integrating):
+        servo = hanging(actuator)
+        defect, = efforts(servo[0], servo[1] + key.format(''))
+        assert defect.text.endswith('its control is 0')
+        assert defect.remedy == 'start the joint where the control holds it'
 
 
 def test_each_servo_that_pushes_is_told_whatever_those_before_it_do():
