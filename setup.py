@@ -4,15 +4,45 @@
 """Package manip_sim: for colcon (ament_python) and for pip."""
 
 from pathlib import Path
+import sys
 from xml.etree import ElementTree
 
-from setuptools import find_packages, setup
+from setuptools import Distribution, find_packages, setup
 
 PACKAGE = 'manip_sim'
 # With colcon's --symlink-install this file is run through a link in another folder.
 HERE = Path(__file__).resolve().parent
 ABOUT = ElementTree.parse(HERE / 'package.xml')
 MAINTAINER = ABOUT.find('maintainer')
+PROGRAMS = {
+    'sim_node': f'{PACKAGE}.__main__:main',
+    'sim_view': f'{PACKAGE}.viewer.__main__:main',
+    'manip_sim': f'{PACKAGE}.cli.main:run',
+    'pick_cube': f'{PACKAGE}.examples.pick_cube:main',
+    'hand_over': f'{PACKAGE}.examples.hand_over:main'}
+
+
+class WithData(Distribution):
+    """Lets editable installations have data files too: setuptools asks for ``has_data``."""
+
+    has_data = Distribution.has_data_files
+
+
+def launchers() -> list:
+    """
+    Return the data_files entry that lets ``ros2 run`` and launch files find a wheel's programs.
+
+    They look in ``lib/manip_sim``, pip installs programs in ``bin``. With colcon the programs
+    themselves are in ``lib/manip_sim``: see setup.cfg.
+    """
+    if not {'bdist_wheel', 'editable_wheel'} & set(sys.argv):
+        return []
+    folder = Path('build', 'launchers')
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in PROGRAMS:
+        (folder / name).write_text(f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n')
+        (folder / name).chmod(0o755)
+    return [(f'lib/{PACKAGE}', [(folder / name).as_posix() for name in PROGRAMS])]
 
 
 def files_below(folder: str) -> list:
@@ -25,6 +55,7 @@ def files_below(folder: str) -> list:
 
 setup(
     name=PACKAGE,
+    distclass=WithData,
     version=ABOUT.findtext('version'),
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={PACKAGE: ['py.typed']},
@@ -33,6 +64,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         *files_below('assets'),
         *files_below('config'),
+        *launchers(),
     ],
     python_requires='>=3.10,<3.14',
     install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pydantic>=2', 'pyyaml'],
@@ -67,12 +99,6 @@ setup(
         'Typing :: Typed',
     ],
     entry_points={
-        'console_scripts': [
-            f'sim_node = {PACKAGE}.__main__:main',
-            f'sim_view = {PACKAGE}.viewer.__main__:main',
-            f'manip_sim = {PACKAGE}.cli.main:run',
-            f'pick_cube = {PACKAGE}.examples.pick_cube:main',
-            f'hand_over = {PACKAGE}.examples.hand_over:main',
-        ],
+        'console_scripts': [f'{name} = {function}' for name, function in PROGRAMS.items()],
     },
 )
