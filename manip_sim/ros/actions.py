@@ -21,6 +21,7 @@ from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.control_messages import ActionTypes, load_action_types
 from manip_sim.ros.goal_server import GoalServer
 from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.optional_packages import missing_note
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import SimulatedRobot
@@ -127,8 +128,7 @@ def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: Sim
     """
     types = load_action_types()
     if types is None:
-        node.notes.append('no actions: the package control_msgs is not installed '
-                          '(ros-jazzy-control-msgs)')
+        node.notes.append(missing_note('control_msgs', 'actions'))
         return None
 
     def now_ns() -> int:

@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from manip_sim.ros.optional_packages import import_optional
+
 
 @dataclass(frozen=True)
 class ActionTypes:
@@ -24,11 +26,8 @@ class ActionTypes:
 
 def load_action_types() -> ActionTypes | None:
     """Return the types of the package, or None if it is not installed."""
-    try:
-        from control_msgs import action
-    except ModuleNotFoundError as missing:
-        if str(missing.name).split('.')[0] != 'control_msgs':
-            raise
+    action = import_optional('control_msgs.action')
+    if action is None:
         return None
     return ActionTypes(action.FollowJointTrajectory, action.GripperCommand,
                        getattr(action, 'ParallelGripperCommand', None))

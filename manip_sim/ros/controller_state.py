@@ -13,14 +13,11 @@ import numpy as np
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.simulation.state import ControllerState
 
-try:
-    from control_msgs.msg import JointTrajectoryControllerState
-except ModuleNotFoundError as missing:
-    if str(missing.name).split('.')[0] != 'control_msgs':
-        raise
-    JointTrajectoryControllerState = None
+JointTrajectoryControllerState: Any = getattr(
+    import_optional('control_msgs.msg'), 'JointTrajectoryControllerState', None)
 
 #: The type of ``<part>/controller_state``.
 MESSAGE_TYPE: Any = JointTrajectoryControllerState or JointTrajectory

@@ -13,18 +13,14 @@ from rclpy.node import Node
 
 from manip_sim.errors import CommandError
 from manip_sim.ros.entity_services import EntityServices
+from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.rejection import answering, Rejection, told
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_codes import Feature, ResultCode, Scope, SetStateCode, State
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
-try:
-    from simulation_interfaces import srv as SERVICE_TYPES
-except ModuleNotFoundError as missing:
-    if str(missing.name).split('.')[0] != 'simulation_interfaces':
-        raise
-    SERVICE_TYPES = None
+SERVICE_TYPES = import_optional('simulation_interfaces.srv')
 
 #: Whether the package is installed.
 AVAILABLE = SERVICE_TYPES is not None
@@ -46,20 +42,22 @@ class _YieldToExecutor:
         yield
 
 
-def offer_simulation_interfaces(node: Node, simulation: Simulation, thread: SimulationThread,
+def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: SimulationThread,
                                 objects_changed: Callable[[Simulation], None]) -> None:
     """
-    Offer the services of the standard under ``~/`` if its package is installed, else do nothing.
+    Offer the services of the standard under ``~/``; note if their package is missing.
 
-    :param node: the node
+    :param node: the node, with its ``notes``
     :param simulation: what is controlled
     :param thread: runs it
     :param objects_changed: is called after objects have come or gone
     """
-    if AVAILABLE:
-        SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
-        EntityServices(node, simulation, thread, SERVICE_TYPES)
-        SpawningServices(node, simulation, thread, objects_changed, SERVICE_TYPES)
+    if not AVAILABLE:
+        node.notes.append(missing_note('simulation_interfaces', 'standard simulation services'))
+        return
+    SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
+    EntityServices(node, simulation, thread, SERVICE_TYPES)
+    SpawningServices(node, simulation, thread, objects_changed, SERVICE_TYPES)
 
 
 class SimulationInterfaces:

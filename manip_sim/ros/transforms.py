@@ -16,17 +16,13 @@ from rclpy.node import Node
 from manip_sim.arrays import FloatArray
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.outputs import create_output, LATCHED, Output
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import Frame, FrameTree
 
-try:
-    from tf2_msgs.msg import TFMessage
-except ModuleNotFoundError as missing:
-    if str(missing.name).split('.')[0] != 'tf2_msgs':
-        raise
-    TFMessage = None
+TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
 
 #: Queue depth, as in tf2's broadcasters.
 _DEPTH = 100
@@ -43,7 +39,7 @@ def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree], prefi
     :returns: None without ``tf2_msgs``
     """
     if TFMessage is None:
-        node.notes.append('no /tf and /tf_static: the package tf2_msgs is not installed')
+        node.notes.append(missing_note('tf2_msgs', '/tf and /tf_static'))
         return None
     return TransformPublisher(*create_outputs(node, log), frames, prefix)
 
