@@ -86,6 +86,8 @@ class SimulationThread:
         self._calls = Calls(self._inbox)
         self._pacer = Pacer(steps * simulation.timestep_s, real_time_factor, time.monotonic())
         self._repeat_at = 0.0
+        #: Whether observers are being called, and whether one has changed the state meanwhile.
+        self._showing = self._show_again = False
         #: How many control periods may be run at once if nothing but physics happens in them.
         self._at_once = 1
         self.progress = Progress(time.monotonic(), simulation.time_ns)
@@ -97,7 +99,8 @@ class SimulationThread:
         """
         Call a function at the end of control periods from now on.
 
-        It sees each period whose number, counted from the beginning of simulation time, is a
+        It may use all methods but :meth:`step`, and must not wait for a thread that waits for the
+        simulation. It sees each period whose number, counted from the beginning of simulation time, is a
         multiple of ``every``; the state after a start or a reset and repeated states in any case.
 
         :param observer: is called in the simulation's thread, which waits for it
@@ -175,13 +178,16 @@ class SimulationThread:
         """
         Run a function in the simulation's thread, between two control periods.
 
-        Before the thread has been started the function runs at once.
+        Before the thread has been started, and in the thread itself, such as in an observer, the
+        function runs at once.
 
         :param function: takes nothing; may change the simulation
         :returns: what the function returns
         :raises Exception: what the function raises
         :raises SimulationEnded: if the simulation has ended, or ends before it runs the function
         """
+        if threading.current_thread() is self._thread:
+            return function()
         with self._lock:
             if self._thread.ident is None and not self._stopping:
                 return function()
@@ -203,9 +209,11 @@ class SimulationThread:
         """
         Advance by one control period and show the observers its state.
 
-        :raises CommandError: if the simulation is not paused, or has diverged
+        :raises CommandError: if the simulation is not paused, or has diverged, or in an observer
         """
         def advance() -> None:
+            if self._showing:
+                raise CommandError('an observer cannot step the simulation')
             if not self._paused:
                 raise CommandError('the simulation is running: pause it first')
             if self._simulation.diverged is not None:
@@ -216,6 +224,8 @@ class SimulationThread:
     def reset(self, restart_time: bool = False) -> None:
         """
         Put the simulation back to its start, abort all commands, show the observers the state.
+
+        Where an observer does this, the start is shown as soon as all observers have been called.
 
         :param restart_time: whether simulation time begins again, as at the start, or goes on
         """
@@ -255,7 +265,7 @@ class SimulationThread:
                     self._calls.answer()
                 if due and not self._paused:
                     self._period(most=self._at_once)
-                elif self._repeats and time.monotonic() >= self._repeat_at:
+                elif self._show_again or self._repeats and time.monotonic() >= self._repeat_at:
                     self._show()
         except BaseException as error:  # The main thread has to learn of it.
             self.error = error
@@ -264,7 +274,7 @@ class SimulationThread:
 
     def _wait(self) -> bool:
         """Wait until there is something to do; tell whether a control period is due."""
-        while not (self._stopping or self._calls):
+        while not (self._stopping or self._calls or self._show_again):
             now = time.monotonic()
             if self._repeats:
                 held = self._paused or self._simulation.diverged is not None
@@ -312,6 +322,10 @@ class SimulationThread:
                 self._tell_failure(command, error)
 
     def _show(self, number: int = 0) -> None:
+        if self._showing:
+            self._show_again = True
+            return
+        self._showing, self._show_again = True, False
         time_ns = self._simulation.time_ns
         self._commands.may_answer(time_ns)
         now = time.monotonic()
@@ -320,3 +334,4 @@ class SimulationThread:
                                  self._commands.missing if waits else {})
         self._repeat_at = now + _REPEAT_S
         self._observers.show(self._simulation, number, now, look=self._repeats)
+        self._showing = False

@@ -259,3 +259,73 @@ def test_an_observer_without_a_look_is_always_called(free):
         observers.show(n, n, 100.0, look=False)
         assert not observers.absent
     assert seen == [0, 2, 4]
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])
+def test_an_observer_may_pause_and_resume_the_simulation_that_waits_for_it(free, stepping):
+    thread, paused_at = free(stepping=stepping, real_time_factor=10.0), []
+
+    def pause(simulation):
+        if not paused_at and simulation.time_s > 0.2:
+            thread.pause(False)
+            thread.pause(True)
+            paused_at.append(simulation.time_ns)
+    thread.observe(pause)
+    thread.start()
+    wait_until(lambda: paused_at)
+    assert thread.paused
+    assert thread.call(lambda: thread.progress.time_ns) == paused_at[0]
+    thread.pause(False)
+    wait_until(lambda: thread.progress.time_ns > paused_at[0])
+
+
+def test_a_reset_by_an_observer_is_shown_after_the_present_state(free):
+    thread, seen = free(paused=True), []
+
+    def start_again(simulation):
+        if simulation.time_ns == 30_000_000:
+            thread.reset(restart_time=True)
+            assert thread.at_start
+    thread.observe(start_again)
+    # Of the instant that ends so, the observers that follow see what has become of it.
+    thread.observe(lambda simulation: seen.append((simulation.time_ns, thread.at_start)))
+    thread.start()
+    thread.step()
+    thread.step()
+    wait_until(lambda: seen.count((10_000_000, True)) >= 3)
+    assert list(dict.fromkeys(seen)) == [(10_000_000, True), (20_000_000, False)]
+    assert thread.progress.time_ns == 10_000_000
+    assert thread.error is None
+
+
+def test_a_reset_by_an_observer_is_shown_before_the_simulation_goes_on(free):
+    thread, seen = free(stepping='free'), []
+
+    def start_again(simulation):
+        seen.append(simulation.time_ns // 10_000_000)
+        if seen[-1] == 3:
+            thread.reset(restart_time=True)
+    thread.observe(start_again)
+    thread.start()
+    wait_until(lambda: len(seen) > 100)
+    assert seen[:99] == [1, 2, 3] * 33
+
+
+def test_an_observer_that_resets_every_state_keeps_nobody_waiting(free):
+    thread = free(stepping='free')
+    thread.observe(lambda _: thread.reset())
+    thread.start()
+    assert thread.call(lambda: 7) == 7
+
+
+def test_an_observer_cannot_step_the_simulation(free):
+    thread, told = free(paused=True), []
+
+    def step(_):
+        with pytest.raises(CommandError, match='an observer cannot step the simulation'):
+            thread.step()
+        told.append(1)
+    thread.observe(step)
+    thread.start()
+    wait_until(lambda: told)
+    assert thread.call(lambda: thread.progress.time_ns) == 10_000_000
