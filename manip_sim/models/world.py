@@ -61,8 +61,10 @@ class World:
         self.timestep_s = whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
         prefixes = [robot.naming_prefix for robot in self.robots]
-        if len(set(prefixes)) != len(prefixes):
-            raise ModelError('robots in one world need different idn or prefix, got '
+        # A robot goes by its prefix without the underscores at its end.
+        if len({prefix.rstrip('_') for prefix in prefixes}) != len(prefixes):
+            apart = 'underscores at the end apart, ' * (len(set(prefixes)) == len(prefixes))
+            raise ModelError(f'robots in one world need different idn or prefix, {apart}got '
                              + ', '.join(prefixes))
         self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
         check_object_names(self.objects)

@@ -97,6 +97,14 @@ def test_two_robots_of_one_idn_are_rejected(panda):
         World([panda, Panda()])
 
 
+@pytest.mark.parametrize('prefixes', [('left', 'left_'), ('robot0', ''), ('a_', 'a__')])
+def test_prefixes_that_differ_in_underscores_at_the_end_alone_are_rejected(prefixes):
+    robots = [compose_robot('Panda', prefix=prefix) for prefix in prefixes]
+    with pytest.raises(ModelError, match=r'^robots in one world need different idn or prefix, '
+                                         r'underscores at the end apart, got '):
+        World(robots)
+
+
 def test_two_grippers_of_one_idn_in_a_world_are_rejected(panda):
     other = Panda(idn=1)
     other.add_gripper(PandaGripper(idn='0_right'))
