@@ -12,7 +12,7 @@ from manip_sim.cli.composition import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import commanded_parts
-from manip_sim.models.urdf_writer import choose_robot, Hardware, name_of, urdf_of
+from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of
 from manip_sim.simulation import Simulation
 
 _ARCHIVES = ('.mjz', '.zip')
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     elif ending == '.xml':
         content = world.to_xml().encode()
     else:
-        name = name_of(choose_robot(world, options.name))
+        name = choose_robot(world, options.name).name_in_world
         urdf = urdf_of(world, name, _hardware(composed, name) if options.ros2_control else None)
         content, notes = urdf.xml.encode(), urdf.notes
     write_whole(file, lambda path: path.write_bytes(content))

@@ -61,8 +61,7 @@ class World:
         self.timestep_s = whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
         prefixes = [robot.naming_prefix for robot in self.robots]
-        # A robot goes by its prefix without the underscores at its end.
-        if len({prefix.rstrip('_') for prefix in prefixes}) != len(prefixes):
+        if len({robot.name_in_world for robot in self.robots}) != len(prefixes):
             apart = 'underscores at the end apart, ' * (len(set(prefixes)) == len(prefixes))
             raise ModelError(f'robots in one world need different idn or prefix, {apart}got '
                              + ', '.join(prefixes))

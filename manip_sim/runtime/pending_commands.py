@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 import threading
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.runtime.command_buffer import CommandBuffer
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle
@@ -59,10 +59,16 @@ class PendingCommands:
         :param stamp_ns: in lock-step, stamp of the state that they answer [ns]; 0: not given
         :param robot: its name; None: the only robot
         :returns: the handle of each command
-        :raises CommandError: in lock-step, if that is not the present state, or if all commands
-            for it have come already
+        :raises CommandError: if a command was made for another robot; in lock-step, if that is not
+            the present state, or if all commands for it have come already
+        :raises UnknownNameError: if there is no such robot
         """
-        buffer = self._buffers[self._simulation.robot.name if robot is None else robot]
+        name = self._simulation.robot.name if robot is None else robot
+        if name not in self._buffers:
+            raise UnknownNameError('robot', name, self._buffers)
+        commands, buffer = list(commands), self._buffers[name]
+        for command in commands:
+            self._simulation.robots[name].check_own(command)
         with self._lock:
             if self._lockstep and stamp_ns and stamp_ns != self._present_ns:
                 raise CommandError(f'lockstep: the command answers the state of '

@@ -99,9 +99,9 @@ class SimulationThread:
         """
         Call a function at the end of control periods from now on.
 
-        It may use all methods but :meth:`step`, and must not wait for a thread that waits for the
-        simulation. It sees each period whose number, counted from the beginning of simulation time, is a
+        It sees each period whose number, counted from the beginning of simulation time, is a
         multiple of ``every``; the state after a start or a reset and repeated states in any case.
+        It may use all methods but :meth:`step`, and must not wait for another thread that does.
 
         :param observer: is called in the simulation's thread, which waits for it
         :param every: divider of the control periods, 1 or more
@@ -166,8 +166,9 @@ class SimulationThread:
         :param stamp_ns: in lock-step, stamp of the state that they answer [ns]; 0: not given
         :param robot: its name; None: the only robot
         :returns: the handle of each command
-        :raises CommandError: in lock-step, if that is not the present state, or if all commands
-            for it have come already
+        :raises CommandError: if a command was made for another robot; in lock-step, if that is not
+            the present state, or if all commands for it have come already
+        :raises UnknownNameError: if there is no such robot
         """
         handles = self._commands.add(commands, stamp_ns, robot)
         if self._stepping == 'lockstep' and threading.current_thread() is not self._thread:

@@ -34,7 +34,7 @@ class CommandParser:
     """
     A parser of commands for the parts of a robot.
 
-    :param robot: its ``format_action`` maps abstract actions
+    :param robot: for which the commands are; its ``format_action`` maps abstract actions
     :param joints: controller of the joints of arms, base, torso, head and legs; only read
     :param grippers: controllers of the grippers, by part; only read
     """
@@ -45,7 +45,7 @@ class CommandParser:
         self._joints = joints
         self._grippers = grippers
         self._joint_commands = JointCommandParser(
-            joints, {part: gripper.joints for part, gripper in grippers.items()})
+            robot, joints, {part: gripper.joints for part, gripper in grippers.items()})
 
     def action(self, part: str, action: ArrayLike) -> Command:
         """
@@ -60,25 +60,27 @@ class CommandParser:
             gripper = self._grippers[part]
             numbers = finite_numbers(action, gripper.dof, f'{part}: an action')
             inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
-            return GripperAction(parts=frozenset([part]), indices=gripper.indices, action=inside,
-                                 clamped=clamped,
-                                 clamped_example=action_example(numbers, inside))
-        indices = self._joints.indices_of(part)
+            return GripperAction(
+                robot=self._robot, parts=frozenset([part]), indices=gripper.indices,
+                action=inside, clamped=clamped, clamped_example=action_example(numbers, inside))
+        indices, modes = self._joints.indices_of(part), self._joints.modes
         numbers = finite_numbers(action, len(indices), f'{part}: an action')
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
         return JointSetpoint(
-            parts=self._joints.parts_of(indices), indices=indices, clamped=clamped,
-            clamped_example=action_example(numbers, inside),
-            modes=self._joints.modes_of(indices), values=self._formatted(part, indices, inside))
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
+            clamped=clamped, clamped_example=action_example(numbers, inside),
+            modes=tuple(modes[i] for i in indices),
+            values=self._formatted(part, indices, inside, modes))
 
-    def _formatted(self, part: str, indices: IntArray, action: FloatArray) -> FloatArray:
+    def _formatted(self, part: str, indices: IntArray, action: FloatArray, modes: Sequence[str]
+                   ) -> FloatArray:
         # format_action knows subsystems, of which one arm of two is only a part.
         subsystem = part if part in SUBSYSTEMS else 'arm'
         whole = self._joints.indices_of(subsystem)
         own = np.flatnonzero(np.isin(whole, indices))
         padded = np.zeros(len(whole))
         padded[own] = action
-        return self._robot.format_action(subsystem, padded, self._joints.ranges(whole))[own]
+        return self._robot.format_action(subsystem, padded, self._joints.ranges(whole, modes))[own]
 
     def joint_command(self, names: Sequence[str], position: ArrayLike = (),
                       velocity: ArrayLike = (), effort: ArrayLike = (), part: str | None = None
@@ -126,8 +128,13 @@ class CommandParser:
             check_names(names, [joints.names[i] for i in indices], part)
             indices = joints.find(names)
         if not len(times_s):
-            return TrajectoryStop(parts=joints.parts_of(indices), indices=indices)
-        self._check_position_mode(part, names)
+            return TrajectoryStop(
+                robot=self._robot, parts=joints.parts_of(indices), indices=indices)
+        modes = joints.modes
+        for name, i in zip(names, indices):
+            if modes[i] != 'position':
+                raise CommandError(f'{part} follows trajectories in position mode only, '
+                                   f"joint '{name}' is in {modes[i]} mode")
         if len(times_s) > MAX_POINTS:
             raise CommandError(f'{part}: a trajectory may have at most {MAX_POINTS} points, got '
                                f'{len(times_s)}')
@@ -135,7 +142,7 @@ class CommandParser:
         check_times(times)
         shape = (len(times), len(names))
         wanted = _points(part, 'positions', positions, shape)
-        goal, clamped = clamp(wanted, joints.clamps(indices))
+        goal, clamped = clamp(wanted, joints.clamps(indices, modes))
         goal_velocities = (
             None if velocities is None else _points(part, 'velocities', velocities, shape))
         goal_accelerations = (
@@ -151,16 +158,9 @@ class CommandParser:
         if slowed > 1.0 and elapsed_s > 0.0:
             start_ns = 0
         return JointTrajectory(
-            parts=joints.parts_of(indices), indices=indices, trajectory=trajectory,
-            columns=np.arange(len(names)), start_ns=start_ns, slowed=slowed, clamped=clamped,
-            clamped_example=clamped_example(names, wanted, goal))
-
-    def _check_position_mode(self, part: str, names: Sequence[str]) -> None:
-        for name in names:
-            mode = self._joints.mode_of(name)
-            if mode != 'position':
-                raise CommandError(f'{part} follows trajectories in position mode only, '
-                                   f"joint '{name}' is in {mode} mode")
+            robot=self._robot, parts=joints.parts_of(indices), indices=indices,
+            trajectory=trajectory, columns=np.arange(len(names)), start_ns=start_ns,
+            slowed=slowed, clamped=clamped, clamped_example=clamped_example(names, wanted, goal))
 
     def twist(self, forward: float, side: float, yaw: float) -> Command:
         """
@@ -175,13 +175,15 @@ class CommandParser:
         if indices is None:
             raise CommandError('base: this robot has no base that takes a twist')
         values = finite_numbers([forward, side, yaw], 3, 'base: a twist')
-        mode = self._joints.modes_of(indices)[0]
-        if mode != 'velocity':
-            raise CommandError(f'base takes a twist in velocity mode only, it is in {mode} mode')
-        inside, clamped = clamp(values, self._joints.clamps(indices))
-        return BaseTwist(parts=self._joints.parts_of(indices), indices=indices, twist=inside,
-                         clamped=clamped, clamped_example=clamped_example(
-                             ('linear.x', 'linear.y', 'angular.z'), values, inside))
+        modes = self._joints.modes
+        if modes[indices[0]] != 'velocity':
+            raise CommandError('base takes a twist in velocity mode only, it is in '
+                               f'{modes[indices[0]]} mode')
+        inside, clamped = clamp(values, self._joints.clamps(indices, modes))
+        return BaseTwist(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
+            twist=inside, clamped=clamped, clamped_example=clamped_example(
+                ('linear.x', 'linear.y', 'angular.z'), values, inside))
 
 
 def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:

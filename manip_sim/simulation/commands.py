@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.trajectory import Trajectory
 
 C = TypeVar('C', bound='Command')
@@ -69,6 +70,7 @@ class Command:
     """
     A command for joints or for a gripper.
 
+    :ivar robot: the robot that it was made for; others have other joints at the same indices
     :ivar parts: the parts that it is for, atomic ones
     :ivar indices: of the robot's controlled joints, or of the gripper's actuators
     :ivar clamped: how many numbers were clamped to their range
@@ -76,6 +78,7 @@ class Command:
     :ivar handle: what becomes of the command
     """
 
+    robot: RobotModel
     parts: frozenset[str]
     indices: IntArray
     clamped: int = 0
@@ -135,8 +138,8 @@ class JointTrajectory(Command):
     def as_setpoint(self) -> JointSetpoint:
         """Return the command to go to the last point."""
         return JointSetpoint(
-            parts=self.parts, indices=self.indices, clamped=self.clamped, handle=self.handle,
-            modes=('position',) * len(self.indices),
+            robot=self.robot, parts=self.parts, indices=self.indices, clamped=self.clamped,
+            handle=self.handle, modes=('position',) * len(self.indices),
             values=self.trajectory.positions[-1, self.columns])
 
     def _only(self, kept: BoolArray) -> JointTrajectory:

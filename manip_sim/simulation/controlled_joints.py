@@ -91,21 +91,33 @@ class ControlledJoints:
 
     def modes_of(self, indices: IntArray) -> tuple[str, ...]:
         """Return the control modes of driven joints."""
-        return tuple(self.modes[i] for i in indices)
+        modes = self.modes
+        return tuple(modes[i] for i in indices)
 
-    def ranges(self, indices: IntArray) -> FloatArray:
-        """Return the ranges that actions span in the present modes, shape (n, 2), a copy."""
-        return np.array([self._servos.ranges[self.modes[i]][i] for i in indices]).reshape(-1, 2)
+    def ranges(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
+        """
+        Return the ranges that actions span, shape (n, 2), a copy.
+
+        :param modes: of all joints, as :attr:`modes` was when they were looked up; a thread beside
+            that of the simulation has to look once only; None: the present ones
+        """
+        modes = self.modes if modes is None else modes
+        return np.array([self._servos.ranges[modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
         """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
         return np.array(self._servos.acceleration_limit[indices])
 
-    def clamps(self, indices: IntArray) -> FloatArray:
-        """Return the ranges of goals in the present modes, shape (n, 2), a copy."""
-        clamps = self.ranges(indices)
+    def clamps(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
+        """
+        Return the ranges of goals, shape (n, 2), a copy.
+
+        :param modes: of all joints, as for :meth:`ranges`
+        """
+        modes = self.modes if modes is None else modes
+        clamps = self.ranges(indices, modes)
         endless = ~self._servos.limited[indices] & np.array(
-            [self.modes[i] == 'position' for i in indices], dtype=bool)
+            [modes[i] == 'position' for i in indices], dtype=bool)
         clamps[endless] = (-np.inf, np.inf)
         return clamps
 

@@ -94,8 +94,9 @@ class GripperGoal(Goal):
         low, high = gripper.joints.reach(joint)
         values, clamped = clamp(np.array([request.position]), np.array([[low, high]]))
         super().__init__(robot, GripperGrasp(
-            parts=frozenset([part]), indices=gripper.indices, joints=(joint,), values=values,
-            clamped=clamped, max_effort=request.max_effort, max_velocity=request.max_velocity))
+            robot=robot.robot_model, parts=frozenset([part]), indices=gripper.indices,
+            joints=(joint,), values=values, clamped=clamped, max_effort=request.max_effort,
+            max_velocity=request.max_velocity))
         self._gripper = gripper
         self._joint, self._position = joint, float(values[0])
         span = high - low

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
+from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import counted, quoted
 from manip_sim.simulation.commands import Command, GripperSetpoint, JointSetpoint, MODES
 from manip_sim.simulation.gripper_joints import GripperJoints
@@ -71,11 +72,14 @@ class JointCommandParser:
     """
     A parser of goals for named joints.
 
+    :param robot: for which the commands are
     :param joints: controller of the joints of arms, base, torso, head and legs; only read
     :param grippers: the joints of the grippers, by part; only read
     """
 
-    def __init__(self, joints: JointController, grippers: Mapping[str, GripperJoints]) -> None:
+    def __init__(self, robot: RobotModel, joints: JointController,
+                 grippers: Mapping[str, GripperJoints]) -> None:
+        self._robot = robot
         self._joints = joints
         self._grippers = grippers
         self._gripper_of = {joint: gripper for gripper in grippers.values()
@@ -93,7 +97,8 @@ class JointCommandParser:
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         what = part or 'joint_command'
-        addressed = self._addressed(part, tuple(names), self._joints.modes)
+        modes = self._joints.modes  # They may change while this thread reads the command.
+        addressed = self._addressed(part, tuple(names), modes)
         values = np.full(len(names), np.nan)
         for field, given in fields.items():
             numbers = as_numbers(given, f'{what}: {field}')
@@ -115,9 +120,9 @@ class JointCommandParser:
                                'or missing')
         if missing.any():
             commanded = tuple(name for name, gone in zip(names, missing) if not gone)
-            addressed = self._addressed(part, commanded, self._joints.modes)
+            addressed = self._addressed(part, commanded, modes)
             values = values[~missing]
-        return list(_commands(addressed, values))
+        return list(_commands(self._robot, addressed, values))
 
     def _placed(self, what: str, field: str, given: FloatArray, addressed: _Addressed
                 ) -> FloatArray:
@@ -142,16 +147,16 @@ class JointCommandParser:
 
     def _address(self, part: str | None, names: tuple[str, ...], modes: tuple[str, ...]
                  ) -> _Addressed:
-        """Return what the names mean; ``modes``, those of all joints, are a key of the cache."""
+        """Return what the names mean while ``modes`` are those of all joints."""
         for gripper in self._grippers.values():
             gripper.check_take_positions(names)
         check_names(names, self._available(part), part or 'joint_command')
-        meant = tuple('position' if name in self._gripper_of else self._joints.mode_of(name)
-                      for name in names)
+        mode_of = dict(zip(self._joints.names, modes))
+        meant = tuple('position' if name in self._gripper_of else mode_of[name] for name in names)
         return _Addressed(
             names, meant, {field: np.array([mode == field for mode in meant]) for field in MODES},
             {field: self._takers(field, names, meant) for field in MODES},
-            self._own(names), tuple(self._of_grippers(names)))
+            self._own(names, modes), tuple(self._of_grippers(names)))
 
     def _available(self, part: str | None) -> list[str]:
         if part is None:
@@ -171,14 +176,14 @@ class JointCommandParser:
                 followed.update(self._gripper_of[name].followers(name))
         return takers
 
-    def _own(self, names: Sequence[str]) -> _Group | None:
+    def _own(self, names: Sequence[str], modes: Sequence[str]) -> _Group | None:
         places = [i for i, name in enumerate(names) if name not in self._gripper_of]
         if not places:
             return None
         own = tuple(names[i] for i in places)
         indices = self._joints.find(own)
         return _Group(self._joints.parts_of(indices), np.array(places), own,
-                      self._joints.clamps(indices), indices)
+                      self._joints.clamps(indices, modes), indices)
 
     def _of_grippers(self, names: Sequence[str]) -> Iterable[_Group]:
         for part, gripper in self._grippers.items():
@@ -209,19 +214,20 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
         raise CommandError(f"{what}: joint '{twice}' is named twice")
 
 
-def _commands(addressed: _Addressed, values: FloatArray) -> Iterable[Command]:
+def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> Iterable[Command]:
     """Yield the commands for the goals of all joints that are addressed."""
     own = addressed.own
     if own is not None:
         inside, clamped, example = _clamp(own, values)
         yield JointSetpoint(
-            parts=own.parts, indices=own.indices, values=inside, clamped=clamped,
+            robot=robot, parts=own.parts, indices=own.indices, values=inside, clamped=clamped,
             clamped_example=example,
             modes=tuple(addressed.modes[i] for i in own.places))
     for group in addressed.grippers:
         inside, clamped, example = _clamp(group, values)
-        yield GripperSetpoint(parts=group.parts, joints=group.names, values=inside,
-                              indices=group.indices, clamped=clamped, clamped_example=example)
+        yield GripperSetpoint(
+            robot=robot, parts=group.parts, joints=group.names, values=inside,
+            indices=group.indices, clamped=clamped, clamped_example=example)
 
 
 def _clamp(group: _Group, values: FloatArray) -> tuple[FloatArray, int, str]:

@@ -65,7 +65,7 @@ class SimulatedRobot:
                          for part in atomic if part.gripper is not None}
         self.parse = CommandParser(robot, self.joints, self.grippers)
         self.parse_cartesian = CartesianParser(
-            self.joints, find_frames(model, robot, self.end_effectors))
+            robot, self.joints, find_frames(model, robot, self.end_effectors))
         self._index_joints(atomic)
 
     def _index_joints(self, atomic: list[Part]) -> None:
@@ -96,7 +96,7 @@ class SimulatedRobot:
     @property
     def name(self) -> str:
         """The prefix of its names, without the trailing underscore."""
-        return self.robot_model.naming_prefix.rstrip('_')
+        return self.robot_model.name_in_world
 
     @property
     def frame_body(self) -> str:
@@ -128,7 +128,10 @@ class SimulatedRobot:
 
         :param commands: made by :attr:`parse` or :attr:`parse_cartesian`
         :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a command was made for another robot; then none takes effect
         """
+        for command in commands:
+            self.check_own(command)
         if period_s is not None:
             self._period_s = period_s
         now_s = self._now_ns() * 1e-9
@@ -139,13 +142,26 @@ class SimulatedRobot:
             else:
                 self.joints.apply(command, self._data, now_s, self._period_s)
 
+    def check_own(self, command: Command) -> None:
+        """
+        Reject a command for another robot, whose joints and grippers have other indices.
+
+        :param command: made by any parser
+        :raises CommandError: naming both
+        """
+        if command.robot is not self.robot_model:
+            raise CommandError(f"a command for robot '{command.robot.name_in_world}' cannot be "
+                               f"applied to robot '{self.name}' of this simulation")
+
     def withdraw(self, command: Command, reason: str) -> None:
         """
         Abort a command; joints or fingers that no newer command has taken come to rest.
 
         :param command: one that has been applied
         :param reason: why, for the command's handle
+        :raises CommandError: if it was made for another robot
         """
+        self.check_own(command)
         if isinstance(command, GripperCommand):
             (part,) = command.parts
             self.grippers[part].withdraw(command.handle, self._data, reason)

@@ -6,35 +6,39 @@
 import numpy as np
 import pytest
 
+from manip_sim.models.robots import Panda
 from manip_sim.runtime.command_buffer import CommandBuffer
 from manip_sim.simulation.commands import (
     BaseTwist, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory, Status,
     TrajectoryStop)
 from manip_sim.simulation.trajectory import Trajectory
 
+ROBOT = Panda()
 RIGHT, BOTH = frozenset(['right']), frozenset(['right', 'left'])
 
 
 def setpoint(values, parts=RIGHT, mode='position'):
     """Return goals for some joints, from a dictionary of index and value."""
-    return JointSetpoint(parts=parts, modes=(mode,) * len(values), indices=np.array(list(values)),
-                         values=np.array(list(values.values())))
+    return JointSetpoint(robot=ROBOT, parts=parts, modes=(mode,) * len(values),
+                         indices=np.array(list(values)), values=np.array(list(values.values())))
 
 
 def trajectory(*indices, parts=RIGHT, start_ns=0):
     count = len(indices)
-    return JointTrajectory(parts=parts, indices=np.array(indices), columns=np.arange(count),
-                           trajectory=Trajectory(np.ones(1), np.zeros((1, count))),
-                           start_ns=start_ns)
+    return JointTrajectory(robot=ROBOT, parts=parts, indices=np.array(indices),
+                           columns=np.arange(count), start_ns=start_ns,
+                           trajectory=Trajectory(np.ones(1), np.zeros((1, count))))
 
 
 def gripper_action(value=1.0, part='right/gripper'):
-    return GripperAction(parts=frozenset([part]), indices=np.array([0]), action=np.array([value]))
+    return GripperAction(robot=ROBOT, parts=frozenset([part]), indices=np.array([0]),
+                         action=np.array([value]))
 
 
 def finger_setpoint(index):
-    return GripperSetpoint(parts=frozenset(['right/gripper']), indices=np.array([index]),
-                           joints=(f'finger{index}',), values=np.array([0.01]))
+    return GripperSetpoint(robot=ROBOT, parts=frozenset(['right/gripper']),
+                           indices=np.array([index]), joints=(f'finger{index}',),
+                           values=np.array([0.01]))
 
 
 def as_dictionary(command):
@@ -94,8 +98,8 @@ def test_many_commands_do_not_pile_up():
 
 def test_modes_of_goals_stay_with_their_joints():
     buffer = CommandBuffer()
-    buffer.add(JointSetpoint(parts=RIGHT, indices=np.array([3, 5]), values=np.array([1.0, 2.0]),
-                             modes=('velocity', 'effort')))
+    buffer.add(JointSetpoint(robot=ROBOT, parts=RIGHT, indices=np.array([3, 5]),
+                             values=np.array([1.0, 2.0]), modes=('velocity', 'effort')))
     buffer.add(setpoint({3: 0.0}))
     rest, _ = buffer.take()
     assert (rest.modes, as_dictionary(rest)) == (('effort',), {5: 2.0})
@@ -128,7 +132,7 @@ def test_goals_that_wait_go_before_a_trajectory_that_starts_later():
 
 
 @pytest.mark.parametrize('newer', [setpoint({0: 2.0}), trajectory(0), BaseTwist(
-    parts=RIGHT, indices=np.array([0]), twist=np.zeros(3))])
+    robot=ROBOT, parts=RIGHT, indices=np.array([0]), twist=np.zeros(3))])
 def test_command_that_begins_at_once_replaces_those_of_every_kind(newer):
     for older in (setpoint({0: 1.0}), trajectory(0), trajectory(0, start_ns=10**9)):
         buffer = CommandBuffer()
@@ -141,7 +145,7 @@ def test_command_that_begins_at_once_replaces_those_of_every_kind(newer):
 def test_stop_ends_trajectories_that_wait_and_leaves_goals():
     buffer, goal, motion, later = (CommandBuffer(), setpoint({0: 1.0}), trajectory(1),
                                    trajectory(2, start_ns=10**9))
-    stop = TrajectoryStop(parts=RIGHT, indices=np.array([0, 1, 2]))
+    stop = TrajectoryStop(robot=ROBOT, parts=RIGHT, indices=np.array([0, 1, 2]))
     for command in (goal, motion, later, stop):
         buffer.add(command)
     assert buffer.take() == [goal, stop]

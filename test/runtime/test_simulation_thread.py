@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from manip_sim.errors import CommandError, SimulationEnded
+from manip_sim.errors import CommandError, SimulationEnded, UnknownNameError
 from manip_sim.models import World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import SimulationThread
@@ -162,6 +162,25 @@ def test_each_of_two_robots_gets_its_own_commands(free):
     np.testing.assert_allclose(simulation.robots['robot1'].state().position[:6], goal, atol=1e-3)
     np.testing.assert_allclose(simulation.robots['robot0'].state().position, start['robot0'],
                                atol=1e-3)
+
+
+def test_commands_are_taken_by_the_robot_that_they_were_made_for_alone(free):
+    aside = Panda(idn=1)
+    aside.set_base_xpos([0.0, 2.0, 0.0])
+    thread = free(Panda(), aside, paused=True)
+    robots = thread._simulation.robots
+    (own,) = robots['robot0'].parse.joint_command(['robot0_joint1'], [0.3])
+    (other,) = robots['robot1'].parse.joint_command(['robot1_joint1'], [0.3])
+    with pytest.raises(CommandError, match=r"^a command for robot 'robot1' cannot be applied to "
+                                           r"robot 'robot0' of this simulation$"):
+        thread.submit([own, other], robot='robot0')
+    with pytest.raises(UnknownNameError, match=r"^unknown robot 'robot2': .*robot0, robot1$"):
+        thread.submit([own], robot='robot2')
+    thread.start()
+    for _ in range(20):
+        thread.step()
+    assert own.handle.status is other.handle.status is Status.WAITING
+    assert all(abs(robot.state().position[0]) < 1e-6 for robot in robots.values())
 
 
 def test_lockstep_waits_for_the_parts_of_every_robot(free):

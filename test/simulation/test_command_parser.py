@@ -3,12 +3,16 @@
 
 """Tests of what makes commands of numbers: validation, clamping, names, modes."""
 
+from contextlib import contextmanager, suppress
 import copy
+import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models import compose
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import (
@@ -225,6 +229,62 @@ def test_the_same_names_mean_something_else_in_another_mode(panda_sim, parse):
     assert (goal.values != speed.values).all()
 
 
+@contextmanager
+def changing_at_each_look(joints, modes):
+    """Let joints change between two modes each time somebody looks at them."""
+    looks = itertools.count()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(joints), 'modes', property(
+            lambda _: (modes[next(looks) % 2],) * len(joints.names)), raising=False)
+        yield
+
+
+@pytest.mark.parametrize('modes', [
+    ('position', 'velocity'), ('velocity', 'position'), ('effort', 'velocity')])
+@pytest.mark.parametrize('goals', [[900.0, 900.0], [NAN, 900.0]])
+def test_goals_keep_to_one_mode_though_it_changes_while_they_are_read(
+        panda_sim, parse, modes, goals):
+    joints, commands = panda_sim.robot.joints, []
+    names, highest = joints.names[:2], {}
+    for mode in modes:
+        panda_sim.robot.set_control_mode('arm', mode)
+        highest[mode] = joints.clamps(np.arange(2))[1, 1]
+    with changing_at_each_look(joints, modes):
+        for field in modes * 4:
+            try:
+                commands += parse.joint_command(names, **{field: goals})
+            except CommandError as error:
+                assert 'mode, which does not use the field' in str(error)
+            commands.append(parse.action('arm', np.ones(7)))
+    # What the parser keeps of these lists of names must not be wrong for ever.
+    for mode in modes:
+        panda_sim.robot.set_control_mode('arm', mode)
+        commands += parse.joint_command(names, **{mode: goals})
+        assert commands[-1].modes[0] == mode
+    assert len(commands) > 10
+    for command in commands:
+        assert len(set(command.modes)) == 1
+        assert command.values[list(command.indices).index(1)] == highest[command.modes[0]]
+
+
+@pytest.mark.parametrize('modes', [('position', 'velocity'), ('velocity', 'position')])
+def test_trajectories_and_twists_keep_to_one_mode_though_it_changes_while_they_are_read(modes):
+    robot = Simulation(compose('PandaOmron')).robot
+    position = robot.joints.clamps(robot.joints.find([J1]))[0, 1]
+    robot.set_control_mode('base', 'velocity')
+    speed = robot.joints.clamps(robot.joints.twist_indices)[0, 1]
+    trajectories, twists = [], []
+    with changing_at_each_look(robot.joints, modes):
+        for _ in range(6):
+            with suppress(CommandError):
+                twists.append(robot.parse.twist(90.0, 0.0, 0.0))
+            with suppress(CommandError):
+                trajectories.append(robot.parse.trajectory('arm', [J1], [5.0], [[90.0]]))
+            robot.joints.modes  # noqa: B018 - so that both meet both modes.
+    assert {command.trajectory.positions[-1, 0] for command in trajectories} == {position}
+    assert {command.twist[0] for command in twists} == {speed}
+
+
 @pytest.mark.parametrize('mode', ['velocity', 'effort'])
 def test_command_that_was_meant_for_another_mode_is_aborted(panda_sim, parse, run, mode):
     (goal,) = parse.joint_command([J1], [0.5])
@@ -241,8 +301,8 @@ def test_command_that_was_meant_for_another_mode_is_aborted(panda_sim, parse, ru
 def test_of_a_command_only_the_joints_whose_mode_changed_are_lost(panda_sim, parse, run):
     start = panda_sim.robot.state().position
     (goal,) = parse.joint_command([J1, FINGER], [0.4, 0.01])[:1]
-    both = JointSetpoint(parts=goal.parts, indices=np.array([0, 1]), values=np.array([0.4, 0.3]),
-                         modes=('position', 'velocity'))
+    both = dataclasses.replace(goal, indices=np.array([0, 1]), values=np.array([0.4, 0.3]),
+                               modes=('position', 'velocity'))
     panda_sim.robot.apply(both)
     run(panda_sim, 1.0)
     assert both.handle.status is Status.DONE

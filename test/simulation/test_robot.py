@@ -4,11 +4,15 @@
 """What a simulation knows of a robot at its start."""
 
 import mujoco
+import numpy as np
 import pytest
 from sampling import whole_robot
 
+from manip_sim.errors import CommandError
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Command, Status
+from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
 
 
 def test_the_joints_of_a_twist_are_those_of_a_mobile_base_and_others_have_none():
@@ -42,3 +46,48 @@ def test_a_robot_moves_and_does_not_rest_while_its_joints_or_its_fingers_move(pa
     robot.apply(robot.parse.action(part, [0.5] * length))
     panda_sim.advance(1)
     assert robot.moving and not robot.resting
+
+
+def commands_of_every_kind(robot):
+    """Return a command of each kind for a PandaOmron."""
+    parse, poses = robot.parse, robot.parse_cartesian
+    robot.set_control_mode('base', 'velocity')
+    joints = list(robot.joints.names)
+    return [
+        parse.action('arm', [0.5] * 7), parse.action('right/gripper', [1.0]),
+        *parse.joint_command([*joints[-1:], *robot.grippers['right/gripper'].joints.names[:1]],
+                             [0.1, 0.02]),
+        parse.trajectory('arm', joints[:1], [1.0], [[0.3]]), parse.trajectory('arm', [], [], []),
+        parse.twist(0.1, 0.0, 0.0), poses.pose('right', [0.4, 0.0, 1.2], [1.0, 0.0, 0.0, 0.0]),
+        poses.twist('right', [0.1, 0.0, 0.0], [0.0] * 3), poses.action('right', [0.5] * 6),
+        GripperGoal(robot, 'right/gripper', GripperRequest(0.02)).command]
+
+
+def concrete_kinds(kind=Command):
+    below = [leaf for child in kind.__subclasses__() for leaf in concrete_kinds(child)]
+    return below or [kind]
+
+
+def test_a_command_for_another_robot_is_rejected_and_moves_nothing(panda_sim):
+    foreign = commands_of_every_kind(whole_robot('PandaOmron').robot)
+    assert {type(command) for command in foreign} >= set(concrete_kinds())
+    robot = panda_sim.robot
+    start = robot.state().position
+    for command in foreign:
+        own = robot.parse.action('arm', [0.5] * 7)
+        with pytest.raises(CommandError, match=r"^a command for robot 'robot0' cannot be applied "
+                                               r"to robot 'robot0' of this simulation$"):
+            robot.apply(own, command)
+        with pytest.raises(CommandError, match='cannot be applied'):
+            robot.withdraw(command, 'nobody wants it')
+        assert own.handle.status is command.handle.status is Status.WAITING
+    panda_sim.advance(100)
+    np.testing.assert_allclose(robot.state().position, start, atol=1e-6)
+
+
+def test_a_robot_takes_its_commands_in_every_simulation_of_its_world():
+    world = compose('Panda')
+    first, second = Simulation(world), Simulation(world)
+    command = first.robot.parse.action('arm', [0.5] * 7)
+    second.robot.apply(command)
+    assert command.handle.status is Status.RUNNING

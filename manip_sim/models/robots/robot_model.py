@@ -47,6 +47,11 @@ class RobotModel(StandingModel, ABC):
         return f'robot{self.idn}_'
 
     @property
+    def name_in_world(self) -> str:
+        """Its prefix without the underscores at the end, by which a world's robots go."""
+        return self.naming_prefix.rstrip('_')
+
+    @property
     @abstractmethod
     def default_base(self) -> str | None:
         """Name of the base that the robot stands on unless another is requested."""

@@ -4,9 +4,9 @@
 """Write the URDF of a robot; reading URDF is in ``manip_sim.models.files.urdf``."""
 
 from manip_sim.models.urdf_writer.hardware import Hardware
-from manip_sim.models.urdf_writer.of_world import choose_robot, name_of, urdf_of, urdfs_of
+from manip_sim.models.urdf_writer.of_world import choose_robot, urdf_of, urdfs_of
 from manip_sim.models.urdf_writer.tree import build_tree, KinematicTree, robot_tree
 from manip_sim.models.urdf_writer.writer import Urdf, write_urdf
 
-__all__ = ['build_tree', 'choose_robot', 'Hardware', 'KinematicTree', 'name_of', 'robot_tree',
-           'Urdf', 'urdf_of', 'urdfs_of', 'write_urdf']
+__all__ = ['build_tree', 'choose_robot', 'Hardware', 'KinematicTree', 'robot_tree', 'Urdf',
+           'urdf_of', 'urdfs_of', 'write_urdf']

@@ -18,7 +18,7 @@ from manip_sim.models.world import World
 
 def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> dict[str, Urdf]:
     """
-    Return the URDF of each robot by its name: its prefix without the underscore at the end.
+    Return the URDF of each robot by its name in the world.
 
     :param world: with one robot or more
     :param hardware: by name of the robot, for those with a ``<ros2_control>`` tag
@@ -27,7 +27,8 @@ def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> di
     spec = world.compose(objects=False)
     model = compile_spec(spec, world.name)
     meshes, wanted = files_of_meshes(spec, model), hardware or {}
-    return {name_of(robot): write_urdf(model, robot, meshes, wanted.get(name_of(robot)))
+    return {robot.name_in_world:
+            write_urdf(model, robot, meshes, wanted.get(robot.name_in_world))
             for robot in world.robots}
 
 
@@ -42,7 +43,7 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
         compile
     :raises UnknownNameError: if there is no such robot
     """
-    name = name_of(choose_robot(world, robot))
+    name = choose_robot(world, robot).name_in_world
     return urdfs_of(world, {} if hardware is None else {name: hardware})[name]
 
 
@@ -53,7 +54,7 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
     :param world: with one robot or more
     :param name: of the robot, as for :func:`urdfs_of`; None for the only one
     """
-    robots = {name_of(robot): robot for robot in world.robots}
+    robots = {robot.name_in_world: robot for robot in world.robots}
     if name is None:
         if len(robots) != 1:
             raise ModelError('a URDF is of one robot: name one of '
@@ -62,12 +63,3 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
     if name not in robots:
         raise UnknownNameError('robot', name, robots)
     return robots[name]
-
-
-def name_of(robot: RobotModel) -> str:
-    """
-    Return the prefix of a robot without the underscore at the end.
-
-    :param robot: with its naming prefix
-    """
-    return robot.naming_prefix.rstrip('_')

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
+from manip_sim.models.robots import RobotModel
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.simulation.cartesian.commands import CartesianPose, CartesianTwist, PoseAction
 from manip_sim.simulation.cartesian.frames import Frames, rotation_of
@@ -25,11 +26,13 @@ class CartesianParser:
     """
     A parser of Cartesian commands for the arms of a robot.
 
+    :param robot: for which the commands are
     :param joints: controller of the joints; only read
     :param frames: of the robot
     """
 
-    def __init__(self, joints: JointController, frames: Frames) -> None:
+    def __init__(self, robot: RobotModel, joints: JointController, frames: Frames) -> None:
+        self._robot = robot
         self._joints = joints
         self._frames = frames
 
@@ -52,8 +55,9 @@ class CartesianParser:
         found = self._frames.find(frame, f'{arm}: a target pose')
         pose = Pose.checked(position, quat_xyzw)
         return CartesianPose(
-            parts=self._joints.parts_of(indices), indices=indices, arm=arm, frame=found,
-            position=pose.position, rotation=rotation_of(xyzw_to_wxyz(pose.quat_xyzw)))
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            frame=found, position=pose.position,
+            rotation=rotation_of(xyzw_to_wxyz(pose.quat_xyzw)))
 
     def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
               ) -> CartesianTwist:
@@ -75,7 +79,8 @@ class CartesianParser:
         halves = [_shortened(twist.linear, settings.linear_velocity),
                   _shortened(twist.angular, settings.angular_velocity)]
         return CartesianTwist(
-            parts=self._joints.parts_of(indices), indices=indices, arm=arm, frame=found,
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            frame=found,
             twist=np.concatenate([vector for vector, _ in halves]),
             clamped=sum(clamped for _, clamped in halves))
 
@@ -90,9 +95,9 @@ class CartesianParser:
         indices = self._indices_of(arm)
         numbers = finite_numbers(action, 6, f'{arm}: a pose action')
         inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
-        return PoseAction(parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-                          action=inside, clamped=clamped, clamped_example=action_example(
-                              numbers, inside))
+        return PoseAction(
+            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
+            action=inside, clamped=clamped, clamped_example=action_example(numbers, inside))
 
     def _indices_of(self, arm: str) -> IntArray:
         if arm not in self._settings:
