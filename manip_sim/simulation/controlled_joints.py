@@ -152,10 +152,12 @@ class ControlledJoints:
         """
         return int(self._setpoints.limited[self.indices_of(part)].sum())
 
-    def controller_state(self, part: str, data: mujoco.MjData) -> ControllerState:
+    def controller_state(self, part: str, data: mujoco.MjData, efforts: FloatArray
+                         ) -> ControllerState:
         """
         Return the reference and the measured state of a part's driven joints, copies.
 
+        :param efforts: of all degrees of freedom [N m or N], shape (nv,)
         :raises UnknownNameError: if there is no such part
         """
         indices, setpoints = self.indices_of(part), self._setpoints
@@ -166,4 +168,4 @@ class ControlledJoints:
         dofs = self._servos.dofs[indices]
         return ControllerState(
             tuple(self.names[i] for i in indices), reference,
-            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], data.qfrc_actuator[dofs])
+            data.qpos[self._servos.qpos[indices]], data.qvel[dofs], efforts[dofs])

@@ -118,8 +118,9 @@ class GripperGoal(Goal):
         stalled = (not reached and self.command.handle.status is Status.DONE
                    and self._still_since_ns is not None
                    and time_ns - self._still_since_ns >= _STALL_NS)
+        effort = float(simulation.efforts.values[simulation.model.joint(self._joint).dofadr[0]])
         self.view = GripperView(time_ns, self._joint, position, float(joint.qvel[0]),
-                                float(joint.qfrc_actuator[0]), reached, stalled)
+                                effort, reached, stalled)
 
     def _judge(self, simulation: Simulation) -> None:
         assert self.view is not None

@@ -17,6 +17,7 @@ from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import Command, GripperCommand
+from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
@@ -34,6 +35,7 @@ class SimulatedRobot:
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
     :param robot: a robot of the model
+    :param efforts: of the actuators of the model
     :param now_ns: returns the simulation time [ns]
     :ivar robot_model: the robot, with its base and its grippers
     :ivar parts: by name
@@ -47,8 +49,9 @@ class SimulatedRobot:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel,
-                 now_ns: Callable[[], int]) -> None:
+                 efforts: ActuatorEfforts, now_ns: Callable[[], int]) -> None:
         self._data = data
+        self._efforts = efforts
         self._now_ns = now_ns
         self._timestep_s = self._period_s = float(model.opt.timestep)
         self.robot_model = robot
@@ -79,14 +82,17 @@ class SimulatedRobot:
         self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
 
-    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData,
+               efforts: ActuatorEfforts) -> None:
         """
         Continue with another model in which the robot is unchanged, at the same addresses.
 
         :param model: the ``mujoco.MjModel``
         :param data: its ``mujoco.MjData``, in the present state
+        :param efforts: of its actuators
         """
         self._data = data
+        self._efforts = efforts
         self.joints.rebind(model)
         for gripper in self.grippers.values():
             gripper.rebind(model)
@@ -236,7 +242,7 @@ class SimulatedRobot:
         """
         qpos, dofs = self._addresses[part]
         data = self._data
-        return np.concatenate([data.qpos[qpos], data.qvel[dofs], data.qfrc_actuator[dofs]])
+        return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])
 
     def controller_state(self, part: str) -> ControllerState:
         """
@@ -245,7 +251,7 @@ class SimulatedRobot:
         :param part: such as ``arm``
         :raises UnknownNameError: if there is no such part, or it is a gripper
         """
-        return self.joints.controller_state(part, self._data)
+        return self.joints.controller_state(part, self._data, self._efforts.values)
 
     # ------------------------------------------------------------------ in the physics loop
 

@@ -13,6 +13,7 @@ from manip_sim.models.world import World
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.divergence import DivergenceWatch
+from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.robot import SimulatedRobot
@@ -45,6 +46,7 @@ class Simulation:
     :ivar model: the ``mujoco.MjModel``
     :ivar data: the ``mujoco.MjData``
     :ivar robots: the robots, with their commands and states, by name
+    :ivar efforts: of the actuators in the last physics step
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar plan: what the world was compiled from
     :ivar step_count: physics steps since construction; a reset does not change it
@@ -72,7 +74,8 @@ class Simulation:
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
-        robots = [SimulatedRobot(self.model, self.data, robot, lambda: self.time_ns)
+        self.efforts = ActuatorEfforts(self.model, self.data)
+        robots = [SimulatedRobot(self.model, self.data, robot, self.efforts, lambda: self.time_ns)
                   for robot in world.robots]
         self.robots = {robot.name: robot for robot in robots}
         self._look_at_model()
@@ -98,8 +101,9 @@ class Simulation:
         """
         live = carry_over(LiveWorld(self.plan, self.model, self.data), plan)
         self.plan, self.model, self.data = live.plan, live.model, live.data
+        self.efforts = ActuatorEfforts(self.model, self.data, self.efforts)
         for robot in self.robots.values():
-            robot.rebind(self.model, self.data)
+            robot.rebind(self.model, self.data, self.efforts)
         self._free_roots = FreeRoots(self.model, self._roots)
         self._look_at_model()
 
@@ -180,6 +184,7 @@ class Simulation:
             self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
             self._divergence.hold()
             mujoco.mj_forward(self.model, self.data)
+            self.efforts.restart()
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """
@@ -202,6 +207,7 @@ class Simulation:
         """Run physics steps, and return why they diverged, or None."""
         self._divergence.remember()
         self._step(steps)
+        self.efforts.record()
         # After mj_step the sensors are one step older than the positions.
         mujoco.mj_forward(self.model, self.data)
         self._computed_for = self._first_half_state()
@@ -250,3 +256,4 @@ class Simulation:
             robot.reset()
         self.diverged = None
         mujoco.mj_forward(self.model, self.data)
+        self.efforts.restart()

@@ -69,7 +69,7 @@ class ControllerState:
     :ivar reference: their setpoints and commanded efforts
     :ivar position: measured [rad or m], shape (n,)
     :ivar velocity: measured [rad/s or m/s], shape (n,)
-    :ivar effort: of the actuators at the joint [N m or N], shape (n,)
+    :ivar effort: of the actuators at the joint in the last physics step [N m or N], shape (n,)
     """
 
     names: tuple[str, ...]
@@ -88,8 +88,8 @@ class State:
     :ivar position: of all scalar joints, in the order of the robot's ``joint_names``
         [rad or m], shape (n,)
     :ivar velocity: [rad/s or m/s], shape (n,)
-    :ivar effort: force of the actuators at the joint, gravity compensation included
-        [N m or N], shape (n,)
+    :ivar effort: of the actuators at the joint in the last physics step, gravity compensation
+        included [N m or N], shape (n,)
     :ivar end_effectors: by arm, of the arms with a gripper
     """
 

@@ -163,7 +163,7 @@ def test_gripper_command_is_told_where_the_first_driven_joint_is(simulation, gri
     run(simulation, goal)
     result = grip.result_of(goal)
     assert result.position == pytest.approx(0.03, abs=1e-3)
-    assert result.effort == float(simulation.data.joint(FINGER).qfrc_actuator[0])
+    assert result.effort == simulation.efforts.values[simulation.model.joint(FINGER).dofadr[0]]
     # The type support takes nothing but Python's own True for true.
     assert result.reached_goal is True and result.stalled is False
 

@@ -105,7 +105,9 @@ def test_every_number_is_that_of_the_physics_at_its_stamp(serve, client):
     joints = [data.joint(name) for name in states.name]
     np.testing.assert_array_equal(states.position, [j.qpos[0] for j in joints])
     np.testing.assert_array_equal(states.velocity, [j.qvel[0] for j in joints])
-    np.testing.assert_array_equal(states.effort, [j.qfrc_actuator[0] for j in joints])
+    np.testing.assert_array_equal(
+        states.effort, node.simulation.efforts.values[[model.joint(n).dofadr[0]
+                                                       for n in states.name]])
     wrench, external = (told[f'right/{name}'].wrench for name in ('wrench', 'external_wrench'))
     np.testing.assert_array_equal(three(wrench.force), data.sensor(f'{GRIPPER}force_ee').data)
     np.testing.assert_array_equal(three(wrench.torque), data.sensor(f'{GRIPPER}torque_ee').data)

@@ -82,6 +82,15 @@ def test_goal_is_reached_with_both_fingers(panda):
         assert panda.where(OTHER) == pytest.approx(-position, abs=6e-4)
 
 
+def test_effort_of_a_goal_is_that_of_the_state(panda):
+    goal = panda.start(0.0)
+    for _ in range(20):
+        panda.run(0.01)
+        state, index = panda.robot.state(), panda.robot.joint_names.index(FINGER)
+        assert goal.view.effort == state.effort[index]
+    assert goal.view.velocity < -0.01
+
+
 @pytest.mark.parametrize('gripper', [
     name for name in gripper_names() if name not in ('NullGripper', 'WipingGripper')])
 def test_every_gripper_of_the_catalogue_reaches_positions_on_the_way(gripper):

@@ -1,0 +1,119 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The effort that actuators exerted in the last physics step.
+
+An implicit integrator solves ``(M + dt kv) a = tau``: the damping ``kv`` of a servo acts with the
+velocity at the end of a step, but MuJoCo's ``qfrc_actuator`` has the velocity at its beginning.
+The effort that moved the joint is ``qfrc_actuator - kv (v1 - v0)``.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+
+#: Integrators that treat the damping of actuators implicitly.
+_IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
+             int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+
+#: Two masses of 1 kg whose servos are at the limit of the actuator's force, and of the joint's.
+_SATURATED = """
+<mujoco>
+  <option integrator="implicitfast" timestep="0.1" gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="a" type="slide"/><geom size="0.1" mass="1" contype="0"/></body>
+    <body><joint name="b" type="slide" actuatorfrcrange="-1 1"/>
+      <geom size="0.1" mass="1" contype="0"/></body>
+  </worldbody>
+  <actuator>
+    <velocity joint="a" kv="10" forcerange="-1 1"/><velocity joint="b" kv="10"/>
+  </actuator>
+</mujoco>"""
+
+
+@functools.cache
+def _explicit_at_limits() -> tuple[bool, bool]:
+    """
+    Return whether MuJoCo integrates servos explicitly at the force limits of actuator and joint.
+
+    That depends on its release.
+    """
+    model = mujoco.MjModel.from_xml_string(_SATURATED)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_step(model, data)
+    at_actuator, at_joint = np.isclose(data.qvel, 0.1).tolist()
+    return at_actuator, at_joint
+
+
+class ActuatorEfforts:
+    """
+    The efforts of all actuators at the degrees of freedom, in the step before the present instant.
+
+    Velocity gains of actuators other than ``affine`` biases, as of muscles, are not considered.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param data: the ``mujoco.MjData``, after ``mj_forward``
+    :param before: those of another model, whose degrees of freedom that have actuators come first
+        in both; None if no step came before
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData,
+                 before: ActuatorEfforts | None = None) -> None:
+        self._model = model
+        self._data = data
+        self._explicit_at_limits = _explicit_at_limits()
+        # Views, which need not be fetched each time; a mode or a grasp changes the last three.
+        self._views = (data.qfrc_actuator, data.actuator_force, data.actuator_velocity, data.qvel,
+                       model.actuator_biasprm[:, 2], model.actuator_forcerange,
+                       model.actuator_forcelimited)
+        #: Those of the last step: as at its beginning, but the velocity at its end.
+        self._last = tuple(view.copy() for view in self._views)
+        self._values: FloatArray | None = None
+        self.restart()
+        if before is not None:
+            common = min(model.nv, len(before.values))
+            self.values[:common] = before.values[:common]
+
+    def restart(self) -> None:
+        """Return to an instant without a step before it; after ``mj_forward``."""
+        self._values = self._data.qfrc_actuator.copy()
+
+    def record(self) -> None:
+        """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""
+        for last, view in zip(self._last, self._views):
+            np.copyto(last, view)
+        self._values = None
+
+    @property
+    def values(self) -> FloatArray:
+        """The efforts [N m or N], shape (nv,)."""
+        if self._values is None:
+            self._values = self._acted()
+        return self._values
+
+    def _acted(self) -> FloatArray:
+        model, data = self._model, self._data
+        acted, force, velocity, end, damping, force_range, limited = self._last
+        if int(model.opt.integrator) not in _IMPLICIT:
+            return np.array(acted)
+        at_actuator, at_joint = self._explicit_at_limits
+        explicit = (at_actuator & (limited != 0)
+                    & ((force <= force_range[:, 0]) | (force >= force_range[:, 1])))
+        affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        moment, dofs = data.actuator_moment, data.moment_colind
+        actuators = np.repeat(np.arange(len(force)), data.moment_rownnz)
+        change = np.bincount(actuators, moment * end[dofs], len(force)) - velocity
+        missing = np.where(affine & ~explicit, damping * change, 0.0)
+        missing = np.bincount(dofs, moment * missing[actuators], model.nv)
+        if at_joint:
+            joints = np.flatnonzero(model.jnt_actfrclimited)
+            own, (low, high) = model.jnt_dofadr[joints], model.jnt_actfrcrange[joints].T
+            missing[own[(acted[own] <= low) | (acted[own] >= high)]] = 0.0
+        return np.asarray(acted + missing)
