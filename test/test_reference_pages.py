@@ -8,7 +8,7 @@ import re
 
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, composition_parameters, MODEL_PATH,
-    node_parameters, place_parameters, robot_parameters)
+    node_parameters, place_parameters, robot_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 
@@ -41,12 +41,13 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
              *composition_parameters(scope),
              *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base']),
              *camera_parameters('<camera>', ImageSettings()),
-             *cartesian_parameters(scope, ['right'])]
+             *cartesian_parameters(scope, ['right']), *wrench_parameters(scope, ['right'])]
     rows = {row[0].strip('`'): row for row in table_rows('parameters.md')}
     expected = set()
     for spec in specs:
         name = re.sub(r'\.(arm|base)$', '.<part>', spec.name)
         name = name.replace('cartesian.right.', 'cartesian.<arm>.')
+        name = name.replace('wrench_cutoff.right', 'wrench_cutoff.<arm>')
         expected.add(name)
         _, kind, default, unit, live, meaning = rows[name]
         if isinstance(spec.default, list):

@@ -17,7 +17,7 @@ from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, MODEL_PATH, node_parameters, periods_per_image, place_parameters,
-    robot_parameters, steps_per_period)
+    robot_parameters, steps_per_period, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
@@ -106,8 +106,9 @@ def declare_parts(parameters: ParameterSource,
     for scope, parts in served:
         commanded = commanded_parts(parts)
         parameters.declare(robot_parameters(scope, commanded))
-        parameters.declare(cartesian_parameters(
-            scope, [arm for arm in commanded if f'{arm}/gripper' in parts]))
+        arms = [arm for arm in commanded if f'{arm}/gripper' in parts]
+        parameters.declare(cartesian_parameters(scope, arms))
+        parameters.declare(wrench_parameters(scope, arms))
 
 
 def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjModel

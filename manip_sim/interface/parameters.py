@@ -210,6 +210,18 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
                       's', live=True, minimum=0.001, maximum=10.0))]
 
 
+def wrench_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters of the wrenches of a robot.
+
+    :param arms: those with a gripper
+    """
+    return [ParameterSpec(
+        f'wrench_cutoff.{arm}', 0.0, 'Cutoff frequency, in simulation time, of a low-pass of '
+        'first order for the external wrench, the mean over a control period; 0 is no filter.',
+        'Hz', live=True, minimum=0.0, maximum=10000.0).within(scope) for arm in arms]
+
+
 def steps_per_period(publish_rate: float, timestep: float) -> int:
     """
     Return how many physics steps a control period has.

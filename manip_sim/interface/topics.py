@@ -99,7 +99,7 @@ TOPICS = (
     Topic('<arm>/wrench', 'geometry_msgs/WrenchStamped', PUBLISHED,
           'force and torque as the sensor gives them, in ft_frame'),
     Topic('<arm>/external_wrench', 'geometry_msgs/WrenchStamped', PUBLISHED,
-          'what the world does to the tool, tared, in ft_frame'),
+          'what the world does to the tool, mean over the period, tared, in ft_frame'),
     Topic('<arm>/eef_pose', 'geometry_msgs/PoseStamped', PUBLISHED, 'grip_site in world'),
     Topic('<arm>/eef_twist', 'geometry_msgs/TwistStamped', PUBLISHED,
           'velocity of grip_site in world'),

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import contextlib
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -104,6 +106,8 @@ class SimNode(Node):
     def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
         self._cartesian = []
+        #: What uses the value of a parameter ``wrench_cutoff.<arm>``.
+        self._cutoffs: dict[str, Callable[[float], None]] = {}
         for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
@@ -133,6 +137,10 @@ class SimNode(Node):
             if part.gripper is None and part.actuators and part.atomic == (name,):
                 robot.set_control_mode(name, value(scope.parameter(f'control_mode.{name}')))
                 robot.set_command_timeout(name, value(scope.parameter(f'command_timeout.{name}')))
+        for arm in robot.end_effectors:
+            name = scope.parameter(f'wrench_cutoff.{arm}')
+            self._cutoffs[name] = partial(robot.set_wrench_cutoff, arm)
+            self._cutoffs[name](value(name))
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
@@ -156,6 +164,9 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
                     self.thread.set_real_time_factor(parameter.value)
+                if parameter.name in self._cutoffs:
+                    change = partial(self._cutoffs[parameter.name], parameter.value)
+                    self.thread.call(change)
                 for cartesian in self._cartesian:
                     cartesian.parameter_changed(parameter)
                 found = self._declared.of_part(parameter.name)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
@@ -58,7 +58,7 @@ class SimulatedRobot:
         self.parts: dict[str, Part] = find_parts(model, robot)
         atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
         self.end_effectors = {
-            name.split('/')[0]: EndEffectorReader(model, part.gripper)
+            name.split('/')[0]: EndEffectorReader(model, data, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
         self.joints = JointController(
             model, data, {name: p for name, p in self.parts.items() if p.gripper is None},
@@ -97,7 +97,7 @@ class SimulatedRobot:
         for gripper in self.grippers.values():
             gripper.rebind(model)
         for reader in self.end_effectors.values():
-            reader.rebind(model)
+            reader.rebind(model, data)
 
     @property
     def name(self) -> str:
@@ -221,7 +221,20 @@ class SimulatedRobot:
     def tare_wrench(self) -> None:
         """Let the present external wrench of every arm read zero."""
         for reader in self.end_effectors.values():
-            reader.tare(self._data)
+            reader.external.tare(self._data)
+
+    def set_wrench_cutoff(self, arm: str, cutoff_hz: float) -> None:
+        """
+        Filter the external wrench of an arm by a low-pass of first order, in simulated time.
+
+        :param arm: such as ``right``
+        :param cutoff_hz: cutoff frequency [Hz]; 0 for no filter
+        :raises CommandError: if it is negative or not finite
+        :raises UnknownNameError: if there is no such arm, or it has no gripper
+        """
+        if arm not in self.end_effectors:
+            raise UnknownNameError('arm with a gripper', arm, self.end_effectors)
+        self.end_effectors[arm].external.set_cutoff(cutoff_hz, self._data)
 
     # ------------------------------------------------------------------ states
 
@@ -276,9 +289,7 @@ class SimulatedRobot:
                 gripper.tick(self._data, duration_s)
 
     def reset(self) -> None:
-        """Abort all commands, hold the joints where they are, forget the tare; modes stay."""
+        """Abort all commands and hold the joints where they are; modes stay."""
         self.joints.reset(self._data)
         for gripper in self.grippers.values():
             gripper.reset(self._data)
-        for reader in self.end_effectors.values():
-            reader.reset()

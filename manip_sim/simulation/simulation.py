@@ -15,6 +15,7 @@ from manip_sim.simulation.activation import (
 from manip_sim.simulation.divergence import DivergenceWatch
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
+from manip_sim.simulation.external_wrench import TouchWatch
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.spawning import (
@@ -90,6 +91,11 @@ class Simulation:
         #: The state that the first half of a step was last computed for.
         self._computed_for = b''
         self._options = self.model.opt
+        self._tools = [reader.external for robot in self.robots.values()
+                       for reader in robot.end_effectors.values()]
+        self._touch = TouchWatch(self.model, self.data, self._tools)
+        #: Whether contacts came or went in the last period.
+        self._contacts_change = False
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
 
@@ -165,7 +171,7 @@ class Simulation:
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
         return (self.diverged is None and not self._free_roots.borne and self._resumes()
-                and all(robot.resting for robot in self.robots.values()))
+                and all([robot.resting for robot in self.robots.values()]))
 
     def advance(self, steps: int) -> None:
         """
@@ -185,6 +191,8 @@ class Simulation:
             self._divergence.hold()
             mujoco.mj_forward(self.model, self.data)
             self.efforts.restart()
+            for tool in self._tools:
+                tool.restart(self.data)
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """
@@ -195,26 +203,72 @@ class Simulation:
         :param steps: number of physics steps of a period
         :param periods: number of control periods
         """
-        begin = self.step_count
-        if self._run(steps * periods) is not None:
-            # Run one by one, the periods show in which of them the physics diverged.
-            self._divergence.undo()
-            self.step_count = begin
-            for _ in range(periods):
-                self.advance(steps)
+        if self._stays_untouched and all([tool.settled for tool in self._tools]):
+            begin = self.step_count
+            self._divergence.remember()
+            if self._untouched(steps * periods) and self._end() is None:
+                return
+            # Run one by one, the periods show in which of them that happened.
+            self._undo(begin)
+        for _ in range(periods):
+            self.advance(steps)
 
     def _run(self, steps: int) -> str | None:
-        """Run physics steps, and return why they diverged, or None."""
+        """Run a control period, and return why the physics diverged, or None."""
+        begin = self.step_count
         self._divergence.remember()
-        self._step(steps)
+        if not (self.idle and self._stays_untouched):
+            self._step(steps)
+        elif not self._untouched(steps):
+            self._undo(begin)
+            self._step(steps)
+        reason = self._end()
+        if reason is None:
+            for tool in self._tools:
+                tool.end_period(self.data, steps, steps * self._timestep_s)
+        return reason
+
+    def _end(self) -> str | None:
+        """Compute all of the new instant, and return why the physics diverged, or None."""
         self.efforts.record()
         # After mj_step the sensors are one step older than the positions.
         mujoco.mj_forward(self.model, self.data)
         self._computed_for = self._first_half_state()
         return self._divergence.reason()
 
+    def _undo(self, begin: int) -> None:
+        self._divergence.undo()
+        self._computed_for = b''
+        self.step_count = begin
+
+    @property
+    def _stays_untouched(self) -> bool:
+        """Whether nothing touches a tool, nor is likely to in the next period."""
+        return not self._contacts_change and not self._touch.touched
+
+    def _untouched(self, steps: int) -> bool:
+        """
+        Run steps at rest, and return whether nothing can have touched a tool in them.
+
+        That is so if nothing did before and the number of contacts never changed.
+        """
+        contacts = self.data.ncon
+        self.data.maxuse_con = contacts
+        for tool in self._tools:
+            tool.begin_period()
+        mujoco.mj_step2(self.model, self.data)
+        if steps > 1:
+            mujoco.mj_step(self.model, self.data, steps - 1)
+        self.step_count += steps
+        return bool(self.data.maxuse_con == contacts == self.data.ncon)
+
     def _step(self, steps: int) -> None:
+        """Run steps one by one, and record the forces on the tools in each."""
         resumes = self._resumes()
+        model, data = self.model, self.data
+        pushed, contacts = self._touch.pushed, {data.ncon}
+        for tool in self._tools:
+            tool.begin_period()
         left = steps
         while left:
             awake = [robot for robot in self.robots.values() if not robot.resting]
@@ -224,15 +278,21 @@ class Simulation:
                 chunk = -(-left // -(-left // self._interval_steps))
             for robot in awake:
                 robot.tick(chunk * self._timestep_s)
-            self._free_roots.bear(self.data)
-            if resumes:
-                # What depends on positions and velocities alone has been computed already.
-                mujoco.mj_step2(self.model, self.data)
-            if chunk > resumes:
-                mujoco.mj_step(self.model, self.data, chunk - resumes)
-            resumes = False
+            self._free_roots.bear(data)
+            for _ in range(chunk):
+                if resumes:
+                    # What depends on positions and velocities alone has been computed already.
+                    mujoco.mj_step2(model, data)
+                    resumes = False
+                else:
+                    mujoco.mj_step(model, data)
+                contacts.add(data.ncon)
+                if data.ncon or pushed:
+                    for tool in self._tools:
+                        tool.record()
             self.step_count += chunk
             left -= chunk
+        self._contacts_change = len(contacts) > 1
 
     def _resumes(self) -> bool:
         """Tell whether the first half of a step has been computed."""
@@ -257,3 +317,5 @@ class Simulation:
         self.diverged = None
         mujoco.mj_forward(self.model, self.data)
         self.efforts.restart()
+        for tool in self._tools:
+            tool.reset(self.data)

@@ -32,7 +32,8 @@ class EndEffector:
     :ivar pose: of ``grip_site``
     :ivar twist: of ``grip_site``
     :ivar wrench: what ``force_ee`` and ``torque_ee`` measure, in ``ft_frame``
-    :ivar external_wrench: what the world exerts on the tool, tared, in ``ft_frame``
+    :ivar external_wrench: what the world exerts on the tool, the mean over the last control
+        period, filtered and tared, in ``ft_frame``
     """
 
     pose: Pose

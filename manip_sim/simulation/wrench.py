@@ -12,6 +12,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation.external_wrench import ExternalWrench
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector, Wrench
 
@@ -23,10 +24,12 @@ class EndEffectorReader:
     A reader of one gripper, whose addresses are resolved once.
 
     :param model: the compiled ``mujoco.MjModel``
+    :param data: its ``mujoco.MjData``
     :param gripper: a gripper of the model
+    :ivar external: what the world exerts on the tool
     """
 
-    def __init__(self, model: mujoco.MjModel, gripper: GripperModel) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, gripper: GripperModel) -> None:
         self._model = model
         sensors = gripper.important_sensors
         self._sensors = np.concatenate([
@@ -34,14 +37,12 @@ class EndEffectorReader:
             for name in ('force_ee', 'torque_ee')])
         self._ft_frame = int(model.sensor(sensors['force_ee']).objid[0])
         self._grip_site = model.site(gripper.important_sites['grip_site']).id
-        sensed = int(model.site_bodyid[self._ft_frame])
-        self._root = int(model.body_rootid[sensed])
-        self._bodies = np.array(_subtree(model, sensed))
-        self._tare = np.zeros(6)
+        self.external = ExternalWrench(model, data, self._ft_frame)
 
-    def rebind(self, model: mujoco.MjModel) -> None:
+    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Continue with another model in which the gripper is unchanged."""
         self._model = model
+        self.external.rebind(model, data)
 
     @property
     def ft_frame(self) -> str:
@@ -102,36 +103,9 @@ class EndEffectorReader:
 
     def external_wrench(self, data: mujoco.MjData) -> FloatArray:
         """
-        Return what the world exerts on the tool, tared, in ``ft_frame``.
+        Return what the world exerts on the tool, the mean over the last control period.
 
         :param data: the ``mujoco.MjData``
-        :returns: force [N] and torque [N m], shape (6,)
+        :returns: force [N] and torque [N m], filtered and tared, in ``ft_frame``, shape (6,)
         """
-        return np.asarray(self._external(data) - self._tare)
-
-    def tare(self, data: mujoco.MjData) -> None:
-        """Let the present external wrench read zero."""
-        self._tare = self._external(data)
-
-    def reset(self) -> None:
-        """Forget the tare."""
-        self._tare = np.zeros(6)
-
-    def _external(self, data: mujoco.MjData) -> FloatArray:
-        # The negated sensor reading minus gravity and inertia of the tool is the sum of the
-        # external forces on the bodies beyond the sensor. MuJoCo keeps it in cfrc_ext: torque and
-        # force in world axes, about the tree's centre of mass.
-        torque, force = data.cfrc_ext[self._bodies].sum(axis=0).reshape(2, 3)
-        lever = data.subtree_com[self._root] - data.site_xpos[self._ft_frame]
-        moment = np.empty(3)
-        mujoco.mju_cross(moment, lever, force)
-        world_to_site = data.site_xmat[self._ft_frame].reshape(3, 3).T
-        return np.concatenate([world_to_site @ force, world_to_site @ (torque + moment)])
-
-
-def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
-    bodies = {root}
-    for body in range(root + 1, model.nbody):
-        if int(model.body_parentid[body]) in bodies:
-            bodies.add(body)
-    return sorted(bodies)
+        return self.external.read(data)

@@ -3,6 +3,7 @@
 
 """What parameters change in the physics and its pace, at the start and while the node runs."""
 
+from geometry_msgs.msg import WrenchStamped
 import mujoco
 import numpy as np
 import pytest
@@ -85,6 +86,24 @@ def test_the_real_time_factor_changes_while_the_node_runs(serve, client):
     before = len(clock)
     client.spin_until(lambda: len(clock) > before + 50, timeout_s=5.0)
     assert node.thread.real_time_factor == 10.0
+
+
+def test_the_cutoff_of_a_wrench_changes_while_the_node_runs(serve, client):
+    node = serve(start_paused=True, wrench_cutoff__right=1.0)
+    wrenches = client.listen(WrenchStamped, 'right/external_wrench')
+    node.simulation.data.body('gripper0_right_eef').xfrc_applied[:3] = [0.0, 0.0, 5.0]
+
+    def force():
+        del wrenches[:]
+        steps(node, 1)
+        client.spin_until(lambda: wrenches)
+        force = wrenches[-1].wrench.force
+        return np.linalg.norm([force.x, force.y, force.z])
+    assert force() == pytest.approx(5.0 * -np.expm1(-2.0 * np.pi * 0.01), rel=1e-3)
+    set_live(client, 'wrench_cutoff.right', 10.0)
+    assert 2.0 < force() < 4.0
+    set_live(client, 'wrench_cutoff.right', 0.0)
+    assert force() == pytest.approx(5.0, abs=1e-6)
 
 
 def test_a_command_timeout_changes_while_the_node_runs(serve, client):

@@ -114,8 +114,9 @@ def test_every_number_is_that_of_the_physics_at_its_stamp(serve, client):
     frame = data.site(f'{GRIPPER}ft_frame')
     to_frame = frame.xmat.reshape(3, 3).T
     np.testing.assert_allclose(three(external.force), to_frame @ force, atol=1e-9)
+    # The torque is the mean over the period, in which the hand moves by less than 5 mm.
     np.testing.assert_allclose(three(external.torque), to_frame @ (
-        torque + np.cross(hand.xipos - frame.xpos, force)), atol=1e-9)
+        torque + np.cross(hand.xipos - frame.xpos, force)), atol=0.005 * 7.1)
     site = data.site(f'{GRIPPER}grip_site')
     np.testing.assert_array_equal(three(pose.position), site.xpos)
     jacobian = np.zeros((2, 3, model.nv))

@@ -21,7 +21,9 @@ def whole_state(simulation):
     data = simulation.data
     state = np.empty(mujoco.mj_stateSize(simulation.model, EVERYTHING))
     mujoco.mj_getState(simulation.model, data, state, EVERYTHING)
-    return np.concatenate([state, data.qacc, data.sensordata, data.qfrc_actuator])
+    wrenches = [reader.external_wrench(data)
+                for reader in simulation.robot.end_effectors.values()]
+    return np.concatenate([state, data.qacc, data.sensordata, data.qfrc_actuator, *wrenches])
 
 
 def run(name, integrator, between=lambda simulation, period: None):

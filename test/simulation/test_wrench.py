@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
@@ -137,13 +138,138 @@ def test_fingers_that_press_on_each_other_are_no_external_force(panda_sim, run):
     np.testing.assert_allclose(force, np.zeros(3), atol=1e-6)
 
 
+def force_in_world(simulation):
+    """Return the external force in the axes of the world [N]."""
+    force = simulation.robot.state().end_effectors['right'].external_wrench.force
+    return frame_of(simulation)[1] @ force
+
+
+BALL_KG, GRAVITY = 0.2, np.array([0.0, 0.0, -9.81])
+
+
+@pytest.fixture
+def thrown(panda):
+    """Return a function that makes a simulation in which a ball flies towards the hand."""
+    def make():
+        simulation = Simulation(World([panda], objects=[{
+            'name': 'ball', 'shape': 'sphere', 'size': 0.03, 'mass': BALL_KG,
+            'position': [2.0, 0.0, 1.0]}]))
+        for _ in range(20):
+            simulation.advance(5)
+        ball = simulation.data.joint('ball_joint')
+        ball.qpos[:3] = simulation.data.site('gripper0_right_ft_frame').xpos + [0.3, 0.0, -0.04]
+        ball.qvel[:3] = [-2.0, 0.0, 0.6]
+        return simulation, ball.qvel
+    return make
+
+
+@pytest.mark.parametrize('moves', [False, True])
+@pytest.mark.parametrize('steps', [1, 5, 50])
+def test_the_external_force_of_each_period_is_the_change_of_momentum_of_a_ball(
+        thrown, steps, moves):
+    simulation, velocity = thrown()
+    robot, period_s, forces = simulation.robot, steps * simulation.timestep_s, []
+    if moves:
+        robot.apply(*robot.parse.joint_command(['robot0_joint6'], [3.5]), period_s=period_s)
+    for _ in range(150 // steps):
+        before = velocity[:3].copy()
+        simulation.advance(steps)
+        by_gravity = BALL_KG * GRAVITY * period_s
+        forces.append((by_gravity - BALL_KG * (velocity[:3] - before)) / period_s)
+        np.testing.assert_allclose(force_in_world(simulation), forces[-1], atol=1e-6)
+    # It bounced off within a period of 0.1 s, or within ten of 0.01 s.
+    impulse = np.sum(forces, axis=0) * period_s
+    assert impulse[0] < -1.1 * BALL_KG * 2.0
+    assert not forces[0].any() or np.abs(forces[0]).max() < 1e-6
+
+
+def test_the_torque_of_a_period_is_the_moment_of_a_ball_without_friction(thrown):
+    simulation, _ = thrown()
+    simulation.model.geom_friction[:] = 0.0
+    touched = 0
+    for _ in range(150):
+        middle = simulation.data.body('ball').xpos.copy()
+        simulation.advance(1)
+        end = simulation.robot.state().end_effectors['right'].external_wrench
+        # The force goes through the middle of the ball, where that was at the begin of the step.
+        origin, rotation = frame_of(simulation)
+        moment = np.cross(rotation.T @ (middle - origin), end.force)
+        np.testing.assert_allclose(
+            end.torque, moment, atol=1e-4 * np.linalg.norm(end.force) + 1e-9)
+        touched += np.linalg.norm(moment) > 0.1
+    assert touched > 3
+
+
+@pytest.mark.parametrize('steps', [1, 5, 20])
+def test_the_cutoff_is_that_of_a_low_pass_in_simulated_time(panda_sim, steps):
+    take_pose(panda_sim, POSES[0])
+    panda_sim.robot.set_wrench_cutoff('right', 3.0)
+    panda_sim.data.body(EEF).xfrc_applied[:3] = [0.0, 0.0, 5.0]
+    seconds = 0.0
+    for _ in range(100 // steps):
+        panda_sim.advance(steps)
+        seconds += steps * panda_sim.timestep_s
+        wanted = 5.0 * -np.expm1(-2.0 * np.pi * 3.0 * seconds)
+        assert np.linalg.norm(panda_sim.robot.state().end_effectors[
+            'right'].external_wrench.force) == pytest.approx(wanted, rel=1e-3)
+    panda_sim.data.body(EEF).xfrc_applied[:3] = 0.0
+    panda_sim.advance(steps)
+    assert wanted > force_in_world(panda_sim)[2] > 0.4 * wanted
+    for _ in range(2000 // steps):
+        panda_sim.advance(steps)
+    assert not force_in_world(panda_sim).any()
+
+
+def test_a_filter_begins_at_the_present_wrench_and_ends_without_a_trace(panda_sim):
+    push(panda_sim, [0.0, 0.0, 5.0])
+    panda_sim.robot.set_wrench_cutoff('right', 1.0)
+    np.testing.assert_allclose(force_in_world(panda_sim), [0.0, 0.0, 5.0], atol=1e-9)
+    panda_sim.data.body(EEF).xfrc_applied[:3] = 0.0
+    panda_sim.advance(5)
+    assert force_in_world(panda_sim)[2] > 4.0
+    panda_sim.robot.set_wrench_cutoff('right', 0.0)
+    assert not force_in_world(panda_sim).any()
+
+
+def test_a_tare_zeroes_the_filtered_wrench(panda_sim):
+    panda_sim.robot.set_wrench_cutoff('right', 1.0)
+    panda_sim.data.body(EEF).xfrc_applied[:3] = [0.0, 0.0, 5.0]
+    for _ in range(10):
+        panda_sim.advance(5)
+    assert 1.0 < force_in_world(panda_sim)[2] < 4.0
+    panda_sim.robot.tare_wrench()
+    assert not force_in_world(panda_sim).any()
+
+
+@pytest.mark.parametrize('cutoff', [-1.0, float('nan'), float('inf')])
+def test_a_cutoff_that_is_no_frequency_is_rejected(panda_sim, cutoff):
+    with pytest.raises(CommandError, match='the cutoff of a wrench must be a finite frequency'):
+        panda_sim.robot.set_wrench_cutoff('right', cutoff)
+
+
+def test_a_cutoff_of_an_arm_that_is_not_there_names_those_that_are(panda_sim):
+    with pytest.raises(UnknownNameError, match='right'):
+        panda_sim.robot.set_wrench_cutoff('left', 1.0)
+
+
+def test_a_hand_that_is_tied_to_the_world_feels_the_tie(panda):
+    panda.grippers['right'].spec.add_equality(
+        name='tie', name1='eef', type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY)
+    simulation = Simulation(World([panda]))
+    simulation.data.body('robot0_link5').xfrc_applied[:3] = [20.0, 0.0, 0.0]
+    for _ in range(100):
+        simulation.advance(5)
+    # A tie ahead of a mode of position takes its share of the push.
+    assert not simulation.data.ncon
+    assert force_in_world(simulation)[0] < -0.5
+
+
 def test_contact_with_a_table_reads_as_a_push(panda):
     # At the start the pads are 1.011 m above the floor, half a pad below that is in the table.
     simulation = Simulation(World([panda], TableArena(table_height_m=1.006)))
     for _ in range(100):
         simulation.advance(5)
-    _, rotation = frame_of(simulation)
-    force = rotation @ simulation.robot.state().end_effectors['right'].external_wrench.force
     table, total = simulation.model.geom('table_collision').id, np.zeros(3)
     for index in range(simulation.data.ncon):
         contact, result = simulation.data.contact[index], np.empty(6)
@@ -151,8 +277,10 @@ def test_contact_with_a_table_reads_as_a_push(panda):
         mujoco.mj_contactForce(simulation.model, simulation.data, index, result)
         on_second_geom = contact.frame.reshape(3, 3).T @ result[:3]
         total += on_second_geom if contact.geom[0] == table else -on_second_geom
-    assert force[2] > 5.0
-    np.testing.assert_allclose(force, total, atol=1e-6)
+    # What acts in a step belongs to the instant at which it begins.
+    simulation.advance(1)
+    assert total[2] > 5.0
+    np.testing.assert_allclose(force_in_world(simulation), total, atol=1e-2)
 
 
 def test_tare_zeroes_the_present_wrench_and_reset_forgets_it(panda_sim):
