@@ -32,6 +32,10 @@ class ModelError(ManipSimError, ValueError):
     """A model file or a composition of models is not usable as it is."""
 
 
+class MessageError(ManipSimError, ValueError):
+    """A message cannot be read, or holds what cannot be used."""
+
+
 class CommandError(ManipSimError, ValueError):
     """A command is invalid (length, joint names, numbers) or cannot be carried out at present."""
 

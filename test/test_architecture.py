@@ -24,7 +24,8 @@ MAY_IMPORT = {
     'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'trimesh', 'viser'}),
-    'viewer/ros': ({'viewer'}, None),
+    # What a client shares with the node: how messages and archives are read, what is logged.
+    'viewer/ros': ({'viewer', 'models', 'ros'}, None),
     'viewer': ({'viewer'}, PURE | {'viser'}),
     'interface': ({'interface', 'models', 'simulation'}, PURE),
 }

@@ -1,22 +1,40 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pack a model and the files that it refers to into a zip archive that loads on any machine."""
+"""A model and the files that it refers to as a zip archive that loads on any machine."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 import hashlib
 import io
 from pathlib import Path, PurePosixPath
 import re
+import struct
+import tempfile
 from xml.etree import ElementTree
 import zipfile
+import zlib
+
+import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
+from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.regular_files import read_file
 from manip_sim.quoting import quoted
+
+#: Largest archive, and size of all that it unpacks to [bytes].
+MAX_ARCHIVE_BYTES, _MAX_UNPACKED_BYTES = 2**26, 2**27
+#: How many times its size an archive of more than a megabyte may unpack to.
+_MAX_RATIO = 200
+#: Number of files, size of the list of them [bytes], and length of their names.
+_MAX_FILES, _MAX_LIST_BYTES, _MAX_NAME = 1000, 2**18, 200
+#: Number of elements of a model, and how deep they may be nested.
+_MAX_ELEMENTS, _MAX_DEPTH = 200_000, 100
+#: The record at the end of an archive: signature, list of files and length of the comment.
+_END = struct.Struct('<4s4H2LH')
+_LOCATOR_64 = b'PK\x06\x07'
 
 #: The model file that MuJoCo looks for in an archive.
 _MODEL = 'model.xml'
@@ -96,3 +114,133 @@ def _zip(contents: Mapping[str, bytes]) -> bytes:
             info.external_attr = 0o644 << 16
             archive.writestr(info, content)
     return buffer.getvalue()
+
+
+def load_archive(data: bytes) -> mujoco.MjModel:
+    """
+    Return the compiled model of an archive from anywhere; it names no files but its own.
+
+    :param data: as :func:`pack` returns it
+    :raises ModelError: if it is no such archive, is too large, names other files, or holds no
+        model that MuJoCo compiles
+    """
+    contents = _unpacked(data)
+    if _MODEL not in contents:
+        raise ModelError(f'the archive has no {_MODEL}')
+    contents[_MODEL] = _checked_xml(contents[_MODEL], contents)
+    with tempfile.TemporaryDirectory(prefix='manip_sim_') as folder:
+        for name, content in contents.items():
+            file = Path(folder, name)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+        return compile_spec(load_spec(Path(folder, _MODEL)), 'the model of the archive')
+
+
+def _unpacked(data: bytes) -> dict[str, bytes]:
+    """Return the files of an archive by their names; all bounds are checked before."""
+    if len(data) > MAX_ARCHIVE_BYTES:
+        raise ModelError(f'the archive has {len(data)} bytes, and at most {MAX_ARCHIVE_BYTES} '
+                         'are unpacked')
+    _check_list(data)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            files = [info for info in archive.infolist() if not info.is_dir()]
+            _check_files(files, len(data))
+            return {info.filename: _read(archive, info) for info in files}
+    # RuntimeError: it is encrypted.
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, OSError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f'the archive cannot be unpacked: {error}') from error
+
+
+def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    with archive.open(info) as stream:
+        # Without a number, a gigabyte may be unpacked before the size of the file is looked at.
+        return stream.read(info.file_size + 1)
+
+
+def _check_list(data: bytes) -> None:
+    """Check the size of the list of files, which zipfile reads as a whole."""
+    if len(data) < _END.size:
+        raise ModelError('the archive is no zip archive')
+    signature, *_, count, size, _, comment = _END.unpack(data[-_END.size:])
+    begin = len(data) - _END.size - len(_LOCATOR_64) - 16
+    if signature != b'PK\x05\x06' or comment or data[begin:begin + 4] == _LOCATOR_64:
+        raise ModelError('the archive is no zip archive that ends without a comment')
+    if count > _MAX_FILES or size > _MAX_LIST_BYTES:
+        raise ModelError(f'the archive has {count} files in a list of {size} bytes, and at most '
+                         f'{_MAX_FILES} in {_MAX_LIST_BYTES} are unpacked')
+
+
+def _check_files(files: list[zipfile.ZipInfo], size: int) -> None:
+    total = sum(info.file_size for info in files)
+    most = min(_MAX_UNPACKED_BYTES, 2**20 + _MAX_RATIO * size)
+    if total > most:
+        raise ModelError(f'the archive unpacks to {total} bytes, and at most {most} are unpacked '
+                         f'from one of {size}')
+    seen = set()
+    for info in files:
+        name = info.filename
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ModelError(f'the file {quoted(name)} of the archive is neither stored nor '
+                             'deflated')
+        path = PurePosixPath(name)
+        if (len(name) > _MAX_NAME or not name.isprintable() or '\\' in name or '..' in path.parts
+                or path.is_absolute() or path.as_posix() != name):
+            raise ModelError(f'the archive has a file of the name {quoted(name)}')
+        if name in seen:
+            raise ModelError(f'the archive has the file {quoted(name)} twice')
+        seen.add(name)
+
+
+def _checked_xml(xml: bytes, files: Collection[str]) -> bytes:
+    """
+    Return a model's XML as it was understood here, so that MuJoCo reads what was checked.
+
+    :raises ModelError: if it is none, is too large, or names files beside these
+    """
+    parser = ElementTree.XMLParser(target=_CheckedTree(files))
+    try:
+        root = ElementTree.fromstring(xml, parser)
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f'the model of the archive is not well-formed XML: {error}') from error
+    return ElementTree.tostring(root)
+
+
+class _CheckedTree(ElementTree.TreeBuilder):
+    """Builds the tree of a model that names no files but these, and loads no other models."""
+
+    def __init__(self, files: Collection[str]) -> None:
+        super().__init__()
+        self._files = files
+        self._count = self._depth = 0
+
+    def doctype(self, *_: object) -> None:
+        raise ModelError('the model of the archive has a document type; models have none')
+
+    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
+        self._count += 1
+        self._depth += 1
+        if self._count > _MAX_ELEMENTS or self._depth > _MAX_DEPTH:
+            raise ModelError(f'the model of the archive has more than {_MAX_ELEMENTS} elements, '
+                             f'or they are nested more than {_MAX_DEPTH} deep')
+        if self._depth == 1 and tag != 'mujoco':
+            raise ModelError(f'the model of the archive begins with {quoted(tag)}, and MJCF with '
+                             "'mujoco'")
+        if tag in ('include', 'model', 'attach'):
+            raise ModelError(f'the model of the archive has an element {quoted(tag)}, which loads '
+                             'another model')
+        for attribute, value in attributes.items():
+            if attribute in ('meshdir', 'texturedir', 'assetdir') and value:
+                raise ModelError(f'the model of the archive names the folder {quoted(value)}')
+            if attribute.startswith('file') and value and value not in self._files:
+                raise ModelError(f'the model of the archive names the file {quoted(value)}, which '
+                                 'is not in the archive')
+        return super().start(tag, attributes)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        self._depth -= 1
+        return super().end(tag)

@@ -1,10 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read serialized commands: data that is too large, or not a message, is rejected."""
+"""Read serialized messages: data that is too large, or not a message, is rejected."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import struct
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, MessageError
 from manip_sim.simulation.command_parser import MAX_POINTS
 
 #: More than any command but a trajectory needs [bytes].
@@ -35,15 +36,32 @@ def read_command(message_type: Any, data: bytes) -> Any:
     :raises CommandError: if the data is too large, or not a message of this type
     """
     trajectory = message_type is JointTrajectory
-    most = _MAX_TRAJECTORY_SIZE if trajectory else _MAX_SIZE
-    if len(data) > most:
-        raise CommandError(f'the message has {len(data)} bytes, a command has {most} at most')
     try:
-        if trajectory:
-            _check_counts(data)
+        return read_message(message_type, data,
+                            _MAX_TRAJECTORY_SIZE if trajectory else _MAX_SIZE, 'a command',
+                            _check_counts if trajectory else None)
+    except MessageError as error:
+        raise CommandError(str(error)) from error
+
+
+def read_message(message_type: Any, data: bytes, most: int, what: str,
+                 check: Callable[[bytes], None] | None = None) -> Any:
+    """
+    Return the message that was serialized.
+
+    :param most: size of the data at most [bytes]
+    :param what: has this size at most, for the message, such as ``a command``
+    :param check: raises an error if the data holds too much
+    :raises MessageError: if the data is too large, or not a message of this type
+    """
+    if len(data) > most:
+        raise MessageError(f'the message has {len(data)} bytes, {what} has {most} at most')
+    try:
+        if check is not None:
+            check(data)
         return deserialize_message(data, message_type)
     except (struct.error, RuntimeError) as error:
-        raise CommandError('the data cannot be read as a message of the type '
+        raise MessageError('the data cannot be read as a message of the type '
                            f'{message_type.__name__}') from error
 
 

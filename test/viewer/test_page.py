@@ -18,9 +18,11 @@ from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status  # noqa: E402
 from manip_sim.viewer.page.following import Following  # noqa: E402
 from manip_sim.viewer.page.pace import Pace  # noqa: E402
+from manip_sim.viewer.page.plain_text import Line  # noqa: E402
 from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
 from manip_sim.viewer.page.posture import Posture  # noqa: E402
-from manip_sim.viewer.page.robots import commanded_joints, short_labels  # noqa: E402
+from manip_sim.viewer.page.robots import (  # noqa: E402
+    commanded_joints, declared_limits, short_labels)
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.ros.layout import layout_of, RobotTopics  # noqa: E402
 
@@ -40,7 +42,7 @@ def test_each_joint_with_an_actuator_has_a_slider_over_its_range(robot):
     model = world.compile()
     own = world.robots[0].all_joints
     found = {joint.name: joint for joint in commanded_joints(
-        model, own, world.to_urdf(), gripper=False)}
+        model, own, declared_limits(world.to_urdf()), gripper=False)}
     driven = {model.joint(int(model.actuator_trnid[i, 0])).name for i in range(model.nu)}
     assert set(found) == driven & set(own)
     for name, joint in found.items():
@@ -58,7 +60,7 @@ def test_fingers_have_sliders_where_they_take_positions():
         world = compose(robot, gripper=gripper)
         names = [joint for hand in world.robots[0].grippers.values() for joint in hand.joints]
         return [joint.label for joint in commanded_joints(
-            world.compile(), names, world.to_urdf(), gripper=True)]
+            world.compile(), names, declared_limits(world.to_urdf()), gripper=True)]
     assert fingers('Panda', 'PandaGripper') == ['joint1', 'joint2']
     assert fingers('UR5e', 'Robotiq85Gripper') != []
 
@@ -137,13 +139,13 @@ ARM = Status(0, 'left/arm', 'commands', {
 
 def test_diagnostics_are_told_in_words_with_trouble_first():
     slow = Status(1, 'other nodes', '/clock is also published by x')
-    first, second, third = in_words([SIMULATION, ARM, slow]).split('\n\n')
-    assert first == '**Warning: other nodes**: /clock is also published by x'
-    assert second == ('**simulation**: realtime at 1.0000 times real time; 3 deadlines missed; '
-                      '2 failed callbacks')
-    assert third == ('**left/arm**: velocity mode; 120 commands, 12.0 per second, the last 0.3 s '
-                     'ago; 2 rejected')
-    assert in_words([]) == 'No diagnostics yet.'
+    first, second, third = in_words([SIMULATION, ARM, slow])
+    assert first == Line('/clock is also published by x', 'Warning: other nodes')
+    assert second == Line('realtime at 1.0000 times real time; 3 deadlines missed; '
+                          '2 failed callbacks', 'simulation')
+    assert third == Line('velocity mode; 120 commands, 12.0 per second, the last 0.3 s ago; '
+                         '2 rejected', 'left/arm')
+    assert in_words([]) == [Line('No diagnostics yet.')]
     assert control_modes([SIMULATION, ARM]) == {'left/arm': 'velocity'}
 
 

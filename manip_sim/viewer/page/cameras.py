@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from manip_sim.viewer.page.commands import Commands, Events
+from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 
 #: Least time between two images of a camera [s].
 _PERIOD_S = 0.1
@@ -32,14 +33,14 @@ class CameraPanel:
         self._gui, self._commands = gui, commands
         self._images: dict[str, Any] = {}
         self._shown_s: dict[str, float] = {}
-        self._folders = {name: gui.add_folder(name) for name in cameras}
+        self._folders = {name: gui.add_folder(plain(name)) for name in cameras}
         for name, folder in self._folders.items():
             with folder:
-                box = gui.add_checkbox('Show', False, hint=f'the images of {name}')
+                box = gui.add_checkbox('Show', False, hint=f'the images of {plain(name)}')
             self._couple(name, box, events)
         if not self._folders:
-            gui.add_markdown('The node has no cameras. Start it with, for example, '
-                             '`-p "cameras:=[birdview]"`.')
+            PlainText(gui, [Line('The node has no cameras. Start it with, for example, '
+                                 '-p "cameras:=[birdview]".')])
 
     def _couple(self, name: str, box: Any, events: Events) -> None:
         box.on_update(lambda _: events.add(lambda: self._tick(name, bool(box.value))))

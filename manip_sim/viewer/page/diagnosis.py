@@ -7,6 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+import math
+
+from manip_sim.viewer.page.plain_text import Line
+from manip_sim.viewer.page.robots import MODES
 
 OK, WARN, ERROR = 0, 1, 2
 _SIGNS = {OK: '', WARN: 'Warning: ', ERROR: 'Error: '}
@@ -16,7 +20,6 @@ _OUTCOMES = {
     'faults': 'failed in the gripper', 'cartesian_unreachable': 'out of reach',
     'cartesian_joint_limit': 'stopped by joint limits', 'cartesian_singular': 'at a singularity',
     'cartesian_slowed': 'slower than requested'}
-_NEVER = 'never'
 
 
 @dataclass(frozen=True)
@@ -35,19 +38,27 @@ class Status:
     message: str
     values: Mapping[str, str] = field(default_factory=dict)
 
+    def number(self, key: str) -> float | None:
+        """Return the value of a key as a finite number; None if it has none."""
+        try:
+            number = float(self.values[key])
+        except (KeyError, ValueError):
+            return None
+        return number if math.isfinite(number) else None
+
 
 def control_modes(statuses: Iterable[Status]) -> dict[str, str]:
     """Return the control modes of parts, by topic, such as ``left/arm``."""
     return {status.name: status.values['control_mode'] for status in statuses
-            if 'control_mode' in status.values}
+            if status.values.get('control_mode') in MODES}
 
 
-def in_words(statuses: Iterable[Status]) -> str:
-    """Return the statuses as Markdown, the most severe first."""
+def in_words(statuses: Iterable[Status]) -> list[Line]:
+    """Return a line for each status, the most severe first."""
     ranked = sorted(statuses, key=lambda status: -status.level)
-    lines = [f'**{_SIGNS[min(status.level, ERROR)]}{status.name}**: {_words(status)}'
+    lines = [Line(_words(status), title=f'{_SIGNS[min(status.level, ERROR)]}{status.name}')
              for status in ranked if status.values or status.level]
-    return '\n\n'.join(lines) or 'No diagnostics yet.'
+    return lines or [Line('No diagnostics yet.')]
 
 
 def _words(status: Status) -> str:
@@ -55,7 +66,7 @@ def _words(status: Status) -> str:
     if 'real_time_factor' in values:
         words = _simulation(status)
     elif 'accepted' in values:
-        words = _commands(values)
+        words = _commands(status)
     elif status.name == 'cameras':
         words = _cameras(values)
     else:
@@ -76,15 +87,15 @@ def _simulation(status: Status) -> str:
     return '; '.join(words + ([] if defects == 'none' else [f'at the start: {defects}']))
 
 
-def _commands(values: Mapping[str, str]) -> str:
-    words = []
+def _commands(status: Status) -> str:
+    words, values, age_s = [], status.values, status.number('age')
     if 'control_mode' in values:
         words.append(f'{values["control_mode"]} mode')
-    if values.get('age', _NEVER) == _NEVER:
+    if age_s is None:
         words.append('no command yet')
     else:
         words.append(f'{values["accepted"]} commands, {values.get("rate", "0.0")} per second, the '
-                     f'last {float(values["age"]):.1f} s ago')
+                     f'last {age_s:.1f} s ago')
     words += [f'{values[key]} {outcome}' for key, outcome in _OUTCOMES.items()
               if values.get(key, '0') != '0']
     return '; '.join(words)

@@ -6,20 +6,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 import time
 from typing import Any
 
 from manip_sim.viewer.page.commands import Commands, Events
 from manip_sim.viewer.page.following import Following
+from manip_sim.viewer.page.plain_text import plain
 from manip_sim.viewer.page.robots import Joint, Part, Robot
 
-#: Steps of a slider.
-_STEPS = 500
+#: Steps of a slider, and the least of them [rad or m ...].
+_STEPS, _RESOLUTION = 500, 1e-4
 #: A joint that is slower is still [steps of the slider per second].
 _STILL = 2.0
 #: Time after which velocities that are not zero are sent again [s]; the node's timeouts are
 #: longer.
 _REPEAT_S = 0.1
+
+
+def rounded_inward(low: float, high: float) -> tuple[float, float]:
+    """Return a range of few digits inside another: what a slider sends is within the limits."""
+    inner = math.ceil(low / _RESOLUTION) * _RESOLUTION, math.floor(
+        high / _RESOLUTION) * _RESOLUTION
+    return (round(inner[0], 4), round(inner[1], 4)) if inner[0] < inner[1] else (low, high)
 
 
 class JointPanel:
@@ -71,15 +80,14 @@ class JointPanel:
             self._robot.space, self._part.name, 1.0 if value == 'Close' else -1.0))
 
     def _add_slider(self, gui: Any, joint: Joint) -> None:
-        low, high = joint.ranges[self.mode]
+        low, high = rounded_inward(*joint.ranges[self.mode])
         unit = joint.unit(self.mode)
         slider = gui.add_slider(
-            f'{joint.label} [{unit}]' if self._unit_shown else joint.label,
-            min=round(low, 4), max=round(high, 4),
-            step=max(1e-4, round((high - low) / _STEPS, 4)),
-            initial_value=round(min(max(0.0, low), high), 4),
-            marks=((round(low, 4), f'{low:.3g}'), (round(high, 4), f'{high:.3g}')),
-            hint=f'{self.mode} of {joint.name} [{unit}]')
+            f'{joint.label} [{unit}]' if self._unit_shown else joint.label, min=low, max=high,
+            step=max(_RESOLUTION, round((high - low) / _STEPS, 4)),
+            initial_value=min(max(0.0, low), high),
+            marks=((low, f'{low:.3g}'), (high, f'{high:.3g}')),
+            hint=f'{self.mode} of {plain(joint.name)} [{unit}]')
         self._sliders[joint.name], self._following[joint.name] = slider, Following()
 
         def moved(event: Any) -> None:
@@ -125,9 +133,10 @@ class JointPanel:
             moving = paused or abs(velocities.get(name, 0.0)) > _STILL * slider.step
             if not self._following[name].follows(now_s, moving):
                 continue
-            value = min(max(positions[name], slider.min), slider.max)
+            steps = round((positions[name] - slider.min) / slider.step)
+            value = min(max(slider.min + steps * slider.step, slider.min), slider.max)
             if abs(value - slider.value) > 0.5 * slider.step:
-                slider.value = round(value / slider.step) * slider.step
+                slider.value = value
 
     def remove(self) -> None:
         """Remove the folder."""

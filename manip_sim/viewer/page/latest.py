@@ -22,16 +22,16 @@ class JointStates:
     The joints of one robot at one instant.
 
     :ivar names: of the joints
-    :ivar position: [rad or m]
+    :ivar position: [rad or m], as long as the names
     :ivar velocity: [rad/s or m/s]
     :ivar effort: [N m or N]
     :ivar time_s: simulation time [s]
     """
 
     names: Sequence[str]
-    position: Sequence[float]
-    velocity: Sequence[float]
-    effort: Sequence[float]
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
     time_s: float
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 
+from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
 from manip_sim.viewer.page.cameras import CameraPanel
 from manip_sim.viewer.page.commands import Commands, Events
@@ -18,6 +19,7 @@ from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.overlays import Overlays
+from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.robots import Part, Robot
@@ -84,7 +86,7 @@ class Page:
         with tabs.add_tab('Plots'):
             self._plots = PlotPanel(gui, robots)
         with tabs.add_tab('Health'):
-            self._health = gui.add_markdown(in_words([]))
+            self._health = PlainText(gui, in_words([]))
         with tabs.add_tab('Cameras'):
             self._cameras = CameraPanel(gui, cameras, self._commands, self.events)
 
@@ -121,11 +123,12 @@ class Page:
     def show_trouble(self, text: str) -> None:
         """Notify all browsers of something that could not be done."""
         for client in self._server.get_clients().values():
-            client.add_notification('Command failed', text, color='orange', auto_close_seconds=8.0)
+            client.add_notification('Command failed', one_line(text), color='orange',
+                                    auto_close_seconds=8.0)
 
     def show_diagnostics(self, statuses: Sequence[Status]) -> None:
         """Show the diagnostics, and take the control modes of the sliders from them."""
-        self._health.content = in_words(statuses)
+        self._health.show(in_words(statuses))
         self._modes = control_modes(statuses)
 
     def update(self, now_s: float, latest: Latest, paused: bool) -> None:

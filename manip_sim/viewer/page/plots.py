@@ -98,7 +98,9 @@ class PlotPanel:
         if states is None:
             return
         if isinstance(what, Part):
-            self._history.add(states.time_s, _row(states, what))
+            row = _row(states, what)
+            if row is not None:
+                self._history.add(states.time_s, row)
         elif (robot.space, what) in latest.wrenches:
             self._history.add(states.time_s, latest.wrenches[robot.space, what])
 
@@ -132,8 +134,10 @@ class PlotPanel:
             height=_HEIGHT, legend={'show': len(labels) <= len(_COLORS), 'live': False})
 
 
-def _row(states: JointStates, part: Part) -> FloatArray:
+def _row(states: JointStates, part: Part) -> FloatArray | None:
     index = {name: i for i, name in enumerate(states.names)}
+    if any(joint.name not in index for joint in part.joints):
+        return None
     rows = [index[joint.name] for joint in part.joints]
-    return np.concatenate([np.asarray(values, dtype=float)[rows] for values in (
+    return np.concatenate([values[rows] for values in (
         states.position, states.velocity, states.effort)])

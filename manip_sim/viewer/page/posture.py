@@ -14,6 +14,8 @@ from manip_sim.arrays import FloatArray
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: A node has one list of joints for each robot; another may send many.
+_MAX_KNOWN = 100
 
 
 class Posture:
@@ -39,7 +41,8 @@ class Posture:
         """The bodies that :meth:`place` takes."""
         return list(self._free)
 
-    def set_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
+    def set_joints(self, names: Sequence[str], positions: Sequence[float] | FloatArray
+                   ) -> None:
         """
         Set the positions of scalar joints.
 
@@ -48,6 +51,8 @@ class Posture:
         """
         key = tuple(names)
         if key not in self._known:
+            if len(self._known) >= _MAX_KNOWN:
+                self._known.clear()
             rows = [i for i, name in enumerate(key) if name in self._scalar]
             self._known[key] = rows, [self._scalar[key[i]] for i in rows]
         rows, addresses = self._known[key]

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
 import os.path
@@ -12,11 +13,18 @@ from xml.etree import ElementTree
 
 import mujoco
 
+from manip_sim.viewer.page.plain_text import plain
+
 #: How far the sliders of a hinge and of a slide joint without a range go either way
 #: [rad, m].
 _TURN, _WAY_M = math.pi, 2.0
 #: Limits where none are declared [rad/s or m/s, N m or N].
 _SPEED, _EFFORT = 1.0, 10.0
+#: A range that is so many times as wide is none.
+_MANY = 100.0
+#: A greater limit of velocity or effort is none.
+_GREAT = 1e6
+_LIMITS = ('lower', 'upper', 'velocity', 'effort')
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 MODES = ('position', 'velocity', 'effort')
@@ -84,28 +92,39 @@ class Robot:
 
     def titled(self, what: str) -> str:
         """Return the name of something of this robot, for people."""
-        return f'{self.title}: {what}' if self.title else what
+        return plain(f'{self.title}: {what}' if self.title else what)
 
 
 def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
-    """Return ``lower``, ``upper``, ``velocity`` and ``effort`` of joints, as far as declared."""
-    return {str(joint.get('name')): {key: float(value) for key, value in limit.attrib.items()}
-            for joint in ElementTree.fromstring(urdf).iter('joint')
-            if (limit := joint.find('limit')) is not None}
+    """
+    Return ``lower``, ``upper``, ``velocity`` and ``effort`` of joints, as far as declared.
+
+    :raises ValueError: if it is not XML, or a limit is not a finite number
+    """
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise ValueError(str(error)) from error
+    limits = {str(joint.get('name')): {key: float(limit.get(key, 0.0))
+                                       for key in _LIMITS if key in limit.attrib}
+              for joint in root.iter('joint') if (limit := joint.find('limit')) is not None}
+    if not all(math.isfinite(value) for of in limits.values() for value in of.values()):
+        raise ValueError('a limit of a joint is not finite')
+    return limits
 
 
-def commanded_joints(model: mujoco.MjModel, names: list[str], urdf: str, gripper: bool
+def commanded_joints(model: mujoco.MjModel, names: list[str],
+                     limits: Mapping[str, Mapping[str, float]], gripper: bool
                      ) -> tuple[Joint, ...]:
     """
     Return those joints that have an actuator of their own.
 
     :param model: the ``mujoco.MjModel``
     :param names: of the joints of a part
-    :param urdf: declares their limits
+    :param limits: as :func:`declared_limits` returns them
     :param gripper: whether the part is a gripper, whose joints take positions only where the
         actuator is a position servo
     """
-    limits = declared_limits(urdf)
     driven = {int(model.actuator_trnid[i, 0]) for i in range(model.nu)
               if int(model.actuator_trntype[i]) in _OF_JOINTS
               and (not gripper or model.actuator_biasprm[i, 1] < 0.0)}
@@ -115,17 +134,24 @@ def commanded_joints(model: mujoco.MjModel, names: list[str], urdf: str, gripper
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if index in driven:
             slides = int(model.jnt_type[index]) == _SLIDE
-            found.append(Joint(name, labels[name], slides,
+            found.append(Joint(name, plain(labels[name]), slides,
                                _ranges(limits.get(name, {}), slides)))
     return tuple(found)
 
 
-def _ranges(limits: dict[str, float], slides: bool) -> dict[str, tuple[float, float]]:
+def limit_of(limits: Mapping[str, float], key: str, usual: float) -> float:
+    """Return a limit of a joint, or the usual one where none is declared that can be used."""
+    limit = limits.get(key, 0.0)
+    return limit if 0.0 < limit <= _GREAT else usual
+
+
+def _ranges(limits: Mapping[str, float], slides: bool) -> dict[str, tuple[float, float]]:
     far = _WAY_M if slides else _TURN
     low, high = limits.get('lower', -far), limits.get('upper', far)
-    if high - low > 100.0 * far:
+    if not (0.0 <= high - low <= _MANY * far and abs(low) <= _MANY * far):
         low, high = -far, far
-    speed, effort = limits.get('velocity') or _SPEED, limits.get('effort') or _EFFORT
+    speed = limit_of(limits, 'velocity', _SPEED)
+    effort = limit_of(limits, 'effort', _EFFORT)
     return {'position': (low, high), 'velocity': (-speed, speed), 'effort': (-effort, effort)}
 
 

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.viewer.page.plain_text import plain
 from manip_sim.viewer.page.shapes import body_meshes, planes
 
 ROOT = '/world'
@@ -26,6 +28,10 @@ FIELD_OF_VIEW = math.radians(40.0)
 #: First view: from the front right of the robot; factor on the least distance that fits.
 _FROM = np.array([0.78, -0.82, 0.42])
 _ROOM = 1.4
+#: What is shown of a model without shapes: a sphere around the origin [m].
+_EMPTY_M = 1.0
+#: Length of the name of a body in the scene at most.
+_MAX_NAME = 60
 
 
 class Scene:
@@ -59,7 +65,7 @@ class Scene:
 
     def _add_site(self, site: int) -> Any:
         return self._server.scene.add_frame(
-            f'{self._paths[int(self._model.site_bodyid[site])]}/{self._model.site(site).name}',
+            f'{self._paths[int(self._model.site_bodyid[site])]}/site{site}',
             show_axes=False, axes_length=0.7 * _AXES_M, axes_radius=_AXES_RADIUS_M,
             position=self._model.site_pos[site], wxyz=self._model.site_quat[site])
 
@@ -118,7 +124,7 @@ class Scene:
         self._labels = []
         if shown:
             self._labels = [self._server.scene.add_label(
-                f'{self._paths[body]}/label', self._model.body(body).name,
+                f'{self._paths[body]}/label', plain(self._model.body(body).name),
                 font_screen_scale=0.8) for body in sorted(set(self._model.jnt_bodyid.tolist()))]
 
     def remove(self) -> None:
@@ -127,10 +133,12 @@ class Scene:
 
 
 def _paths(model: mujoco.MjModel) -> list[str]:
-    paths = [ROOT]
+    paths, taken = [ROOT], {ROOT}
     for body in range(1, model.nbody):
-        name = model.body(body).name or f'body{body}'
-        paths.append(f'{paths[int(model.body_parentid[body])]}/{name.replace("/", "_")}')
+        name = re.sub(r'[^\w-]', '_', model.body(body).name[:_MAX_NAME]) or f'body{body}'
+        path = f'{paths[int(model.body_parentid[body])]}/{name}'
+        paths.append(path if path not in taken else f'{path}-{body}')
+        taken.add(paths[-1])
     return paths
 
 
@@ -168,6 +176,8 @@ def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covere
     if not moving.size:
         moving = np.arange(model.ngeom)
     at, reach = data.geom_xpos[moving], model.geom_rbound[moving]
+    if not moving.size:
+        at, reach = np.zeros((1, 3)), np.array([_EMPTY_M])
     center = ((at - reach[:, None]).min(axis=0) + (at + reach[:, None]).max(axis=0)) / 2.0
     direction = _FROM / np.linalg.norm(_FROM)
     right = np.cross([0.0, 0.0, 1.0], direction)

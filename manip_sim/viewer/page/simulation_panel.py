@@ -5,16 +5,13 @@
 
 from __future__ import annotations
 
-import html
 from typing import Any
 
 from manip_sim.viewer.page.commands import Commands, Events
+from manip_sim.viewer.page.plain_text import Line, PlainText
 
 _COLORS = {'running': '#2f9e44', 'paused': '#f08c00', 'waiting': '#868e96', 'gone': '#e03131',
            'trouble': '#e8590c'}
-#: The labels of the page are grey and narrow otherwise.
-_STYLE = ('<style>.mantine-Text-root{color:inherit!important;letter-spacing:-0.1px!important}'
-          '</style>')
 
 
 class SimulationPanel:
@@ -28,8 +25,7 @@ class SimulationPanel:
 
     def __init__(self, gui: Any, commands: Commands, events: Events) -> None:
         self._paused = False
-        self._text = ''
-        self._state = gui.add_html(_STYLE)
+        self._state = PlainText(gui)
         self._buttons = gui.add_button_group(
             'Simulation', ('Pause', 'Step'),
             hint='Step: one control period of a paused simulation')
@@ -55,10 +51,7 @@ class SimulationPanel:
         :param text: the details
         :param paused: whether it is paused, so that the button resumes it; None if not known
         """
-        shown = (f'{_STYLE}<div style="padding:0 0.7em 0.5em;font-size:0.9em" role="status">'
-                 f'<span style="color:{_COLORS[state]}">●</span> {html.escape(text)}</div>')
-        if shown != self._text:
-            self._text = self._state.content = shown
+        self._state.show([Line(text, color=_COLORS[state])])
         if paused is not None and paused != self._paused:
             self._paused = paused
             self._buttons.options = ('Resume' if paused else 'Pause', 'Step')

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import Status
 
-_ACTION_SIZE = 'action_size'
+_ACTION_SIZE, _MAX_ACTION_SIZE = 'action_size', 100
 _SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger}
 
 
@@ -45,8 +45,9 @@ class CommandSender:
 
     def notice(self, base: str, statuses: list[Status]) -> None:
         """Take from the diagnostics how many numbers the actions of grippers have."""
-        self._action_sizes = {f'{base}{status.name}': int(status.values[_ACTION_SIZE])
-                              for status in statuses if _ACTION_SIZE in status.values}
+        sizes = {f'{base}{status.name}': status.number(_ACTION_SIZE) for status in statuses}
+        self._action_sizes = {name: int(size) for name, size in sizes.items()
+                              if size is not None and 1.0 <= size <= _MAX_ACTION_SIZE}
 
     def prepare(self, topics: Mapping[str, Any]) -> None:
         """
@@ -137,7 +138,9 @@ class CommandSender:
 
         def answered(future: Any) -> None:
             answer = future.result()
-            if answer.success:
+            if answer is None:
+                self._tell(f'{name}: the node does not answer')
+            elif answer.success:
                 done()
             else:
                 self._tell(f'{name}: {answer.message}')

@@ -5,23 +5,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-import io
 from typing import Any
 
-import mujoco
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt8MultiArray
 
-from manip_sim.viewer.page.robots import commanded_joints, declared_limits, Part, Robot
+from manip_sim.errors import MessageError, ModelError
+from manip_sim.models.archive import load_archive, MAX_ARCHIVE_BYTES
+from manip_sim.viewer.page.robots import (
+    commanded_joints, declared_limits, limit_of, Part, Robot)
+from manip_sim.viewer.ros import contents
 from manip_sim.viewer.ros.layout import Layout, layout_of, RobotTopics
+from manip_sim.viewer.ros.readers import Readers
 
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 #: Velocity limits of the base where none are declared [m/s, m/s, rad/s].
 _TWIST = (0.5, 0.5, 1.0)
 _BASE = 'base'
+#: Size of a URDF at most [bytes].
+_MAX_URDF_BYTES = 2**23
 
 
 class Discovery:
@@ -29,6 +35,7 @@ class Discovery:
     What is known about the node.
 
     :param node: the viewer's own
+    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :ivar base: namespace of the node, with a slash at its end
     :ivar model: its ``mujoco.MjModel``, or None
@@ -36,8 +43,8 @@ class Discovery:
     :ivar models: how many models have come
     """
 
-    def __init__(self, node: Node, simulation: str) -> None:
-        self._node, self._name = node, simulation
+    def __init__(self, node: Node, readers: Readers, simulation: str) -> None:
+        self._node, self._readers, self._name = node, readers, simulation
         self.base = f'/{simulation}'.rpartition('/')[0] + '/'
         self.model: Any = None
         self.models = 0
@@ -45,21 +52,35 @@ class Discovery:
         self._seen = Layout()
         self._subscriptions: dict[str, Any] = {}
         self._joints: dict[str, list[str]] = {}
-        self._urdfs: dict[str, str] = {}
+        self._limits: dict[str, Mapping[str, Mapping[str, float]]] = {}
         self._archive = f'/{simulation}/mjcf_archive'
-        node.create_subscription(UInt8MultiArray, self._archive, self._take_model, _LATCHED)
+        self._newest, self._tried = b'', b''
+        readers.subscribe(UInt8MultiArray, self._archive, self._take_archive, _LATCHED,
+                          most=MAX_ARCHIVE_BYTES)
 
     @property
     def is_there(self) -> bool:
         """Whether somebody publishes the model."""
         return bool(self._node.count_publishers(self._archive))
 
-    def _take_model(self, message: UInt8MultiArray) -> None:
-        self.model = mujoco.MjSpec.from_zip(io.BytesIO(bytes(message.data))).compile()
-        self.models += 1
+    def _take_archive(self, message: UInt8MultiArray) -> None:
+        self._newest = bytes(message.data)
+
+    def _load_model(self) -> None:
+        """Compile the newest model; of many that come, only this one."""
+        if self._newest == self._tried:
+            return
+        self._tried = self._newest
+        try:
+            self.model = load_archive(self._newest)
+        except ModelError as error:
+            self._readers.reject(self._archive, error)
+        else:
+            self.models += 1
 
     def look(self) -> None:
-        """Check which topics the node has; to be called from time to time."""
+        """Check which model and topics the node has; to be called from time to time."""
+        self._load_model()
         if not self.is_there:
             self.forget()
             return
@@ -79,35 +100,37 @@ class Discovery:
 
     def _learn(self, layout: Layout) -> None:
         """Take over a layout when the joints of all parts and all limits are known."""
-        wanted: dict[str, tuple[Any, Any, Any]] = {}
+        wanted: dict[str, tuple[Any, ...]] = {}
         for robot in layout.robots:
-            if robot.space not in self._urdfs:
+            if robot.space not in self._limits:
                 wanted[f'{robot.space}robot_description'] = (
-                    String, partial(self._take_urdf, robot.space), _LATCHED)
+                    String, partial(self._take_urdf, robot.space), _LATCHED, _MAX_URDF_BYTES)
             for part in robot.parts:
                 if robot.space + part not in self._joints:
                     wanted[f'{robot.space}{part}/joint_states'] = (
                         JointState, partial(self._take_names, robot.space + part), 1)
         for topic in self._subscriptions.keys() - wanted.keys():
             self._node.destroy_subscription(self._subscriptions.pop(topic))
-        for topic, (kind, take, qos) in wanted.items():
+        for topic, (kind, *rest) in wanted.items():
             if topic not in self._subscriptions:
-                self._subscriptions[topic] = self._node.create_subscription(
-                    kind, topic, take, qos)
+                self._subscriptions[topic] = self._readers.subscribe(kind, topic, *rest)
         if not wanted:
             self.layout = layout
 
     def _take_urdf(self, space: str, message: String) -> None:
-        self._urdfs[space] = message.data
+        try:
+            self._limits[space] = declared_limits(message.data)
+        except ValueError as error:
+            raise MessageError(f'the URDF cannot be read: {error}') from error
 
     def _take_names(self, part: str, message: JointState) -> None:
-        self._joints[part] = list(message.name)
+        self._joints[part] = list(contents.joint_states(message).names)
 
     def forget(self) -> None:
         """Forget all but the model: the node is gone, and another may come."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
-        self._subscriptions, self._joints, self._urdfs = {}, {}, {}
+        self._subscriptions, self._joints, self._limits = {}, {}, {}
         self.layout, self._seen = None, Layout()
 
     def robots(self) -> list[Robot]:
@@ -116,15 +139,15 @@ class Discovery:
         return [self._robot(robot) for robot in self.layout.robots]
 
     def _robot(self, topics: RobotTopics) -> Robot:
-        urdf = self._urdfs[topics.space]
+        limits = self._limits[topics.space]
         names = {part: self._joints[topics.space + part] for part in topics.parts}
         parts = tuple(
-            Part(part, commanded_joints(self.model, names[part], urdf, part.endswith('/gripper')))
+            Part(part, commanded_joints(self.model, names[part], limits,
+                                        part.endswith('/gripper')))
             for part in topics.parts)
         twist = None
         if topics.drives:
-            limits = declared_limits(urdf)
-            x, y, yaw = (limits.get(name, {}).get('velocity', default) for name, default in zip(
+            x, y, yaw = (limit_of(limits.get(name, {}), 'velocity', usual) for name, usual in zip(
                 [*names.get(_BASE, []), '', '', ''], _TWIST))
             twist = x, y, yaw
         return Robot(topics.space, topics.space.removeprefix(self.base).strip('/'), parts,

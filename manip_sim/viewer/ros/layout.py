@@ -7,10 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+import re
 
 _GRIPPER = '/gripper'
 _DESCRIPTION, _COMMAND = 'robot_description', '/joint_command'
 _TARGET, _IMAGE = '/target_pose', '/color/image_raw'
+#: An absolute name, and how many topics of a node are looked at.
+_NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
+_MAX_TOPICS = 5000
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,11 @@ def layout_of(base: str, published: Collection[str], subscribed: Collection[str]
 
     :param base: namespace of the node, with a slash at its end
     :param published: absolute names of the topics that it publishes
-    :param subscribed: absolute names of the topics that it takes
+    :param subscribed: absolute names of the topics that it takes; those that are no names of ROS
+        are ignored, as is what is too much
     """
+    published, subscribed = (sorted(filter(_NAME.fullmatch, names))[:_MAX_TOPICS]
+                             for names in (published, subscribed))
     spaces = sorted(name.removesuffix(_DESCRIPTION) for name in published
                     if name.startswith(base) and name.endswith(f'/{_DESCRIPTION}'))
     objects = [parts[1] for name in published if name.startswith(f'{base}objects/')

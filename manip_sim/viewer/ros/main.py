@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from manip_sim.errors import ManipSimError
 from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.viewer.page.server import close_server, open_server
-from manip_sim.viewer.ros.polling import PolledExecutor
+from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.session import Session
 
 #: Least time between two updates of the browser [s].
@@ -42,13 +42,14 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     node = _start_ros(arguments)
     try:
         simulation = node.resolve_topic_name(options.node).lstrip('/')
-        executor = PolledExecutor()
+        readers = Readers(node)
+        executor = PolledExecutor(readers.log)
         executor.add_node(node)
         if options.native:
             from manip_sim.viewer.ros.native import show_native
-            show_native(node, simulation, executor.run_ready, ended)
+            show_native(node, readers, simulation, executor.run_ready, ended)
         else:
-            _serve(node, simulation, executor, options, ended)
+            _serve(node, readers, simulation, executor, options, ended)
         executor.shutdown()
         return 0
     finally:
@@ -68,17 +69,20 @@ def _start_ros(arguments: Sequence[str]) -> Node:
     return node
 
 
-def _serve(node: Node, simulation: str, executor: PolledExecutor, options: argparse.Namespace,
-           ended: threading.Event) -> None:
+def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecutor,
+           options: argparse.Namespace, ended: threading.Event) -> None:
     server: Any = open_server(options.host, options.port)
     try:
-        session = Session(node, simulation, server, options.dark)
+        session = Session(node, readers, simulation, server, options.dark)
         host = f'[{options.host}]' if ':' in options.host else options.host
         print(f'sim_view: http://{host}:{server.get_port()} shows /{simulation}', flush=True)
         due_s = time.monotonic()
         while not ended.is_set():
             executor.run_ready()
-            session.update(time.monotonic())
+            try:
+                session.update(time.monotonic())
+            except Exception as error:  # The next round may succeed, as after another model.
+                readers.log.failure('callbacks', 'the page', error)
             # The delay of a slow round is not made up for.
             due_s = max(due_s + _PERIOD_S, time.monotonic())
             ended.wait(due_s - time.monotonic())

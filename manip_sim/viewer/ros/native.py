@@ -20,6 +20,7 @@ from rclpy.node import Node
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.scene import first_view
 from manip_sim.viewer.ros.discovery import Discovery
+from manip_sim.viewer.ros.readers import Readers
 from manip_sim.viewer.ros.states import States
 
 _PERIOD_S = 1.0 / 60.0
@@ -30,18 +31,19 @@ _ASPECT = 0.6
 _CLOSING_S = 5.0
 
 
-def show_native(node: Node, simulation: str, run_ready: Callable[[], None],
+def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callable[[], None],
                 ended: threading.Event) -> None:
     """
     Show a node until the window is closed or the process is to end.
 
     :param node: the viewer's own
+    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :param run_ready: runs the callbacks that are ready
     :param ended: is set when the process is to end
     """
-    discovery = Discovery(node, simulation)
-    states = States(node, simulation, discovery.base)
+    discovery = Discovery(node, readers, simulation)
+    states = States(node, readers, simulation, discovery.base)
     print(f'sim_view: waiting for the node /{simulation}', flush=True)
     while not ended.is_set():
         models = _wait_for_model(discovery, run_ready, ended)
@@ -108,4 +110,5 @@ def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
         if ended.wait(_LOOK_S / 5.0):
             return None
         run_ready()
+        discovery.look()
     return discovery.models

@@ -12,11 +12,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from manip_sim.viewer.page.diagnosis import Status
+from manip_sim.quoting import counted
+from manip_sim.viewer.page.diagnosis import Status, WARN
 from manip_sim.viewer.page.pace import Pace
 from manip_sim.viewer.page.page import Page
 from manip_sim.viewer.ros.commands import CommandSender
 from manip_sim.viewer.ros.discovery import Discovery
+from manip_sim.viewer.ros.readers import Readers
 from manip_sim.viewer.ros.states import States
 
 #: Time between two looks for the node, and between two reports of its state [s].
@@ -30,15 +32,17 @@ class Session:
     A page that shows a node.
 
     :param node: the viewer's own
+    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :param server: the ``viser.ViserServer``
     :param dark: whether the page begins dark
     """
 
-    def __init__(self, node: Node, simulation: str, server: Any, dark: bool) -> None:
-        self._name = simulation
-        self._discovery = Discovery(node, simulation)
-        self._states = States(node, simulation, self._discovery.base)
+    def __init__(self, node: Node, readers: Readers, simulation: str, server: Any, dark: bool
+                 ) -> None:
+        self._name, self._readers = simulation, readers
+        self._discovery = Discovery(node, readers, simulation)
+        self._states = States(node, readers, simulation, self._discovery.base)
         self._states.told = self._diagnosed
         self._sender = CommandSender(node, simulation, self._states.frames, self._complain)
         self._sender.paused = self._set_paused
@@ -61,7 +65,10 @@ class Session:
 
     def _diagnosed(self, statuses: list[Status]) -> None:
         self._sender.notice(self._discovery.base, statuses)
-        self._page.show_diagnostics(statuses)
+        rejected = self._readers.rejected
+        self._page.show_diagnostics([*statuses, *([Status(
+            WARN, 'viewer', f'{counted(rejected, "message")} rejected, see its log')]
+            if rejected else [])])
         for status in statuses:
             if status.name == 'simulation':
                 self._paused = status.values.get('state') == 'paused'

@@ -16,16 +16,18 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
-from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import Status
-from manip_sim.viewer.page.latest import JointStates, Latest, Pose
+from manip_sim.viewer.page.latest import Latest
+from manip_sim.viewer.ros import contents
 from manip_sim.viewer.ros.layout import Layout
+from manip_sim.viewer.ros.readers import Readers
 
 #: The newest message is enough, and a lost one is followed by another.
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-_CONTACTS = 'contact_points'
+#: Size of an image at most [bytes]: 4096 times 4096 pixels.
+_MAX_IMAGE_BYTES = 2**26
 
 
 class States:
@@ -33,19 +35,21 @@ class States:
     Subscriptions to all states of a node.
 
     :param node: the viewer's own
+    :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :param base: its namespace, with a slash at its end
     :ivar latest: what has come
     :ivar frames: the frame of the poses of hands, by namespace and arm
     """
 
-    def __init__(self, node: Node, simulation: str, base: str) -> None:
-        self._node, self._name, self._base = node, simulation, base
+    def __init__(self, node: Node, readers: Readers, simulation: str, base: str) -> None:
+        self._node, self._readers = node, readers
+        self._name, self._base = simulation, base
         self._subscriptions: dict[str, Any] = {}
         self.latest = Latest()
         self.frames: dict[tuple[str, str], str] = {}
         self.told: Callable[[list[Status]], None] = lambda statuses: None
-        node.create_subscription(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
+        readers.subscribe(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
 
     def forget(self) -> None:
         """Stop listening to states, and forget them."""
@@ -81,9 +85,10 @@ class States:
         for topic, (kind, take) in wanted.items():
             self._subscribe(topic, kind, take)
 
-    def _subscribe(self, topic: str, kind: Any, take: Any, qos: Any = _NEWEST) -> None:
+    def _subscribe(self, topic: str, kind: Any, take: Any, qos: Any = _NEWEST, **most: int
+                   ) -> None:
         if topic not in self._subscriptions:
-            self._subscriptions[topic] = self._node.create_subscription(kind, topic, take, qos)
+            self._subscriptions[topic] = self._readers.subscribe(kind, topic, take, qos, **most)
 
     def _unsubscribe(self, topic: str) -> None:
         if topic in self._subscriptions:
@@ -106,69 +111,30 @@ class States:
                 self._unsubscribe(topic)
         for topic, name in topics.items():
             self._subscribe(topic, Image, partial(self._take_image, name),
-                            qos_profile_sensor_data)
+                            qos_profile_sensor_data, most=_MAX_IMAGE_BYTES)
 
     def _take_joints(self, space: str, message: JointState) -> None:
-        self.latest.joints[space] = JointStates(
-            message.name, message.position, message.velocity, message.effort,
-            _seconds(message.header.stamp))
+        self.latest.joints[space] = contents.joint_states(message)
         self.latest.joints_s = time.monotonic()
 
     def _take_hand(self, key: tuple[str, str], message: PoseStamped) -> None:
+        self.latest.hands[key] = contents.pose(message)
         self.frames[key] = message.header.frame_id
-        self.latest.hands[key] = _pose(message)
 
     def _take_object(self, name: str, message: PoseStamped) -> None:
-        self.latest.objects[name] = _pose(message)
+        self.latest.objects[name] = contents.pose(message)
 
     def _take_wrench(self, key: tuple[str, str], message: WrenchStamped) -> None:
-        force, torque = message.wrench.force, message.wrench.torque
-        self.latest.wrenches[key] = np.array(
-            [force.x, force.y, force.z, torque.x, torque.y, torque.z])
+        self.latest.wrenches[key] = contents.wrench(message)
 
     def _take_image(self, name: str, message: Image) -> None:
-        if message.encoding == 'rgb8':
-            self.latest.images[name] = np.frombuffer(message.data, np.uint8).reshape(
-                message.height, message.step)[:, :3 * message.width].reshape(
-                message.height, message.width, 3)
+        self.latest.images[name] = contents.image(message)
 
     def _take_markers(self, message: MarkerArray) -> None:
-        points = np.zeros((0, 3))
-        arrows: dict[str, list[FloatArray]] = {}
-        for marker in message.markers:
-            if marker.ns == _CONTACTS:
-                points = _points(marker)
-            elif marker.type == Marker.ARROW and len(marker.points) == 2:
-                # Namespaces of wrenches are <arm>/external_force and <arm>/external_torque.
-                arrows.setdefault(marker.ns.rpartition('external_')[2], []).append(
-                    _points(marker))
-        self.latest.contacts = points
-        self.latest.arrows = {what: np.array(found) for what, found in arrows.items()}
+        self.latest.contacts, self.latest.arrows = contents.markers(message)
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
-        begin = f'{self._name}: '
-        statuses = [
-            Status(_level(status.level), status.name.removeprefix(begin), status.message,
-                   {pair.key: pair.value for pair in status.values})
-            for status in message.status if status.name.startswith(begin)]
+        statuses = contents.statuses(message, self._name)
         if statuses:
             self.latest.diagnostics = statuses
             self.told(statuses)
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * 1e-9)
-
-
-def _pose(message: PoseStamped) -> Pose:
-    at, turn = message.pose.position, message.pose.orientation
-    return Pose(np.array([at.x, at.y, at.z]), np.array([turn.w, turn.x, turn.y, turn.z]))
-
-
-def _points(marker: Marker) -> FloatArray:
-    return np.array([[point.x, point.y, point.z] for point in marker.points])
-
-
-def _level(level: bytes | int) -> int:
-    # rclpy gives a field of type byte as a bytes object.
-    return level[0] if isinstance(level, bytes) else int(level)

@@ -1,0 +1,128 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Archives from anywhere: what is unpacked and compiled, and what is rejected before."""
+
+import io
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+
+from manip_sim.errors import ModelError
+from manip_sim.models import compose
+from manip_sim.models.archive import load_archive
+
+XML = '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody></mujoco>'
+
+
+def archive(files, method=zipfile.ZIP_DEFLATED):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, 'w', method) as written:
+        for name, content in files.items():
+            written.writestr(name, content)
+    return buffer.getvalue()
+
+
+def of_xml(xml):
+    return archive({'model.xml': xml}, zipfile.ZIP_STORED)
+
+
+def rejected(data, text):
+    with pytest.raises(ModelError, match=text) as error:
+        load_archive(data)
+    assert str(error.value).isprintable()
+
+
+@pytest.mark.parametrize('robot', ['Panda', 'GR1', 'PandaOmron'])
+def test_the_archive_of_a_world_is_its_model(robot):
+    world = compose(robot, arena='table')
+    model, loaded = world.compile(), load_archive(world.to_archive())
+    for field in ('body_mass', 'body_pos', 'jnt_range', 'actuator_gainprm', 'geom_size'):
+        np.testing.assert_allclose(getattr(loaded, field), getattr(model, field), rtol=1e-5,
+                                   atol=1e-6)
+
+
+@pytest.mark.parametrize(('element', 'text'), [
+    ('<include file="/etc/passwd"/>', "'include', which loads another model"),
+    ('<asset><model name="m" file="model.xml"/></asset>', "'model', which loads"),
+    ('<worldbody><attach model="m" body="b" prefix="x"/></worldbody>', "'attach', which loads"),
+    ('<asset><mesh name="m" file="/etc/passwd"/></asset>', "the file '/etc/passwd', which is not"),
+    ('<asset><mesh name="m" file="../model.xml"/></asset>', "'../model.xml', which is not"),
+    ('<asset><texture name="t" type="cube" fileright="/a.png"/></asset>', "the file '/a.png'"),
+    ('<asset><texture name="t" file="/home/u/.ssh/id" content_type="image/ktx"/></asset>', 'id'),
+    ('<asset><hfield name="h" file="far.png" size="1 1 1 1"/></asset>', "the file 'far.png'"),
+    ('<asset><skin name="s" file="a.skn"/></asset>', "the file 'a.skn'"),
+    ('<compiler meshdir="/etc"/>', "names the folder '/etc'"),
+    ('<compiler assetdir=".."/>', "names the folder '..'"),
+    ('<worldbody><replicate count="100000"><geom size="1"/></replicate></worldbody>', 'replicate'),
+    ('<size nuserdata="2000000000"/>', 'nuserdata'),
+    ('<worldbody>' + 200_001 * '<geom size="1"/>' + '</worldbody>', 'more than 200000 elements'),
+    (101 * '<default>' + 101 * '</default>', 'more than 100 deep'),
+    ('<worldbody><geom size="-1"/></worldbody>', 'size 0 must be positive'),
+    ('<worldbody>', 'not well-formed XML')])
+def test_a_model_that_reaches_out_of_its_archive_or_is_too_large_is_rejected(element, text):
+    rejected(of_xml(f'<mujoco>{element}</mujoco>'), text)
+
+
+@pytest.mark.parametrize(('xml', 'text'), [
+    (XML.replace('mujoco', 'robot'), "begins with 'robot'"), ('', 'not well-formed'),
+    # tinyxml2 ends a document type at the first bracket, and would see what expat takes for none.
+    ('<!DOCTYPE mujoco [ <!-- > <mujoco><include file="/etc/passwd"/></mujoco> --> ]>' + XML,
+     'document type'),
+    ('<!DOCTYPE mujoco [<!ENTITY e SYSTEM "file:///etc/passwd">]><mujoco>&e;</mujoco>',
+     'document type'),
+    (XML.encode() + b'\0<mujoco/>', 'not well-formed'),
+    (f'<?xml version="1.0" encoding="nonsense"?>{XML}', 'not well-formed')])
+def test_what_two_parsers_may_read_differently_is_rejected(xml, text):
+    rejected(of_xml(xml), text)
+
+
+@pytest.mark.parametrize('name', [
+    '../up.obj', '/abs.obj', 'a/../../up.obj', 'a\\b.obj', './here.obj', 'a//b.obj', 'n' * 201,
+    'line\nend', 'C:\\x'])
+def test_names_that_lead_out_of_the_archive_are_rejected(name):
+    rejected(archive({'model.xml': XML, name: b'x'}), 'has a file of the name')
+
+
+def test_sizes_are_bounded_before_anything_is_unpacked():
+    # A kilobyte of it unpacks to a megabyte.
+    rejected(archive({'model.xml': XML, 'zeros': bytes(2**26)}), 'unpacks to 67108')
+    rejected(archive({f'{n}.obj': b'' for n in range(1001)}), 'the archive has 1001 files')
+    rejected(bytes(2**26 + 1), 'has 67108865 bytes')
+    # The list is read as a whole by zipfile, so what it says of itself is not enough.
+    long = archive({'n' * 60_000 + str(n): b'' for n in range(5)})
+    rejected(long, 'in a list of 3.* bytes')
+
+
+def test_what_is_no_archive_is_rejected():
+    good = archive({'model.xml': XML})
+    load_archive(good)
+    for data in (b'', b'garbage', good[:-1], good + b'x', good[:30], b'PK\5\6' + bytes(18)):
+        rejected(data, 'archive')
+    rejected(archive({'other.xml': XML}), 'has no model.xml')
+    twice = archive({'model.xml': XML, 'nodel.xml': XML}).replace(b'nodel', b'model')
+    rejected(twice, "has the file 'model.xml' twice")
+    rejected(archive({'model.xml': XML}, zipfile.ZIP_LZMA), 'neither stored nor deflated')
+    encrypted = bytearray(good)
+    for signature, offset in ((b'PK\3\4', 6), (b'PK\1\2', 8)):
+        encrypted[good.index(signature) + offset] |= 1
+    rejected(bytes(encrypted), 'cannot be unpacked')
+    # What is unpacked is not what the list says.
+    lying = bytearray(good)
+    begin = good.index(b'PK\1\2') + 24
+    struct.pack_into('<L', lying, begin, len(XML) - 5)
+    rejected(bytes(lying), 'cannot be unpacked')
+
+
+def test_spoiled_archives_are_rejected_or_read():
+    rng, good = np.random.default_rng(1), compose('Panda').to_archive()
+    for _ in range(150):
+        data = bytearray(good)
+        for _ in range(rng.integers(1, 4)):
+            data[rng.integers(len(data))] = rng.integers(256)
+        try:
+            load_archive(bytes(data))
+        except ModelError as error:
+            assert str(error).isprintable()

@@ -1,0 +1,104 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Malformed messages of any node to the viewer: rejected, counted and logged once a second."""
+
+from __future__ import annotations
+
+import re
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from hostile_node import archive, HostileNode, LATCHED, NAME
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt8MultiArray
+
+pytest.importorskip('viser', reason='the viewer needs the extra viewer')
+
+from test_viewer import end, start_viewer  # noqa: E402
+
+
+NAN = float('nan')
+
+
+def diagnostics(name, **values):
+    return DiagnosticArray(status=[DiagnosticStatus(name=f'{NAME}: {name}', values=[
+        KeyValue(key=key, value=value) for key, value in values.items()])])
+
+
+def pose_of(x=0.0, w=1.0):
+    message = PoseStamped()
+    message.pose.position.x, message.pose.orientation.w = x, w
+    return message
+
+
+def wrench_of(x):
+    message = WrenchStamped()
+    message.wrench.force.x = x
+    return message
+
+
+#: Messages that cannot be shown, and what is logged.
+MALFORMED = {
+    'no numbers': ('/joint_states', JointState(name=['a', 'b']), 'position: 0 numbers'),
+    'few velocities': ('/joint_states', JointState(name=['a', 'b'], position=[0.0, 0.0],
+                                                   velocity=[1.0]), 'velocity: 1 number'),
+    'no names': ('/joint_states', JointState(), '0 names'),
+    'a name twice': ('/joint_states', JointState(name=['a', 'a'], position=[0.0, 0.0]), '2 names'),
+    'nan': ('/joint_states', JointState(name=['a'], position=[NAN]), 'position: nan cannot'),
+    'infinite effort': ('/joint_states', JointState(name=['a'], position=[0.0],
+                                                    effort=[float('inf')]), 'effort: inf cannot'),
+    'pose': ('/right/eef_pose', pose_of(NAN), 'position: nan cannot'),
+    'no orientation': ('/objects/cube/pose', pose_of(w=0.0), 'the quaternion has the norm 0'),
+    'wrench': ('/right/external_wrench', wrench_of(1e300), r'wrench: 1e\+300 cannot'),
+    'statuses': ('/diagnostics', DiagnosticArray(
+        status=[DiagnosticStatus(name=f'{NAME}: x')] * 200), '200 statuses'),
+    'garbage': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=b'garbage'), 'no zip archive'),
+    'a file of the host': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=archive(
+        '<mujoco><asset><texture name="t" file="/etc/passwd"/></asset></mujoco>')),
+        "names the file '/etc/passwd', which is not in the archive"),
+    'not serialized': ('/right/eef_pose', b'\0\1\0\0abc', 'cannot be read as a message'),
+    'large': ('/diagnostics', DiagnosticArray(status=[DiagnosticStatus(message='x' * 2**20)]),
+              'what is shown has 1048576 at most')}
+#: Messages that are odd, and are shown.
+ODD = {
+    'size of actions': ('/diagnostics', diagnostics('right/gripper', action_size='abc')),
+    'many actions': ('/diagnostics', diagnostics('right/gripper', action_size='9' * 30)),
+    'age': ('/diagnostics', diagnostics('arm', accepted='1', age='abc')),
+    'mode': ('/diagnostics', diagnostics('arm', control_mode='<b>')),
+    'level': ('/diagnostics', DiagnosticArray(status=[DiagnosticStatus(
+        name=f'{NAME}: x', level=b'\xff', message='\u202e\x00\x1b[31m')])),
+    'unknown joints': ('/joint_states', JointState(name=['a'], position=[1.0])),
+    'empty world': (f'/{NAME}/mjcf_archive', UInt8MultiArray(data=archive('<mujoco/>')))}
+
+
+def test_malformed_messages_are_logged_once_a_second_and_the_viewer_goes_on(client):
+    """The page of the next test shows that it goes on to show what is right."""
+    process, address = start_viewer('--node', NAME)
+    hostile = HostileNode(lambda what: what)
+    log = client.log()
+    try:
+        # What is on the topics of a layout is only listened to when there is one.
+        client.spin_until(lambda: client.node.count_subscribers('/joint_states') > 0)
+        client.spin_until(lambda: client.node.count_subscribers('/objects/cube/pose') > 0)
+        for topic, message, text in [*MALFORMED.values(), *((*odd, '') for odd in ODD.values())]:
+            kind = PoseStamped if isinstance(message, bytes) else type(message)
+            publisher = client.node.create_publisher(
+                kind, topic, LATCHED if 'archive' in topic else 10)
+            client.spin_until(lambda: publisher.get_subscription_count() > 0)  # noqa: B023
+
+            def is_logged():
+                publisher.publish(message)  # noqa: B023
+                return any(line.startswith(topic) and re.search(text, line)  # noqa: B023
+                           for line in log) or not text  # noqa: B023
+            client.spin_until(is_logged)
+            client.node.destroy_publisher(publisher)
+            assert process.poll() is None, (topic, text)
+        # Beside the hundreds that were sent, and a few of each kind at the turn of a second.
+        assert len(log) < 3 * len(MALFORMED)
+    finally:
+        hostile.close()
+        output, errors = end(process)
+    assert process.returncode == 0
+    assert 'Traceback' not in errors + output
