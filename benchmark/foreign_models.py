@@ -40,7 +40,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.errors import ManipSimError
+from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose, load_gripper, load_robot
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.simulation.simulation import Simulation
@@ -162,12 +162,15 @@ def holds(simulation: Simulation) -> tuple[bool, str]:
     start, worst = simulation.robot.state().position, 0.0
     where = ''
     for _ in range(100):
-        simulation.advance(round(HOLD_S / 100 / simulation.timestep_s))
+        try:
+            simulation.advance(round(HOLD_S / 100 / simulation.timestep_s))
+        except DivergenceError as error:
+            return False, str(error)
         moved = np.abs(simulation.robot.state().position - start)
         if moved.max(initial=0.0) > worst:
             worst = float(moved.max())
             where = f'{simulation.robot.joint_names[int(moved.argmax())]} moves {worst:.3g}'
-    return worst < HELD and simulation.diverged is None, simulation.diverged or where
+    return worst < HELD, where
 
 
 def follows(simulation: Simulation, part: str, mode: str, original: Any) -> tuple[bool | str, str]:

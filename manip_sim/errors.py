@@ -44,6 +44,10 @@ class ParameterError(ManipSimError, ValueError):
     """A parameter of the node has an unknown name or a value that cannot be used."""
 
 
+class DivergenceError(ManipSimError):
+    """The physics has diverged; the simulation holds its last good state until it is reset."""
+
+
 class SimulationEnded(ManipSimError):
     """The simulation is no longer running."""
 

@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 
 from manip_sim.cli import studio
 from manip_sim.cli.framing import cameras, TWO_SIDES, View
-from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.errors import DivergenceError, ManipSimError, ModelError
 from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
@@ -145,7 +145,8 @@ def _open_grippers(simulation: Simulation) -> None:
     for robot in simulation.robots.values():
         for part, gripper in robot.grippers.items():
             robot.apply(robot.parse.action(part, [-1.0] * gripper.dof))
-    simulation.advance(round(_OPENING_S / simulation.timestep_s))
+    with contextlib.suppress(DivergenceError):
+        simulation.advance(round(_OPENING_S / simulation.timestep_s))
 
 
 def _at_start(model: mujoco.MjModel, start: dict[str, float]) -> Any:

@@ -20,7 +20,7 @@ from manip_sim.models.image_settings import (
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.commands import MODES
+from manip_sim.simulation.commands import default_mode, MODES
 
 STEPPING = ('realtime', 'free', 'lockstep')
 
@@ -141,7 +141,7 @@ def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
     for part in parts:
         moves = part == 'base'
         specs += [
-            ParameterSpec(f'control_mode.{part}', 'velocity' if moves else 'position',
+            ParameterSpec(f'control_mode.{part}', default_mode(part),
                           f'What commands of the {part} mean; a change brings it to rest.',
                           live=True, choices=MODES),
             ParameterSpec(f'command_timeout.{part}', 0.5 if moves else 0.0,

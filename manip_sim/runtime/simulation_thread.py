@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+import contextlib
 from dataclasses import dataclass, field
 import threading
 import time
 from typing import TypeVar
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.inbox import Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
@@ -302,11 +303,13 @@ class SimulationThread:
             # It may have been withdrawn meanwhile.
             if command.handle.is_active:
                 self._apply(name, command)
-        if most > 1 and self._observers.absent and self._simulation.idle:
-            self._simulation.advance_idle(self._steps, most)
-        else:
-            self._simulation.advance(self._steps)
+        if not (most > 1 and self._observers.absent and self._simulation.idle):
             most = 1
+        with contextlib.suppress(DivergenceError):  # Observers see ``diverged``.
+            if most > 1:
+                self._simulation.advance_idle(self._steps, most)
+            else:
+                self._simulation.advance(self._steps)
         self.at_start = False
         begin_s = self.progress.wall_s
         self._show(number=self._simulation.step_count // self._steps)

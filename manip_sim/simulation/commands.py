@@ -20,6 +20,11 @@ C = TypeVar('C', bound='Command')
 MODES = ('position', 'velocity', 'effort')
 
 
+def default_mode(part: str) -> str:
+    """Return the control mode in which a part starts: mobile bases are driven by velocity."""
+    return 'velocity' if part == 'base' else 'position'
+
+
 class Status(Enum):
     """What has become of a command."""
 

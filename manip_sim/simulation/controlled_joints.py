@@ -12,6 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.simulation.commands import default_mode
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
@@ -51,7 +52,7 @@ class ControlledJoints:
         self._setpoints = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
-        self.modes = ('position',) * len(self.names)
+        self.modes = tuple(default_mode(part) for part in self._part_of)
         self._effort = np.zeros(len(self.names))
 
     def _find_twist_joints(self, parts: Mapping[str, Part]) -> IntArray | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from manip_sim.errors import ModelError
+from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
@@ -177,12 +177,11 @@ class Simulation:
         """
         Run one control period; afterwards all of the data belongs to the new instant.
 
-        Does nothing while :attr:`diverged` is set.
-
         :param steps: number of physics steps
+        :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
+            last good state is held, at rest
         """
-        if self.diverged is not None:
-            return
+        self._check_not_diverged()
         for robot in self.robots.values():
             robot.begin_period(steps * self._timestep_s)
         reason = self._run(steps)
@@ -193,6 +192,11 @@ class Simulation:
             self.efforts.restart()
             for tool in self._tools:
                 tool.restart(self.data)
+            self._check_not_diverged()
+
+    def _check_not_diverged(self) -> None:
+        if self.diverged is not None:
+            raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """
@@ -202,6 +206,7 @@ class Simulation:
 
         :param steps: number of physics steps of a period
         :param periods: number of control periods
+        :raises DivergenceError: if the physics diverges
         """
         if self._stays_untouched and all([tool.settled for tool in self._tools]):
             begin = self.step_count

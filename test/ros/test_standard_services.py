@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
+from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.spawning_services import SpawningServices
@@ -117,7 +118,8 @@ class Standard:
     def explode(self):
         def change():
             self.simulation.data.qvel[-1] = 1e9
-            self.simulation.advance(1)
+            with pytest.raises(DivergenceError):
+                self.simulation.advance(1)
         self.thread.call(change)
         assert self.simulation.diverged is not None
 

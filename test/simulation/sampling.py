@@ -20,6 +20,8 @@ def whole_robot(name, timestep_s=0.002, contacts=False, **options):
     simulation = Simulation(compose(name, timestep_s=timestep_s, **options))
     if not contacts:
         simulation.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    if 'base' in simulation.robot.parts:
+        simulation.robot.set_control_mode('base', 'position')
     return simulation
 
 

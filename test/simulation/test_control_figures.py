@@ -63,8 +63,6 @@ def test_effort_at_constant_speed_is_that_of_the_damping(rate):
 @pytest.mark.parametrize('repeated', [False, True])
 def test_goal_on_all_joints_at_once_does_not_overshoot_or_overspeed(name, distance, repeated):
     simulation = whole_robot(name)
-    if 'base' in simulation.robot.parts:
-        simulation.robot.set_control_mode('base', 'position')
     joints = Driven(simulation)
     start = joints.position
     sign = np.where(np.arange(len(start)) % 3 == 1, -1.0, 1.0)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.robots import robot_names
@@ -118,12 +119,13 @@ def test_a_divergence_within_idle_periods_is_told_and_held_as_one_by_one():
         simulation.advance(5)
         # Faster and faster, until it is too fast in the 21st period.
         simulation.data.xfrc_applied[simulation.model.body('cube').id, 0] = 0.1 * 5e4
-        if at_once:
-            assert simulation.idle
-            simulation.advance_idle(5, 30)
-        else:
-            for _ in range(30):
-                simulation.advance(5)
+        with pytest.raises(DivergenceError):
+            if at_once:
+                assert simulation.idle
+                simulation.advance_idle(5, 30)
+            else:
+                for _ in range(30):
+                    simulation.advance(5)
         held.append((simulation.diverged, simulation.step_count, simulation.idle,
                      simulation.data.warning.number.tolist(), whole_state(simulation).tolist()))
     assert held[0] == held[1]

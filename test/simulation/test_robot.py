@@ -9,7 +9,10 @@ import pytest
 from sampling import whole_robot
 
 from manip_sim.errors import CommandError
+from manip_sim.interface.parameters import commanded_parts, robot_parameters
+from manip_sim.interface.scope import Scope
 from manip_sim.models import compose
+from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, Status
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
@@ -91,3 +94,14 @@ def test_a_robot_takes_its_commands_in_every_simulation_of_its_world():
     command = first.robot.parse.action('arm', [0.5] * 7)
     second.robot.apply(command)
     assert command.handle.status is Status.RUNNING
+
+
+@pytest.mark.parametrize('name', robot_names())
+def test_each_part_starts_in_the_mode_in_which_it_starts_in_the_node(name):
+    robot = Simulation(compose(name)).robot
+    parts = commanded_parts(robot.parts)
+    specs = {spec.name: spec.default for spec in robot_parameters(Scope(), parts)}
+    for part in parts:
+        modes = set(robot.joints.modes_of(robot.joints.indices_of(part)))
+        assert modes == {specs[f'control_mode.{part}']} == {
+            'velocity' if part == 'base' else 'position'}

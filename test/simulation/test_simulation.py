@@ -7,13 +7,14 @@ import dataclasses
 import importlib
 import inspect
 import pkgutil
+import re
 
 import mujoco
 import numpy as np
 import pytest
 
 from manip_sim import simulation as package
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import CommandError, DivergenceError, ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.grippers import PandaGripper
@@ -223,18 +224,23 @@ def make_servo_unstable(simulation):
 def test_divergence_is_noticed_and_held_with_a_finite_state(panda_sim, run, disturb):
     run(panda_sim, 0.1)
     disturb(panda_sim)
-    run(panda_sim, 0.05)
+    with pytest.raises(DivergenceError, match=r'diverged at 0\.1.*held until reset\(\)'):
+        run(panda_sim, 0.05)
     assert panda_sim.diverged.startswith('the physics diverged at 0.1')
     held = numbers_of(panda_sim.robot.state())
     assert np.isfinite(held).all()
     assert not panda_sim.robot.state().velocity.any()
-    run(panda_sim, 0.1)
+    count = panda_sim.step_count
+    with pytest.raises(DivergenceError, match=re.escape(panda_sim.diverged)):
+        panda_sim.advance(5)
+    assert panda_sim.step_count == count
     np.testing.assert_array_equal(numbers_of(panda_sim.robot.state()), held)
 
 
 def test_absurd_velocity_of_a_free_object_is_told_as_such(cube_sim):
     cube_sim.data.joint('cube_joint').qvel[2] = 5e4
-    cube_sim.advance(5)
+    with pytest.raises(DivergenceError, match='a velocity is above 10000'):
+        cube_sim.advance(5)
     assert cube_sim.diverged == 'the physics diverged at 0.010 s: a velocity is above 10000'
     assert np.isfinite(numbers_of(cube_sim.robot.state())).all()
 
@@ -244,7 +250,8 @@ def test_a_bad_control_is_divergence_and_does_not_last(panda_sim, run, bad):
     # MuJoCo sets all controls to zero then, and the arm would fall without a word.
     panda_sim.data.ctrl[1] = bad
     start = panda_sim.robot.state().position
-    panda_sim.advance(5)
+    with pytest.raises(DivergenceError, match='MuJoCo warns of a bad position'):
+        panda_sim.advance(5)
     assert panda_sim.diverged == ('the physics diverged at 0.010 s: MuJoCo warns of a bad '
                                   'position, velocity, acceleration or control')
     np.testing.assert_array_equal(panda_sim.robot.state().position, start)
@@ -257,7 +264,8 @@ def test_a_bad_control_is_divergence_and_does_not_last(panda_sim, run, bad):
 def test_divergence_is_mended_by_reset(panda_sim, run):
     start = panda_sim.robot.state().position
     make_velocity_absurd(panda_sim)
-    run(panda_sim, 0.05)
+    with pytest.raises(DivergenceError):
+        run(panda_sim, 0.05)
     assert panda_sim.diverged is not None
     panda_sim.reset()
     assert panda_sim.diverged is None
