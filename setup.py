@@ -17,7 +17,7 @@ MAINTAINER = ABOUT.find('maintainer')
 PROGRAMS = {
     'sim_node': f'{PACKAGE}.__main__:main',
     'sim_view': f'{PACKAGE}.viewer.__main__:main',
-    'manip_sim': f'{PACKAGE}.cli.main:run',
+    'manip_sim': f'{PACKAGE}.cli.__main__:run',
     'pick_cube': f'{PACKAGE}.examples.pick_cube:main',
     'hand_over': f'{PACKAGE}.examples.hand_over:main'}
 

@@ -3,10 +3,8 @@
 
 """Simulated manipulators served over ROS 2: models, simulation and the node."""
 
-from typing import Any
 
-
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> str:
     if name == '__version__':
         from manip_sim.resources import package_version
         return package_version()

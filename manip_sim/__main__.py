@@ -10,14 +10,15 @@ It imports little, so that a signal during the slow imports ends the process as 
 from __future__ import annotations
 
 import gc
-import os
-import signal
 import sys
+
+from manip_sim.startup import (
+    exit_on_signals, ignore_end_signals, import_mujoco, open_standard_streams)
 
 _HELP = """\
 usage: sim_node [--help] [--ros-args -p NAME:=VALUE ...]
 
-Serve a simulated robot over ROS 2 until Ctrl-C or SIGTERM.
+Serve a simulated robot over ROS 2 until Ctrl-C, SIGTERM or SIGHUP.
 
   sim_node --ros-args -p robot:=Panda -p arena:=table
 
@@ -29,8 +30,18 @@ def main() -> int:
     """
     Run the node.
 
-    :returns: exit code: 0 after SIGINT, SIGTERM or --help, 1 on failure, 2 for a wrong argument
+    :returns: exit code: 0 after SIGINT, SIGTERM, SIGHUP or --help, 1 on failure, 2 for a wrong
+        argument
     """
+    exit_on_signals()
+    open_standard_streams()
+    try:
+        return _run()
+    finally:
+        ignore_end_signals()
+
+
+def _run() -> int:
     arguments = sys.argv[1:]
     ours = arguments[:arguments.index('--ros-args')] if '--ros-args' in arguments else arguments
     if ours and ours[0] in ('-h', '--help'):
@@ -40,12 +51,9 @@ def main() -> int:
         print(f"sim_node: unknown argument '{ours[0]}': parameters such as '-p robot:=Panda' come "
               "after '--ros-args'; see --help", file=sys.stderr)
         return 2
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
     # Nothing that is imported and built at the start is garbage; run() enables collection again.
     gc.disable()
     try:
-        from manip_sim.startup import import_mujoco
         import_mujoco()
         from manip_sim.ros.main import run
     except ModuleNotFoundError as error:

@@ -1,11 +1,80 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The environment for the slow imports of NumPy and MuJoCo: no BLAS threads, no OpenGL."""
+"""
+How a program starts: standard streams, signals that end it, the slow imports of NumPy and MuJoCo.
+
+It imports little, so that signals are handled as soon as a program begins.
+"""
 
 from __future__ import annotations
 
 import os
+import select
+import signal
+import sys
+
+
+def open_standard_streams() -> None:
+    """
+    Open standard input, output and error on the null device where they are closed.
+
+    Otherwise what the process opens gets their descriptors, and whatever a library prints is
+    written to it, such as to a socket or to the pipe of :class:`EndSignals`.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    for descriptor, name in enumerate(('stdin', 'stdout', 'stderr')):
+        if getattr(sys, name) is None:
+            setattr(sys, name,
+                    os.fdopen(descriptor, 'w' if descriptor else 'r', closefd=False))
+
+
+def exit_on_signals() -> None:
+    """
+    Let SIGINT, SIGTERM and SIGHUP end the process at once with code 0, as long as it only imports.
+
+    That is for the first line of a program, until there are :class:`EndSignals`.
+    """
+    for number in _end_signals():
+        signal.signal(number, lambda *_: os._exit(0))
+
+
+class EndSignals:
+    """
+    SIGINT, SIGTERM and SIGHUP, for which the main thread can wait from now on.
+
+    The signals arrive as bytes in a pipe: a handler that takes a lock, such as that of an event,
+    can deadlock if the thread that it interrupts holds this lock.
+    """
+
+    def __init__(self) -> None:
+        self._arrived, signals = os.pipe()
+        os.set_blocking(signals, False)
+        # Until the last of these lines a signal ends the process as before; none is lost.
+        signal.set_wakeup_fd(signals, warn_on_full_buffer=False)
+        for number in _end_signals():
+            signal.signal(number, lambda *_: None)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a signal, at most for a timeout [s]; tell whether one has come."""
+        return bool(select.select([self._arrived], [], [], max(0.0, timeout_s))[0])
+
+
+def ignore_end_signals() -> None:
+    """Ignore SIGINT, SIGTERM and SIGHUP from now on: the process is ending."""
+    # Python would print a message about a signal that comes while the handlers change.
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    for number in _end_signals():
+        signal.signal(number, signal.SIG_IGN)
+    sys.unraisablehook = hook
+
+
+def _end_signals() -> list[signal.Signals]:
+    """Return the signals that end a program; nohup ignores SIGHUP."""
+    return [number for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN]
 
 
 def use_one_blas_thread() -> None:

@@ -1,9 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the programs load with NumPy and MuJoCo, each looked at in a process of its own."""
+"""How the programs start: signals, standard streams, NumPy; each in a process of its own."""
 
+import itertools
 import os
+import signal
 import subprocess
 import sys
 
@@ -53,7 +55,7 @@ def test_what_the_user_chose_stands():
 
 
 @pytest.mark.parametrize(('module', 'main', 'arguments', 'needed', 'code'), [
-    ('manip_sim.cli.main', 'run', ['describe'], (), 0),
+    ('manip_sim.cli.__main__', 'run', ['describe'], (), 0),
     ('manip_sim.__main__', 'main', WRONG, ('rclpy',), 1),
     ('manip_sim.viewer.__main__', 'main', WRONG, ('rclpy', 'viser'), 1)])
 def test_numpy_is_imported_when_one_thread_is_chosen(module, main, arguments, needed, code):
@@ -61,3 +63,170 @@ def test_numpy_is_imported_when_one_thread_is_chosen(module, main, arguments, ne
         pytest.importorskip(package, reason=f'the program needs {package}')
     lines = seen(WATCH.format(module=module, main=main, arguments=arguments))
     assert (lines[0], lines[-1]) == ('numpy 1', f'code {code}')
+
+
+#: Runs a program that gets a signal when it imports a module.
+INTERRUPTED = """
+import signal, sys
+module, main, wanted, number, *sys.argv[1:] = sys.argv[1:]
+signal.signal(int(number), signal.SIG_DFL)  # nohup ignores SIGHUP.
+
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == wanted:
+            signal.raise_signal(int(number))
+
+sys.meta_path.insert(0, Interrupt())
+sys.exit(getattr(__import__(module, fromlist=[main]), main)())
+"""
+NODE, PAGE, COMMAND = (('manip_sim.__main__', 'main'), ('manip_sim.viewer.__main__', 'main'),
+                       ('manip_sim.cli.__main__', 'run'))
+
+
+@pytest.mark.parametrize(('program', 'module', 'number', 'code'), [
+    (NODE, 'mujoco', signal.SIGINT, 0), (NODE, 'numpy', signal.SIGTERM, 0),
+    (NODE, 'manip_sim.ros.main', signal.SIGHUP, 0),
+    (PAGE, 'argparse', signal.SIGINT, 0), (PAGE, 'manip_sim.errors', signal.SIGHUP, 0),
+    (PAGE, 'numpy', signal.SIGTERM, 0),
+    # Who calls a command learns that it was interrupted.
+    (COMMAND, 'manip_sim.cli.main', signal.SIGINT, -signal.SIGINT),
+    (COMMAND, 'numpy', signal.SIGINT, -signal.SIGINT)])
+def test_a_signal_during_an_import_ends_a_program_at_once(program, module, number, code):
+    if program is PAGE and module == 'numpy':
+        pytest.importorskip('viser', reason='the page needs viser')
+    arguments = ['describe'] if program is COMMAND else []
+    done = subprocess.run(
+        [sys.executable, '-c', INTERRUPTED, *program, module, str(number), *arguments],
+        capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (code, '', '')
+
+
+#: Raises a signal before or after one of the calls by which EndSignals takes over, in a child
+#: process for each; the child ends at once, or knows of the signal afterwards.
+TAKE_OVER = """
+import os, signal
+from manip_sim import startup
+
+def child(number, place):
+    signal.signal(number, signal.SIG_DFL)
+    calls = 0
+    def interrupted(function):
+        def call(*arguments, **named):
+            nonlocal calls
+            if calls == place:
+                signal.raise_signal(number)
+            result = function(*arguments, **named)
+            if calls + 0.5 == place:
+                signal.raise_signal(number)
+            calls += 1
+            return result
+        return call
+    startup.exit_on_signals()
+    for owner, name in ((os, 'pipe'), (os, 'set_blocking'), (signal, 'set_wakeup_fd'),
+                        (signal, 'signal')):
+        setattr(owner, name, interrupted(getattr(owner, name)))
+    ended = startup.EndSignals()
+    for _ in range(2):
+        assert ended.wait(0.0) == (place < calls), (number, place, calls)
+    signal.raise_signal(number)
+    assert ended.wait(0.0)
+    os._exit(3 if place >= calls else 0)
+
+codes = []
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for place in range(14):
+        pid = os.fork()
+        if not pid:
+            try:
+                child(number, place / 2)
+            finally:
+                os._exit(1)
+        codes.append(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+print(*codes)
+"""
+
+
+def test_no_signal_is_lost_while_the_signals_of_the_end_take_over():
+    # Six calls, each interrupted before and after it; then a signal when all is in place.
+    assert seen(TAKE_OVER) == [' '.join((['0'] * 12 + ['3'] * 2) * 3)]
+
+
+#: A program that has been asked to end gets more signals, up to its last line of Python.
+ENDING = """
+import atexit, signal
+from manip_sim import startup
+numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+def interrupt():
+    for number in numbers:
+        signal.raise_signal(number)
+
+class Last:
+    def __del__(self, interrupt=interrupt):
+        interrupt()
+
+startup.last = Last()
+atexit.register(interrupt)
+startup.exit_on_signals()
+ended = startup.EndSignals()
+interrupt()
+assert ended.wait(10.0)
+interrupt()
+startup.ignore_end_signals()
+interrupt()
+print('ended')
+"""
+
+
+def test_more_signals_do_not_disturb_the_end():
+    assert seen(ENDING) == ['ended']
+
+
+def test_what_nohup_starts_outlives_its_terminal():
+    script = ('import signal; from manip_sim import startup; startup.exit_on_signals(); '
+              'ended = startup.EndSignals(); signal.raise_signal(signal.SIGHUP); '
+              'print(ended.wait(0.0)); signal.raise_signal(signal.SIGTERM); '
+              'print(ended.wait(0.0))')
+    done = subprocess.run(['nohup', sys.executable, '-c', script], capture_output=True, text=True,
+                          stdin=subprocess.DEVNULL, timeout=60)
+    assert done.stdout.splitlines() == ['False', 'True']
+
+
+def test_what_a_script_starts_in_the_background_can_be_interrupted():
+    # A shell without job control lets it ignore SIGINT.
+    script = ('import signal; from manip_sim import startup; signal.raise_signal(signal.SIGINT); '
+              'startup.exit_on_signals(); signal.raise_signal(signal.SIGINT); print("ignored")')
+    done = subprocess.run(['sh', '-c', 'trap "" INT; exec "$0" -c "$1"', sys.executable, script],
+                          capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
+
+
+STREAMS = """
+import os, sys
+from manip_sim.startup import open_standard_streams
+closed = [descriptor for descriptor, stream in enumerate((sys.stdin, sys.stdout, sys.stderr))
+          if stream is None]
+open_standard_streams()
+null = os.stat(os.devnull)
+found = []
+for descriptor, stream in enumerate((sys.stdin, sys.stdout, sys.stderr)):
+    assert stream.fileno() == descriptor and os.get_inheritable(descriptor)
+    if os.path.samestat(os.fstat(descriptor), null):
+        found.append(descriptor)
+assert found == closed, (found, closed)
+print('to nobody', file=sys.stdout if 1 in closed else sys.stderr, flush=True)
+first = os.open('/', os.O_RDONLY)
+os._exit(10 * first + len(closed))
+"""
+
+
+@pytest.mark.parametrize('closed', [
+    closed for count in range(4) for closed in itertools.combinations(range(3), count)])
+def test_standard_streams_that_are_closed_become_the_null_device(closed):
+    redirections = ''.join(f' {descriptor}{"<" if descriptor == 0 else ">"}&-'
+                           for descriptor in closed)
+    done = subprocess.run(
+        ['sh', '-c', f'exec "$0" -c "$1"{redirections}', sys.executable, STREAMS],
+        stdin=subprocess.PIPE, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 30 + len(closed), done.stderr

@@ -1,11 +1,26 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``python3 -m manip_sim.cli`` is the command ``manip_sim``."""
+"""Entry point of ``manip_sim`` and ``python3 -m manip_sim.cli``."""
 
+import signal
 import sys
 
-from manip_sim.cli.main import run
+from manip_sim.startup import open_standard_streams
+
+
+def run() -> int:
+    """
+    Run the command as a process of its own.
+
+    :returns: the exit code, see :func:`manip_sim.cli.main.run`
+    """
+    # Ctrl-C ends it as it ends other commands, also during the imports.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    open_standard_streams()
+    from manip_sim.cli.main import run
+    return run()
+
 
 if __name__ == '__main__':
     sys.exit(run())

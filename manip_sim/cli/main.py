@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Entry point of ``manip_sim``: dispatch to a command, exit codes, and errors in one line.
+The command ``manip_sim``: dispatch to a command, exit codes, and errors in one line.
 
 It imports little: a command imports what it needs when it runs.
 """
@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import importlib
 import logging
 import os
-import signal
 import sys
 
 from manip_sim.cli.parser import parse
@@ -30,8 +29,6 @@ def run() -> int:
 
     :returns: the exit code: 0; 1 if something is wrong or cannot be done; 2 if the command line is
     """
-    # Ctrl-C ends it as it ends other commands.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     use_one_blas_thread()
     logging.basicConfig(format='manip_sim: %(message)s', level=logging.WARNING)
     try:

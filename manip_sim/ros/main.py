@@ -1,16 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Run the node as a process: signals, executor and exit code."""
+"""Run the node as a process: executor, end and exit code."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 import gc
 import os
-import select
-import signal
-import socket
 import sys
 import threading
 import warnings
@@ -25,6 +22,7 @@ from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.overrides import for_other_nodes, without_source
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime.camera_thread import THREAD_NAME
+from manip_sim.startup import EndSignals
 
 #: Period at which the main thread checks whether the other threads still run [s].
 _WATCH_S = 0.5
@@ -32,38 +30,9 @@ _WATCH_S = 0.5
 _SWITCH_S = 5e-4
 
 
-class EndSignals:
-    """
-    SIGINT and SIGTERM, for which the main thread can wait.
-
-    The signals arrive as bytes in a socket: a handler that takes a lock, such as that of an event,
-    can deadlock if the thread that it interrupts holds this lock.
-    """
-
-    def __init__(self) -> None:
-        self._arrived, self._signals = socket.socketpair()
-        self._signals.setblocking(False)
-        signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: None)
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for a signal, at most for a timeout [s]; tell whether one has come."""
-        return bool(select.select([self._arrived], [], [], timeout_s)[0])
-
-    def ignore_more(self) -> None:
-        """Ignore further signals: the process is ending."""
-        # Python would print a message about a signal that comes while the handlers change.
-        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        sys.unraisablehook = hook
-        signal.set_wakeup_fd(-1)
-
-
 def run(arguments: Sequence[str]) -> int:
     """
-    Serve a robot until SIGINT or SIGTERM.
+    Serve a robot until SIGINT, SIGTERM or SIGHUP.
 
     :param arguments: ROS arguments, such as ``--ros-args -p robot:=Panda``
     :returns: the exit code: 0, or 1 if the node cannot start or fails
@@ -88,7 +57,6 @@ def run(arguments: Sequence[str]) -> int:
         code = _fail(str(error))
     finally:
         rclpy.try_shutdown()
-        asked_to_end.ignore_more()
     return _leave(code)
 
 

@@ -9,10 +9,14 @@ It imports little, so that a signal during the slow imports ends the process as 
 
 from __future__ import annotations
 
-import argparse
-import os
-import signal
 import sys
+
+from manip_sim.startup import (
+    exit_on_signals, ignore_end_signals, import_mujoco, open_standard_streams, use_one_blas_thread)
+
+TYPE_CHECKING = False  # As in typing, whose import would take longer than all others here.
+if TYPE_CHECKING:
+    import argparse
 
 _EPILOG = """\
 ROS arguments come last: '--ros-args -r __ns:=/cell' looks for the node in a namespace.
@@ -24,16 +28,22 @@ def main() -> int:
     """
     Show a node in the browser.
 
-    :returns: the exit code: 0 after SIGINT or SIGTERM, 1 if it cannot start
+    :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP, 1 if it cannot start
     """
+    exit_on_signals()
+    open_standard_streams()
+    try:
+        return _run()
+    finally:
+        ignore_end_signals()
+
+
+def _run() -> int:
     words = sys.argv[1:]
     begin = words.index('--ros-args') if '--ros-args' in words else len(words)
     options = _parser().parse_args(words[:begin])
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
     try:
         from manip_sim.errors import ManipSimError
-        from manip_sim.startup import import_mujoco, use_one_blas_thread
         from manip_sim.viewer.display import check_display
         use_one_blas_thread()  # viser imports NumPy.
         if options.native:
@@ -53,6 +63,7 @@ def main() -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    import argparse
     parser = argparse.ArgumentParser(
         prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
         description='Show a running sim_node on a page for the browser, and drive it from there.')

@@ -190,9 +190,9 @@ def test_what_nobody_expected_is_one_line_too(environment):
 
 
 def test_ctrl_c_ends_it_without_a_traceback(environment):
-    slow = ("import sys, time; from manip_sim.cli import main, listing; "
+    slow = ("import sys, time; from manip_sim.cli import __main__, listing; "
             "listing.run = lambda options: (print('ready', flush=True), time.sleep(60)); "
-            'sys.exit(main.run())')
+            'sys.exit(__main__.run())')
     process = subprocess.Popen([sys.executable, '-c', slow, 'list'], env=environment, text=True,
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout.readline() == 'ready\n'

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import os
+import signal
 import threading
 import time
 from typing import Any
@@ -28,6 +29,11 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
 #: Long enough for a process to start on a machine with ten others; nothing waits so long else [s].
 START_S = 60.0
+
+
+#: What ends a process; pytest that nohup started ignores SIGHUP, and all that it starts.
+END_SIGNALS = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+               if signal.getsignal(number) != signal.SIG_IGN]
 
 
 class Client:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+from harness import END_SIGNALS
 import pytest
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
@@ -23,9 +24,10 @@ def catches(process, number):
 
 
 @pytest.mark.skipif(not Path('/proc/self/status').is_file(), reason='needs the /proc of Linux')
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('delay_s', [0.0, 0.2, 0.6, None])
+@pytest.mark.parametrize('number', END_SIGNALS)
+@pytest.mark.parametrize('delay_s', [0.0, 0.3, None])
 def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_process, client):
+    # `make soak` takes 200 moments, more than one signal, and sim_view too.
     node = sim_process()
     if delay_s is None:
         client.state()
@@ -41,13 +43,26 @@ def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_pr
     assert 'Traceback' not in errors
 
 
+def test_a_node_without_standard_streams_serves_until_it_is_ended(client):
+    node = subprocess.Popen(['sh', '-c', 'exec "$0" -m manip_sim <&- >&- 2>&-', sys.executable])
+    try:
+        before = client.state().header.stamp
+        client.spin_until(lambda: client.state().header.stamp.sec > before.sec + 1)
+        assert node.poll() is None
+        node.send_signal(signal.SIGTERM)
+        assert node.wait(timeout=20.0) == 0
+    finally:
+        node.kill()
+        node.wait()
+
+
 def test_several_signals_are_as_good_as_one(sim_process, client):
     for _ in range(3):
         node = sim_process()
         client.state()
         while node.poll() is None:
-            node.send_signal(signal.SIGINT)
-            node.send_signal(signal.SIGTERM)
+            for number in END_SIGNALS:
+                node.send_signal(number)
             time.sleep(0.001)
         _, errors = node.communicate(timeout=10.0)
         assert node.returncode == 0, errors

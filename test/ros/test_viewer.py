@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 
-from harness import Served, START_S
+from harness import END_SIGNALS, Served, START_S
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -225,7 +225,7 @@ def test_without_a_node_it_waits_and_a_node_that_comes_is_shown_until_it_goes(br
     assert (process.returncode, errors) == (0, '')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', END_SIGNALS)
 def test_a_signal_ends_it_cleanly(number):
     process, address = start_viewer('--node', 'nobody')
     assert address.startswith('http://127.0.0.1:')

@@ -22,11 +22,14 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
-from target import SoakError, Target
+from target import SoakError, Target, wait_for_handlers
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 Row = dict[str, str]
 _CLIENTS = str(Path(__file__).parent / 'clients.py')
+#: What ends the node; with nohup it does not end by SIGHUP.
+_SIGNALS = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+            if signal.getsignal(number) != signal.SIG_IGN]
 _NUMBERS = (0.0, 1.0, -1.0, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
 _NAMES = ('robot0_joint1', 'robot0_joint2', '', 'elbow', "x'y'z", 'a\nb', '\x1b[2J', 'j' * 5000,
           'gripper0_right_finger_joint1')
@@ -179,7 +182,7 @@ def vanishing_clients(count: int) -> Row:
 
 
 def stops(count: int, seed: int) -> Row:
-    """End the node by SIGINT or SIGTERM at random moments, with commands and requests arriving."""
+    """End the node by a signal at random moments, with commands and requests arriving."""
     rng = random.Random(seed)
     kinds = ([], ['stepping:=free'], ['stepping:=lockstep'], ['robot:=GR1'],
              ['start_paused:=true'], ['publish_rate:=500'])
@@ -198,13 +201,44 @@ def stops(count: int, seed: int) -> Row:
                     service.call_async(Trigger.Request())
         client.node.create_timer(0.002, traffic)
         try:
-            target.wait_for_handlers()
+            wait_for_handlers(target.process)
             end = time.monotonic() + rng.uniform(0.0, 2.5)
             client.spin_until(lambda e=end: time.monotonic() > e)
-            longest_s = max(longest_s, target.stop(rng.choice((signal.SIGINT, signal.SIGTERM))))
+            longest_s = max(longest_s, target.stop(rng.choice(_SIGNALS)))
         finally:
             target.__exit__()
     return {'load': 'stops under traffic', 'amount': str(count),
+            'result': f'exit code 0, no traceback, longest {longest_s:.2f} s', 'growth': ''}
+
+
+def starts(count: int, seed: int) -> Row:
+    """End ``sim_node`` and ``sim_view`` at random moments of their start, by a signal or many."""
+    rng = random.Random(seed)
+    programs = (['manip_sim'], ['manip_sim', '--ros-args', '-p', 'robot:=GR1'],
+                ['manip_sim.viewer', '--port', '0'])
+    longest_s = 0.0
+    for number in range(count):
+        program = subprocess.Popen([sys.executable, '-m', *rng.choice(programs)], text=True,
+                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        wait_for_handlers(program)
+        # Most of a start passes in its first moments, as far as signals are concerned.
+        time.sleep(rng.uniform(0.0, rng.choice((0.03, 3.0))))
+        begin, many = time.monotonic(), rng.random() < 0.5
+        program.send_signal(rng.choice(_SIGNALS))
+        while many and program.poll() is None and time.monotonic() < begin + 10.0:
+            time.sleep(rng.uniform(0.0, 0.02))
+            program.send_signal(rng.choice(_SIGNALS))
+        try:
+            _, errors = program.communicate(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            program.kill()
+            program.communicate()
+            raise SoakError(f'start {number}: {program.args} did not end within 10 s') from None
+        if program.returncode != 0 or 'Traceback' in errors:
+            raise SoakError(f'start {number}: {program.args} ended with {program.returncode}: '
+                            f'{errors[-2000:]}')
+        longest_s = max(longest_s, time.monotonic() - begin)
+    return {'load': 'stops during the start', 'amount': str(count),
             'result': f'exit code 0, no traceback, longest {longest_s:.2f} s', 'growth': ''}
 
 

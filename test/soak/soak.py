@@ -39,15 +39,18 @@ def main() -> int:
     parser.add_argument('--flood', type=float, default=20.0, help='length of each flood [s]')
     parser.add_argument('--clients', type=int, default=40, help='clients that are killed')
     parser.add_argument('--stops', type=int, default=40, help='stops under traffic')
+    parser.add_argument('--starts', type=int, default=200, help='stops during the start')
     parser.add_argument('--hours', type=float, default=1.0, help='simulated time [h]')
     parser.add_argument('--seed', type=int, default=1, help='of what is random')
-    parser.add_argument('--only', nargs='*', help='malformed, floods, clients, stops, time')
+    parser.add_argument('--only', nargs='*',
+                        help='malformed, floods, clients, stops, starts, time')
     options = parser.parse_args()
     parts = {
         'malformed': lambda: [loads.malformed(options.messages, options.seed)],
         'floods': lambda: loads.floods(options.flood),
         'clients': lambda: [loads.vanishing_clients(options.clients)],
         'stops': lambda: [loads.stops(options.stops, options.seed)],
+        'starts': lambda: [loads.starts(options.starts, options.seed)],
         'time': lambda: [loads.simulated_time(options.hours, options.seed)]}
     lost = 0
     rows = []

@@ -117,17 +117,6 @@ class Target:
         self._output.seek(0)
         return self._output.read()[-2000:]
 
-    def wait_for_handlers(self) -> None:
-        """Wait until the node catches SIGTERM; before that the interpreter is still starting."""
-        term = 1 << (signal.SIGTERM - 1)
-        status = Path(f'/proc/{self.process.pid}/status')
-        while self.process.poll() is None:
-            caught = next(line for line in status.read_text().splitlines()
-                          if line.startswith('SigCgt'))
-            if int(caught.split()[1], 16) & term:
-                return
-            time.sleep(0.005)
-
     def stop(self, number: int = signal.SIGINT) -> float:
         """
         End the node by a signal; it must end cleanly.
@@ -144,3 +133,15 @@ class Target:
         if self.process.returncode != 0 or 'Traceback' in output:
             raise SoakError(f'the node ended with {self.process.returncode}: {output}')
         return time.monotonic() - begin
+
+
+def wait_for_handlers(process: subprocess.Popen[str]) -> None:
+    """Wait until a process catches SIGTERM; before that the interpreter is still starting."""
+    term = 1 << (signal.SIGTERM - 1)
+    status = Path(f'/proc/{process.pid}/status')
+    while process.poll() is None:
+        caught = next(line for line in status.read_text().splitlines()
+                      if line.startswith('SigCgt'))
+        if int(caught.split()[1], 16) & term:
+            return
+        time.sleep(0.001)

@@ -1,14 +1,12 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Show a node on the page, as a process: signals, pace and exit code."""
+"""Show a node on the page, as a process: pace, end and exit code."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import signal
-import threading
 import time
 from typing import Any
 
@@ -19,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
 from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
+from manip_sim.startup import EndSignals
 from manip_sim.viewer.page.server import close_server, open_server
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.session import Session
@@ -29,16 +28,14 @@ _PERIOD_S = 1.0 / 30.0
 
 def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """
-    Serve the page until SIGINT or SIGTERM.
+    Serve the page until SIGINT, SIGTERM or SIGHUP.
 
     :param options: of the command line: ``host``, ``port``, ``node``, ``dark``, ``native``
     :param arguments: of ROS, such as ``--ros-args -r __ns:=/cell``
     :returns: the exit code, 0
     :raises ManipSimError: if it cannot listen, or ROS cannot start
     """
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+    ended = EndSignals()
     node = _start_ros(arguments)
     try:
         simulation = node.resolve_topic_name(options.node).lstrip('/')
@@ -70,14 +67,14 @@ def _start_ros(arguments: Sequence[str]) -> Node:
 
 
 def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecutor,
-           options: argparse.Namespace, ended: threading.Event) -> None:
+           options: argparse.Namespace, ended: EndSignals) -> None:
     server: Any = open_server(options.host, options.port)
     try:
         session = Session(node, readers, simulation, server, options.dark)
         host = f'[{options.host}]' if ':' in options.host else options.host
         print(f'sim_view: http://{host}:{server.get_port()} shows /{simulation}', flush=True)
         due_s = time.monotonic()
-        while not ended.is_set():
+        while not ended.wait(due_s - time.monotonic()):
             executor.run_ready()
             try:
                 session.update(time.monotonic())
@@ -85,6 +82,5 @@ def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecut
                 readers.log.failure('callbacks', 'the page', error)
             # The delay of a slow round is not made up for.
             due_s = max(due_s + _PERIOD_S, time.monotonic())
-            ended.wait(due_s - time.monotonic())
     finally:
         close_server(server)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
+from manip_sim.startup import EndSignals
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.scene import first_view
 from manip_sim.viewer.ros.discovery import Discovery
@@ -32,7 +33,7 @@ _CLOSING_S = 5.0
 
 
 def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callable[[], None],
-                ended: threading.Event) -> None:
+                ended: EndSignals) -> None:
     """
     Show a node until the window is closed or the process is to end.
 
@@ -40,12 +41,12 @@ def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callab
     :param readers: its subscriptions
     :param simulation: full name of the node that is seen, without the first slash
     :param run_ready: runs the callbacks that are ready
-    :param ended: is set when the process is to end
+    :param ended: the signals on which the process is to end
     """
     discovery = Discovery(node, readers, simulation)
     states = States(node, readers, simulation, discovery.base)
     print(f'sim_view: waiting for the node /{simulation}', flush=True)
-    while not ended.is_set():
+    while not ended.wait(0.0):
         models = _wait_for_model(discovery, run_ready, ended)
         if models is None:
             return
@@ -104,7 +105,7 @@ def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray
 
 
 def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
-                    ended: threading.Event) -> int | None:
+                    ended: EndSignals) -> int | None:
     """Return the number of the newest model when there is one; None if the process is to end."""
     while discovery.model is None:
         if ended.wait(_LOOK_S / 5.0):
