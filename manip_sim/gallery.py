@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.cli.framing import View
 from manip_sim.cli.output import write_whole
-from manip_sim.cli.rendering import check_pillow, picture_of_part, picture_of_world
+from manip_sim.cli.rendering import picture_of_part, picture_of_world
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.rendering.gl import cannot_render
 
@@ -58,8 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         prog='python3 -m manip_sim.gallery',
         description='Render each robot with its default gripper, open, and base, each gripper and '
                     'each base from two sides, to NAME.png, grippers/NAME.png and bases/NAME.png, '
-                    f'and all pictures of a folder together to its {CONTACT_SHEET}. '
-                    'Needs pillow: pip install "manip_sim[gallery]".',
+                    f'and all pictures of a folder together to its {CONTACT_SHEET}.',
         epilog='On Linux pictures are rendered without a screen, by EGL; set the environment '
                'variable MUJOCO_GL to glfw or osmesa to choose another way. One picture of any '
                "composition is made by 'manip_sim render'.")
@@ -79,14 +78,13 @@ def make_gallery(output: Path, names: Sequence[str] = ()) -> list[Path]:
         visible shapes
     :returns: the files written
     :raises UnknownNameError: if there is no such robot, gripper or base
-    :raises ManipSimError: if pillow is missing or nothing can be rendered
+    :raises ManipSimError: if nothing can be rendered
     """
     known = _known_names()
     everything = [name for of_kind in known.values() for name in of_kind]
     for name in names:
         if name not in everything:
             raise UnknownNameError('robot, gripper or base', name, everything)
-    check_pillow()
     files = []
     for kind, of_kind in known.items():
         wanted = [name for name in of_kind if not names or name in names]

@@ -8,6 +8,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from PIL import Image, ImageChops
 import pytest
 
 SOURCE = Path(__file__).resolve().parent.parent
@@ -24,7 +25,6 @@ def run_gallery(*arguments, **environment):
 @pytest.fixture(scope='module')
 def gallery(tmp_path_factory, renderer):
     """Return the folder with pictures of a robot, a gripper and two bases."""
-    pytest.importorskip('PIL', reason='pillow is in the extra gallery')
     folder = tmp_path_factory.mktemp('gallery')
     done = run_gallery('--output', folder, 'Panda', 'PandaGripper', 'RethinkMount',
                        'RethinkMinimalMount')
@@ -32,10 +32,10 @@ def gallery(tmp_path_factory, renderer):
     return folder
 
 
-def test_help_names_the_folder_and_the_extra():
+def test_help_names_the_folder():
     done = run_gallery('--help')
     assert done.returncode == 0
-    assert 'docs/gallery' in done.stdout and 'manip_sim[gallery]' in done.stdout
+    assert 'docs/gallery' in done.stdout
 
 
 def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
@@ -56,7 +56,6 @@ def test_grippers_and_bases_have_folders_and_contact_sheets_of_their_own(gallery
 
 
 def test_a_part_without_shapes_is_told_where_it_is_asked_for(tmp_path):
-    pytest.importorskip('PIL', reason='pillow is in the extra gallery')
     done = run_gallery('--output', tmp_path, 'NullMount')
     assert done.returncode == 1 and done.stderr.count('\n') == 1
     assert 'NullMount0 has no visible shapes' in done.stderr
@@ -76,7 +75,6 @@ def test_every_part_with_shapes_is_in_the_gallery_of_the_documentation():
 
 
 def test_a_robot_is_rendered_small_and_in_colour(gallery):
-    from PIL import Image
     for name in ('Panda.png', 'contact_sheet.png'):
         assert (gallery / name).stat().st_size < 150_000
     picture = Image.open(gallery / 'Panda.png').convert('RGB')
@@ -91,7 +89,6 @@ def test_a_robot_is_rendered_small_and_in_colour(gallery):
     ('Panda', 400, 540), ('bases/RethinkMinimalMount', 300, 405)])
 def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, width, height,
                                                                         gallery):
-    from PIL import Image, ImageChops
     picture = Image.open(gallery / f'{name}.png').convert('RGB')
     assert picture.size == (2 * width, height)
     sizes = []

@@ -151,8 +151,7 @@ def _add_render(commands: Any) -> None:
     parser = _command(
         commands, 'render', 'render', 'render a picture, without a screen',
         'A composition is shown at its start from two sides, or from one that is requested. With '
-        "'--robot none' a gripper, a base or an arena is shown alone. Needs pillow: pip install "
-        '"manip_sim[gallery]".',
+        "'--robot none' a gripper, a base or an arena is shown alone.",
         'examples: manip_sim render panda.png --arena table\n'
         '          manip_sim render hand.png --robot none --gripper FourierRightHand\n'
         'On Linux pictures are rendered by EGL; set MUJOCO_GL to glfw or osmesa for another way.')

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.cli.framing import TWO_SIDES, TWO_SIDES_OF_ARENAS, View
 from manip_sim.cli.output import check_folder, write_whole
-from manip_sim.cli.rendering import check_pillow, picture_of_part, picture_of_world
+from manip_sim.cli.rendering import picture_of_part, picture_of_world
 from manip_sim.errors import ManipSimError
 from manip_sim.rendering.gl import cannot_render
 
@@ -27,7 +27,6 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if file.suffix.lower() not in _ENDINGS:
         raise ManipSimError(f'{file}: the name must end with .png or .jpg')
     check_folder(file)
-    check_pillow()
     try:
         import mujoco  # noqa: F401
     except Exception as error:  # MuJoCo loads what MUJOCO_GL selects.

@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 
 from manip_sim.cli import studio
 from manip_sim.cli.framing import cameras, TWO_SIDES, View
-from manip_sim.errors import DivergenceError, ManipSimError, ModelError
+from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
@@ -30,18 +30,6 @@ _SETTLE_S = 0.5
 _OPENING_S = 12.0
 #: What a picture of an arena without furniture shows: a part of its floor, by its corners [m].
 _FLOOR = ((-1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0))
-
-
-def check_pillow() -> None:
-    """
-    Check that pillow is installed.
-
-    :raises ManipSimError: if it is not, with the command that installs it
-    """
-    try:
-        import PIL  # noqa: F401
-    except ImportError:
-        raise ManipSimError('needs pillow: pip install "manip_sim[gallery]"') from None
 
 
 def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] = TWO_SIDES,

@@ -122,7 +122,7 @@ TOPICS = (
     Topic('<camera>/color/image_raw', 'sensor_msgs/Image', PUBLISHED, 'what it sees, rgb8',
           'camera'),
     Topic('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage', PUBLISHED,
-          'the same as JPEG; needs pillow', 'camera'),
+          'the same as JPEG', 'camera'),
     Topic('<camera>/color/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'its intrinsics',
           'camera'),
     Topic('<camera>/depth/image_raw', 'sensor_msgs/Image', PUBLISHED,

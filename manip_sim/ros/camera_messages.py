@@ -46,7 +46,7 @@ def image(head: Header, pixels: NDArray[Any]) -> Image:
 
 def jpeg(head: Header, rgb: NDArray[np.uint8]) -> CompressedImage:
     """
-    Return an image as JPEG; needs pillow.
+    Return an image as JPEG.
 
     :param rgb: shape (h, w, 3), the top row first
     """

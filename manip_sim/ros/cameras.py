@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-import importlib.util
 import time
 from typing import Any
 
@@ -44,34 +43,34 @@ class CameraPublishers:
     :param name: of the camera
     :param found: its intrinsics
     :param depth: whether there are depth images
-    :param compressed: whether there are JPEG images
     :param frame_id: of its optical frame
     """
 
     def __init__(self, node: Node, log: RejectionLog, name: str, found: Intrinsics, depth: bool,
-                 compressed: bool, frame_id: str) -> None:
-        def output(kind: Any, topic: str, exists: bool = True) -> Output | None:
-            return create_output(node, log, kind, f'{name}/{topic}', _DEPTH) if exists else None
+                 frame_id: str) -> None:
+        def output(kind: Any, topic: str) -> Output:
+            return create_output(node, log, kind, f'{name}/{topic}', _DEPTH)
 
         self.view = View(name, found.width, found.height)
         self._frame_id = frame_id
         self._info = camera_messages.camera_info(found)
         self._color = output(Image, 'color/image_raw')
-        self._jpeg = output(CompressedImage, 'color/image_raw/compressed', compressed)
-        self._depth = output(Image, 'depth/image_raw', depth)
-        self._infos = [output(CameraInfo, 'color/camera_info'),
-                       output(CameraInfo, 'depth/camera_info', depth)]
+        self._jpeg = output(CompressedImage, 'color/image_raw/compressed')
+        self._depth = output(Image, 'depth/image_raw') if depth else None
+        self._infos = [output(CameraInfo, f'{kind}/camera_info')
+                       for kind in ('color', 'depth') if depth or kind == 'color']
 
     def wanted(self) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and intrinsics have subscribers."""
-        return (_is_wanted(self._color) or _is_wanted(self._jpeg), _is_wanted(self._depth),
-                any(_is_wanted(info) for info in self._infos))
+        return (self._color.wanted or self._jpeg.wanted,
+                self._depth is not None and self._depth.wanted,
+                any(info.wanted for info in self._infos))
 
     def publish_infos(self, time_ns: int) -> None:
         """Publish the intrinsics for an instant."""
         self._info.header = camera_messages.header(stamp_of(time_ns), self._frame_id)
         for output in self._infos:
-            if output is not None and output.wanted:
+            if output.wanted:
                 output.publish(self._info)
 
     def publish(self, shot: Shot) -> None:
@@ -79,17 +78,13 @@ class CameraPublishers:
         head = camera_messages.header(stamp_of(shot.snapshot.time_ns), self._frame_id)
         picture = shot.picture
         if picture.rgb is not None:
-            if self._color is not None and self._color.wanted:
+            if self._color.wanted:
                 self._color.publish(camera_messages.image(head, picture.rgb))
-            if self._jpeg is not None and self._jpeg.wanted:
+            if self._jpeg.wanted:
                 self._jpeg.publish(camera_messages.jpeg(head, picture.rgb))
         if picture.depth is not None and self._depth is not None and self._depth.wanted:
             self._depth.publish(camera_messages.image(head, picture.depth))
         self.publish_infos(shot.snapshot.time_ns)
-
-
-def _is_wanted(output: Output | None) -> bool:
-    return output is not None and output.wanted
 
 
 class Cameras:
@@ -202,12 +197,11 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Si
     :param frame_prefix: prefix of the names of frames
     :raises ModelError: if a camera is orthographic
     """
-    compressed = importlib.util.find_spec('PIL') is not None
     publishers = [
         CameraPublishers(
             node, node.rejections, name,
             intrinsics_of(simulation.model, name, images.width, images.height), images.depth,
-            compressed, f'{frame_prefix}{name}{OPTICAL}') for name, images in chosen.items()]
+            f'{frame_prefix}{name}{OPTICAL}') for name, images in chosen.items()]
     cameras = Cameras(node, publishers, simulation, thread)
     publish_rate = 1.0 / thread.period_s
     for name, images in chosen.items():
@@ -216,6 +210,4 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Si
         node.notes.append(
             f'camera {name}: {images.width} x {images.height}, {publish_rate / every:.4g} Hz, on '
             f'{name}/color/image_raw' + (f' and {name}/depth/image_raw' if images.depth else ''))
-    if chosen and not compressed:
-        node.notes.append('no compressed images: pillow is not installed')
     return cameras

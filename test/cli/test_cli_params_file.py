@@ -6,6 +6,7 @@
 
 import mujoco
 import numpy as np
+from PIL import Image
 import pytest
 
 from manip_sim.models import compose_robot, World
@@ -90,7 +91,6 @@ def test_nothing_is_wrong_with_the_start_of_a_shipped_file(file, here):
 
 
 def test_several_robots_are_rendered(command, tmp_path, renderer):
-    Image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
     done = command('render', tmp_path / 'out.png', '--params-file', HAND_OVER)
     assert (done.returncode, done.stderr) == (0, '')
     with Image.open(tmp_path / 'out.png') as picture:

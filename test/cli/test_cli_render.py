@@ -9,10 +9,8 @@ from pathlib import Path
 import subprocess
 import sys
 
+from PIL import Image, ImageChops, ImageStat
 import pytest
-
-pytest.importorskip('PIL', reason='pillow is in the extra gallery')
-from PIL import Image, ImageChops, ImageStat  # noqa: E402
 
 SOURCE = Path(__file__).resolve().parents[2]
 #: Runs commands, each a line of JSON, and tells their exit codes.
@@ -131,11 +129,6 @@ def test_an_unknown_way_to_render_is_one_line(command, tmp_path):
     assert done.returncode == 1
     assert done.stderr == ('manip_sim: cannot render with MUJOCO_GL=nonsense: invalid value for '
                            'environment variable MUJOCO_GL: nonsense\n')
-
-
-def test_without_pillow_the_extra_is_named(rejected, monkeypatch):
-    monkeypatch.setitem(__import__('sys').modules, 'PIL', None)
-    assert rejected('render', 'a.png') == 'needs pillow: pip install "manip_sim[gallery]"'
 
 
 def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):

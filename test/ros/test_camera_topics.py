@@ -12,6 +12,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
+from PIL.Image import open as open_image
 import pytest
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
@@ -122,8 +123,6 @@ def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen,
 
 
 def test_a_compressed_image_is_a_jpeg_of_the_same(serve_seen, client):
-    pytest.importorskip('PIL.Image', reason='pillow is in the extra cameras')
-    from PIL.Image import open as open_image
     serve_seen(cameras=['agentview'], arena='table', start_paused=True,
                camera__agentview__depth=False)
     color = listen(client, 'agentview/color/image_raw')
@@ -136,16 +135,6 @@ def test_a_compressed_image_is_a_jpeg_of_the_same(serve_seen, client):
     assert np.abs(rgb - rgb[..., ::-1]).mean() > 3.0  # It would be seen if they were swapped.
     assert len(small[0].data) < rgb.size / 10
     assert client.node.count_publishers('agentview/depth/image_raw') == 0
-
-
-def test_without_pillow_there_are_no_compressed_images(serve, client, monkeypatch):
-    from manip_sim.ros import cameras
-    monkeypatch.setattr(cameras.importlib.util, 'find_spec', lambda name: None)
-    log = client.log()
-    serve(cameras=['birdview'], start_paused=True)
-    client.spin_until(lambda: any('pillow is not installed' in text for text in log))
-    assert client.node.count_publishers('birdview/color/image_raw') == 1
-    assert client.node.count_publishers('birdview/color/image_raw/compressed') == 0
 
 
 def test_a_pause_shows_the_present_state_again_and_a_step_the_next(serve_seen, client):

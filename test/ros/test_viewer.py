@@ -16,6 +16,7 @@ import time
 
 from harness import END_SIGNALS, Served, START_S
 import numpy as np
+from PIL import Image
 import pytest
 from sensor_msgs.msg import JointState
 
@@ -140,14 +141,13 @@ def test_pause_stops_the_time_and_the_page_says_so(page, client, node):
 
 
 def test_the_picture_shows_the_cube_and_the_robot(page):
-    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
 
     # The cube is the only thing that is red, and little but the mount is as dark. A slow page lets
     # the picture appear slowly, so that for a while it is pale, and its camera is farther away if
     # it was aimed while an arm was stretched out.
     end = time.monotonic() + START_S
     while time.monotonic() < end:
-        pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+        pixels = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
         # Without the panel and a notice of the browser.
         pixels = pixels[200:, :460]
         brightness = pixels.max(axis=2)
@@ -171,13 +171,12 @@ def change_objects(node, change):
 
 
 def test_an_object_that_is_spawned_comes_into_the_picture_and_goes_with_it(page, node):
-    image = pytest.importorskip('PIL.Image', reason='pillow is in the extra gallery')
     # Beside the cube, on the table.
     box = create_object({'name': 'box', 'shape': 'box', 'size': [0.15, 0.15, 0.15], 'mass': 0.1,
                          'position': [0.1, -0.25, 0.9], 'rgba': [0.0, 1.0, 0.0, 1.0]})
 
     def greens():
-        pixels = np.asarray(image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+        pixels = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
         # Light makes it paler; nothing else is greener than red and blue.
         return (pixels[..., 1] - pixels[:, :, ::2].max(axis=2) > 40)[150:, :460].sum()
 
