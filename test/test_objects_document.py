@@ -35,7 +35,7 @@ def test_the_table_of_arenas_is_that_of_the_classes():
     rows = []
     for arena in arena_names():
         for one in arena_parameters(arena):
-            default = 'false' if one.default is False else f'{one.default:g}'
+            default = 'true' if one.default is True else f'{one.default:g}'
             rows.append(f'| `{arena}` | `{one.name}` | {default} | {one.limits} | '
                         f'{one.description} |')
     told = [line for line in TEXT.splitlines() if re.match(r'\| `(bins|table|empty)`', line)]

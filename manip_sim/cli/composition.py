@@ -76,10 +76,8 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         given['gravity_compensation'] = False
     if options.object is not None:
         given['objects'] = options.object
-    # The node puts the cube on the table by default, this command does not.
-    of_arena = {'cube': False, **_arena_values(options)}
     return {**given, **{name if name == 'cube' else f'arena.{name}': value
-                        for name, value in of_arena.items()}}
+                        for name, value in _arena_values(options).items()}}
 
 
 def _arena_values(options: argparse.Namespace) -> dict[str, Any]:

@@ -135,13 +135,14 @@ def _objects() -> dict[str, list[Row]]:
 
 def _free_bodies_of_arenas() -> Iterator[Row]:
     for name in arena_names():
-        switches = [key for key, default in arena_parameters(name).items() if default is False]
-        present = free_bodies(create_arena(name).compile())
+        switches = [key for key, default in arena_parameters(name).items()
+                    if isinstance(default, bool)]
+        always = free_bodies(create_arena(name, **dict.fromkeys(switches, False)).compile())
         everything = create_arena(name, **dict.fromkeys(switches, True))
         source, file = origin(everything, 'arenas')
         for body, mass in free_bodies(everything.compile()).items():
             yield {'name': body, 'mass kg': mass, 'arena': name, 'parameters': (
-                {} if body in present else dict.fromkeys(switches, True)), 'from': source,
+                {} if body in always else dict.fromkeys(switches, True)), 'from': source,
                 'file': file}
 
 

@@ -58,7 +58,7 @@ def test_everything_is_listed_unless_a_kind_is_asked_for(here):
 def test_arenas_tell_their_parameters(here):
     rows = {row['name']: row for row in rows_of(here('list', 'arenas')[1], 'Arenas')}
     assert rows['table']['parameters and defaults'] == (
-        'table_length=0.8, table_width=0.8, table_height=0.8, friction=1.0, cube=false')
+        'table_length=0.8, table_width=0.8, table_height=0.8, friction=1.0, cube=true')
 
 
 def test_json_has_what_the_tables_have(here):

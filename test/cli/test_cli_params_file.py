@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 import pytest
 
-from manip_sim.models import compose_robot, World
+from manip_sim.models import arena_names, compose, compose_robot, World
 from manip_sim.resources import share_directory
 
 HAND_OVER = share_directory() / 'config' / 'hand_over.yaml'
@@ -81,6 +81,18 @@ def test_an_export_is_the_world_that_the_file_asks_for(here, tmp_path, parameter
     assert model.nbody == expected.nbody + 1 and model.nu == expected.nu
     assert np.allclose(model.body('left_base').pos[:2], [1.0, 2.0])
     assert model.body('can').mass[0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize('arena', arena_names())
+def test_options_a_file_and_python_make_the_same_world_of_the_same_words(
+        arena, here, tmp_path, parameters_file):
+    file = parameters_file(f'robot: UR5e\narena: {arena}')
+    worlds = [compose('UR5e', arena=arena).to_xml()]
+    for words in (('--params-file', file), ('--robot', 'UR5e', '--arena', arena)):
+        assert here('export', tmp_path / 'out.xml', *words)[0] == 0
+        worlds.append((tmp_path / 'out.xml').read_text())
+        (tmp_path / 'out.xml').unlink()
+    assert worlds[0] == worlds[1] == worlds[2]
 
 
 @pytest.mark.parametrize('file', sorted(HAND_OVER.parent.glob('*.yaml')), ids=lambda f: f.name)

@@ -95,7 +95,7 @@ def test_a_part_is_shown_alone(arguments, black, rendered):
 
 def test_arena_and_its_parameters_are_in_the_picture(rendered):
     options = ('--robot', 'none', '--arena', 'table', '--size', '200x120')
-    for parameters, is_there in (((), False), (('--arena-param', 'cube=true'), True)):
+    for parameters, is_there in (((), True), (('--arena-param', 'cube=false'), False)):
         colours = rendered(*options, *parameters).getcolors(1 << 20)
         red = sum(count for count, (r, g, _) in colours if r > 100 and r > 2 * g)
         assert (red > 10) == is_there

@@ -239,7 +239,7 @@ objects:
     assert [item.name for item in load_objects(path)] == ['brick', 'mug', 'ball']
     assert [item.name for item in create_objects([path, {**BOX, 'name': 'other'}])] == [
         'brick', 'mug', 'ball', 'other']
-    model = compose(arena='table', objects=[path]).compile()
+    model = compose(arena='table', cube=False, objects=[path]).compile()
     assert [model.body(i).name for i in range(model.nbody)][-4:] == [
         'brick', 'mug', 'mug_lid', 'ball']
 
@@ -340,7 +340,7 @@ def test_a_bad_mapping_is_told_without_a_file():
 
 
 def test_objects_never_move_the_addresses_of_a_robot(panda):
-    alone = World([panda], TableArena()).compile()
+    alone = World([panda], TableArena(cube=False)).compile()
     full = World([panda], TableArena(cube=True), objects=[BOX]).compile()
     assert (alone.nq, full.nq) == (9, 23)
     for kind in ('body', 'joint', 'actuator', 'sensor', 'site', 'geom'):

@@ -68,7 +68,7 @@ def test_cube_lies_free_on_the_table():
     assert model.body('cube').mass[0] == pytest.approx(0.1)
     assert int(model.joint('cube_joint').type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)
     with pytest.raises(KeyError):
-        TableArena().compile().body('cube')
+        TableArena(cube=False).compile().body('cube')
 
 
 def test_two_robots_of_different_idn_share_a_world(panda):

@@ -143,7 +143,7 @@ class PageRunner:
         elif first == 'sim_node':
             self._serve(rest)
         elif first in PROGRAMS:
-            assert f"'{first} = " in SETUP and (ROOT / 'test' / 'ros' / PROGRAMS[first]).exists()
+            assert f"'{first}': " in SETUP and (ROOT / 'test' / 'ros' / PROGRAMS[first]).exists()
         elif first == 'make':
             subprocess.run(['make', '--dry-run', *rest], cwd=ROOT, check=True, timeout=30.0,
                            stdout=subprocess.DEVNULL)

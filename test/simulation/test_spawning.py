@@ -61,7 +61,7 @@ def spawned_and_deleted(objects, item, **options):
     """Return what is published without a spawn, and with one at 0.5 s and a delete at 2.5 s."""
     told = []
     for changes in (False, True):
-        world = compose('Panda', arena='table', objects=objects)
+        world = compose('Panda', arena='table', cube=False, objects=objects)
         simulation = Simulation(world)
 
         def come(simulation=simulation):
@@ -92,7 +92,7 @@ def test_arm_that_is_alone_moves_on_but_for_rounding():
 
 
 def test_an_object_that_was_spawned_goes_back_to_its_place_with_a_reset():
-    world = compose('Panda', arena='table')
+    world = compose('Panda', arena='table', cube=False)
     simulation = Simulation(world)
     simulation.change_objects(plan_with(simulation.plan, box(position=[3.0, 3.0, 1.0])))
     for _ in range(50):
@@ -103,7 +103,7 @@ def test_an_object_that_was_spawned_goes_back_to_its_place_with_a_reset():
 
 
 def test_nothing_keeps_the_model_of_before_in_memory():
-    simulation = Simulation(compose('Panda', arena='table'))
+    simulation = Simulation(compose('Panda', arena='table', cube=False))
     simulation.advance(5)
     before = weakref.ref(simulation.model)
     simulation.change_objects(plan_with(simulation.plan, box()))
@@ -112,7 +112,7 @@ def test_nothing_keeps_the_model_of_before_in_memory():
 
 
 def test_what_a_simulation_set_in_its_model_is_carried():
-    world = compose('Panda', arena='table')
+    world = compose('Panda', arena='table', cube=False)
     simulation = Simulation(world)
     simulation.robot.set_control_mode('arm', 'effort')
     simulation.robot.apply(*simulation.robot.parse.joint_command(
@@ -238,7 +238,7 @@ def test_rows_of_what_was_there_are_the_same_in_every_array_of_a_grown_model(liv
 
 @pytest.mark.parametrize('robot', ['Panda', 'Sawyer'])
 def test_what_mujoco_derives_of_a_robot_is_not_rounded_in_another_way(robot):
-    live = start_live(plan_world(compose(robot, arena='table').compose(), ()))
+    live = start_live(plan_world(compose(robot, arena='table', cube=False).compose(), ()))
     grown = spawn(live, box())
     for name in ('body_invweight0', 'dof_invweight0', 'actuator_acc0'):
         old = getattr(live.model, name)

@@ -267,7 +267,7 @@ def test_a_hand_that_is_tied_to_the_world_feels_the_tie(panda):
 
 def test_contact_with_a_table_reads_as_a_push(panda):
     # At the start the pads are 1.011 m above the floor, half a pad below that is in the table.
-    simulation = Simulation(World([panda], TableArena(table_height_m=1.006)))
+    simulation = Simulation(World([panda], TableArena(table_height_m=1.006, cube=False)))
     for _ in range(100):
         simulation.advance(5)
     table, total = simulation.model.geom('table_collision').id, np.zeros(3)

@@ -43,10 +43,10 @@ class TableArena(Arena):
         ArenaParameter('table_height', 0.8, 'height of the top surface above the floor', 'm',
                        0.1, 2.0, 'table_height_m'),
         ArenaParameter('friction', 1.0, 'sliding friction of the top', '', 0.0, 10.0),
-        ArenaParameter('cube', False, 'put a free cube of 0.05 m and 0.1 kg on the table'))
+        ArenaParameter('cube', True, 'put a free cube of 0.05 m and 0.1 kg on the table'))
 
     def __init__(self, table_length_m: float = 0.8, table_height_m: float = 0.8,
-                 cube: bool = False, *, table_width_m: float = 0.8, friction: float = 1.0) -> None:
+                 cube: bool = True, *, table_width_m: float = 0.8, friction: float = 1.0) -> None:
         check_arguments(self.parameters, self.arena_name, table_length_m=table_length_m,
                         table_height_m=table_height_m, cube=cube, table_width_m=table_width_m,
                         friction=friction)
