@@ -67,7 +67,8 @@ setup(
         *launchers(),
     ],
     python_requires='>=3.10,<3.14',
-    install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pillow>=10.1', 'pydantic>=2', 'pyyaml'],
+    install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pillow>=10.1', 'pydantic>=2',
+                      'pyyaml'],
     extras_require={
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],

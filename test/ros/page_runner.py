@@ -40,8 +40,8 @@ OTHERS = {
     'teleop_twist_keyboard': 'teleop_twist_keyboard', 'my_package': 'my_controller'}
 #: First words of commands of other programs.
 TOOLS = {'rviz2': 'rviz2', 'ros2 bag': 'rosbag2', 'ros2 security': 'sros2', 'sudo nft': 'nftables',
-         'sudo apt': 'apt', 'colcon': 'colcon', 'rosdep': 'rosdep', 'git': 'git',
-         'pre-commit': 'pre-commit', '.ci/run': 'bash'}
+         'docker': 'docker', 'sudo apt': 'apt', 'colcon': 'colcon', 'rosdep': 'rosdep',
+         'git': 'git', 'pre-commit': 'pre-commit', '.ci/run': 'bash'}
 #: Of a shell; nothing that could fail here.
 SHELL = {'source', 'mkdir', 'cd', 'for', 'do', 'done'}
 
@@ -151,7 +151,8 @@ class PageRunner:
             for extra in re.findall(r'[\w-]+', words[2].partition('[')[2]):
                 assert f"'{extra}': [" in SETUP
         else:
-            assert first in SHELL, f'nobody knows the command {first}'
+            assert first in SHELL or words[:3] == ['python3', '-m', 'venv'], (
+                f'nobody knows the command {first}')
         return None
 
     def _serve(self, arguments: list[str]) -> None:
