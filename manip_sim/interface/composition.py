@@ -23,9 +23,11 @@ from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.image_settings import ImageSettings
+from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
+from manip_sim.resources import share_directory
 from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
 
 #: Robots that the user does not place stand side by side [m].
@@ -145,6 +147,18 @@ def compose_arena(parameters: ParameterSource) -> Arena:
     if 'cube' in {parameter.name for parameter in arena_parameters(name)}:
         options['cube'] = parameters.value('cube')
     return create_arena(name, **options)
+
+
+def spawn_files(folders: Sequence[str]) -> FilesBelow:
+    """
+    Return the files that a request to spawn may name.
+
+    :param folders: of the parameter ``spawn_roots``
+    :raises ModelError: if one is not a folder
+    """
+    # An empty list of strings is a list with an empty string in ROS.
+    return FilesBelow([folder for folder in folders if folder] or [share_directory() / 'assets'],
+                      'spawn_roots')
 
 
 def _objects(given: Sequence[str]) -> list[Any]:

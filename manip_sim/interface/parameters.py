@@ -44,6 +44,8 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('objects', [''], 'Free bodies: YAML files that list objects, MJCF files, or '
                       'descriptions such as {name: box, shape: box, size: [0.1, 0.1, 0.1], '
                       'mass: 0.5, position: [0.5, 0.0, 0.05]}.'),
+        ParameterSpec('spawn_roots', [''], 'Folders whose files ~/spawn_entity may read, with all '
+                      'below them; empty: the assets of manip_sim.'),
         ParameterSpec('cameras', [''], "Cameras whose images are published: names of the model's "
                       'cameras, such as birdview, or descriptions such as {name: front, '
                       'position: [1.5, 0.0, 1.5], look_at: [0.0, 0.0, 0.8], fovy: 45}.'),

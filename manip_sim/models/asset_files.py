@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.regular_files import check_file, read_file
+from manip_sim.models.regular_files import check_file, Files, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlFacts
 from manip_sim.quoting import one_line
 
@@ -122,9 +122,8 @@ def _find(reference: Reference, folders: list[AssetFolders], facts: XmlFacts | N
         # Some versions of MuJoCo keep only the last part of the path.
         name = facts.mesh_files.get(name.rpartition('/')[2], name)
     names = [name, PurePosixPath(name).name] if base_name_too else [name]
-    places = [place for folder in _own_first(reference, folders) for each in names
-              for place in _places(reference.kind, each, folder)]
-    return next((place for place in places if place.exists()), places[0])
+    return Files().first([place for folder in _own_first(reference, folders) for each in names
+                          for place in places(reference.kind, each, folder)])
 
 
 def _own_first(reference: Reference, folders: list[AssetFolders]) -> list[AssetFolders]:
@@ -132,7 +131,14 @@ def _own_first(reference: Reference, folders: list[AssetFolders]) -> list[AssetF
     return sorted(fitting, key=lambda folder: -len(folder.prefix))
 
 
-def _places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
+def places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
+    """
+    Yield where a file may be that an element names, the likeliest first.
+
+    :param kind: as of :class:`Reference`
+    :param name: a path or URI
+    :param folder: of the model
+    """
     root = Path(os.path.abspath(folder.folder))
     scheme, separator, rest = name.partition('://')
     if separator and scheme == 'file':

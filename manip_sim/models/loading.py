@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 import logging
 from pathlib import Path
 from typing import Any
@@ -88,15 +88,19 @@ def load_spec(file: Path) -> mujoco.MjSpec:
     return spec
 
 
-def spec_from_string(text: str, file: Path) -> Any:
+def spec_from_string(text: str, file: Path, models: Mapping[str, bytes] | None = None,
+                     assets: Mapping[str, bytes] | None = None) -> Any:
     """
     Read a spec from the text of a file, in which all paths are absolute.
 
+    :param models: contents of model files that are not on the disk, by the names in the text
+    :param assets: likewise of meshes and images
     :returns: a new ``mujoco.MjSpec``
     :raises ModelError: if MuJoCo cannot read it
     """
     try:
-        return mujoco.MjSpec.from_string(text)
+        return mujoco.MjSpec.from_string(text, include=models or None,
+                                         assets=dict(assets) if assets else None)
     except _ERRORS as error:
         raise ModelError(f'{file} cannot be read by MuJoCo: {_one_line(error)}') from error
 

@@ -143,6 +143,11 @@ class ObjectModel:
         return float(self._own_model.body_subtreemass[1])
 
     @property
+    def dof(self) -> int:
+        """Number of degrees of freedom, with the six of the free joint."""
+        return int(self._own_model.nv)
+
+    @property
     def position(self) -> FloatArray:
         """Start position in ``world`` [m], shape (3,), a copy."""
         return np.array(self._root.pos)

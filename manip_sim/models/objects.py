@@ -14,61 +14,64 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
+from manip_sim.models.held_models import hold_model, HeldModel, LIMITS
 from manip_sim.models.loading import load_spec
 from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
-from manip_sim.models.strict_yaml import read_yaml
-from manip_sim.quoting import one_line, quoted, shown
+from manip_sim.models.regular_files import Files
+from manip_sim.models.strict_yaml import parse_yaml, read_yaml
+from manip_sim.quoting import quoted, shown
 
 __all__ = ['check_object_names', 'create_object', 'create_objects', 'load_objects',
-           'object_from_xml', 'ObjectModel']
+           'object_from_model', 'ObjectModel']
 
 if TYPE_CHECKING:
     from manip_sim.models.object_descriptions import (
         FileDescription, PlacedDescription, ShapeDescription)
 
 _YAML = ('.yaml', '.yml')
+#: Greatest number of degrees of freedom of an object that is spawned.
+_MAX_DOF = 100
 ObjectFile = Union[str, PathLike[str]]
 Description = Union[ObjectModel, Mapping[str, Any], ObjectFile]
 
 
-def create_object(description: Description) -> ObjectModel:
+def create_object(description: Description, files: Files | None = None) -> ObjectModel:
     """
     Create an object.
 
     :param description: the keys of :class:`ShapeDescription` or :class:`FileDescription`, an
         MJCF file, or a YAML file that lists one object; an object is returned as it is
+    :param files: those that may be read, for descriptions of somebody who is not trusted; they
+        are checked as ``hold_model`` does. None: all
     :raises ModelError: if something is wrong with it, on one line with file, object and key
     """
     if isinstance(description, ObjectModel):
         return description
     if isinstance(description, Mapping):
-        return _from_values(description, '', Path())
+        return _from_values(description, '', Path(), files=files)
     path = Path(description)
     if path.suffix not in _YAML:
-        return _read(path)
-    found = load_objects(path)
+        return _read(path, files=files)
+    found = load_objects(path, files)
     if len(found) != 1:
         raise ModelError(f'{path} must list one object here, it lists {len(found)}')
     return found[0]
 
 
-def object_from_xml(name: str, xml: str) -> ObjectModel:
+def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
     """
-    Create an object from the text of an MJCF file, as a service receives it.
+    Create an object from a model.
 
-    MuJoCo reads the files that the text names; relative paths start from the working directory.
-
-    :raises ModelError: if it is not the text of an object
+    :param name: of the object; None: that of its root body, or of the model
+    :raises ModelError: if it is no object, or takes too long or too much memory
     """
-    where = f'object {quoted(name)}'
-    try:
-        spec = mujoco.MjSpec.from_string(xml)
-    except (ValueError, mujoco.FatalError) as error:
-        reason = ', '.join(str(error).split('\n'))
-        raise ModelError(f'{where} is not MJCF that MuJoCo can read: {one_line(reason)}'
-                         ) from error
-    return ObjectModel(name, spec, where)
+    spec = model.load()
+    found = ObjectModel(name or _own_name(spec), spec, model.name)
+    if found.dof > _MAX_DOF:
+        raise ModelError(f'{found.origin} has {found.dof} degrees of freedom, and at most '
+                         f'{_MAX_DOF} can be spawned')
+    return found
 
 
 def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
@@ -102,13 +105,16 @@ def check_object_names(objects: Iterable[ObjectModel]) -> None:
                              f'{item.origin}')
 
 
-def load_objects(file: ObjectFile) -> list[ObjectModel]:
+def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectModel]:
     """
     Read the objects that a YAML file lists below its key ``objects``.
 
+    :param files: those that may be read, as for :func:`create_object`
     :raises ModelError: on one line, with file, object, key and the nearest valid names
     """
-    path, values = Path(file), read_yaml(file)
+    path = Path(file)
+    values = read_yaml(file) if files is None else parse_yaml(
+        files.read(path, 'YAML file', LIMITS.bytes), str(path))
     for key in values:
         if key != 'objects':
             raise ModelError(f"{path}: unknown key {quoted(key)}: the only one here is 'objects'")
@@ -120,13 +126,15 @@ def load_objects(file: ObjectFile) -> list[ObjectModel]:
         if not isinstance(entry, dict):
             raise ModelError(f'{path}: object {number} must be keys and values, got '
                              f'{shown(entry)}')
-        objects.append(_from_values(entry, f'{path}: ', path.parent, f'object {number}'))
+        objects.append(_from_values(entry, f'{path}: ', path.parent, f'object {number}',
+                                    files))
     check_object_names(objects)
     return objects
 
 
 def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
-                 unnamed: str = 'object without a name') -> ObjectModel:
+                 unnamed: str = 'object without a name', files: Files | None = None
+                 ) -> ObjectModel:
     name = values.get('name')
     where = begin + (unnamed if name is None else f'object {quoted(name)}')
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
@@ -140,7 +148,7 @@ def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
     try:
         if isinstance(description, ShapeDescription):
             return _from_shape(description, where)
-        return _from_file(description, folder)
+        return _from_file(description, folder, files)
     except ModelError as error:
         raise error if str(error).startswith(where) else ModelError(f'{where}: {error}') from error
 
@@ -158,16 +166,22 @@ def _from_shape(description: ShapeDescription, where: str) -> ObjectModel:
     return found
 
 
-def _from_file(description: FileDescription, folder: Path) -> ObjectModel:
-    found = _read(folder / description.file, description.name)
+def _from_file(description: FileDescription, folder: Path, files: Files | None) -> ObjectModel:
+    found = _read(folder / description.file, description.name, files)
     _place(found, description)
     return found
 
 
-def _read(file: Path, name: str | None = None) -> ObjectModel:
+def _read(file: Path, name: str | None = None, files: Files | None = None) -> ObjectModel:
+    if files is not None:
+        return object_from_model(hold_model(file, files), name)
     spec = load_spec(file)
+    return ObjectModel(name or _own_name(spec), spec, str(file))
+
+
+def _own_name(spec: mujoco.MjSpec) -> str:
     roots = spec.worldbody.bodies
-    return ObjectModel(name or (roots[0].name if roots else '') or spec.modelname, spec, str(file))
+    return (roots[0].name if roots else '') or str(spec.modelname)
 
 
 def _place(found: ObjectModel, description: PlacedDescription) -> None:

@@ -1,17 +1,18 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read files that users name: no devices, pipes or folders, and none that is too large."""
+"""Read files that users name: no devices, pipes or folders, none that is too large or private."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+import os
 from pathlib import Path
 import stat
 
 from manip_sim.errors import ModelError
-from manip_sim.quoting import one_line
+from manip_sim.quoting import one_line, quoted
 
 
 def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
@@ -21,9 +22,10 @@ def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
     :param kind: what it is, for the message, such as ``MJCF file``
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
-    check_file(file, kind, max_bytes)
     with _told(file, kind):
-        return file.read_bytes()
+        descriptor = _opened(file, max_bytes)
+        with open(descriptor, 'rb') as stream:
+            return stream.read(max_bytes)
 
 
 def check_file(file: Path, kind: str, max_bytes: int) -> None:
@@ -34,15 +36,29 @@ def check_file(file: Path, kind: str, max_bytes: int) -> None:
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     with _told(file, kind):
-        status = file.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise IsADirectoryError(0, 'it is a folder')
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(0, 'it is a device or a pipe')
-        if status.st_size > max_bytes:
-            raise OSError(0, f'it has {status.st_size / 1e6:.0f} MB, and at most '
-                             f'{max_bytes / 1e6:.0f} MB are loaded')
-        file.open('rb').close()
+        os.close(_opened(file, max_bytes))
+
+
+def _opened(file: Path, max_bytes: int) -> int:
+    # Opening a device can change its state, so it is looked at before and after.
+    _check_status(os.stat(file), max_bytes)
+    descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        _check_status(os.fstat(descriptor), max_bytes)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _check_status(status: os.stat_result, max_bytes: int) -> None:
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(0, 'it is a folder')
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(0, 'it is a device or a pipe')
+    if status.st_size > max_bytes:
+        raise OSError(0, f'it has {status.st_size / 1e6:.0f} MB, and at most '
+                         f'{max_bytes / 1e6:.0f} MB are loaded')
 
 
 @contextmanager
@@ -54,3 +70,104 @@ def _told(file: Path, kind: str) -> Iterator[None]:
     except (OSError, ValueError) as error:  # ValueError: a null character in the path.
         reason = getattr(error, 'strerror', None) or str(error)
         raise ModelError(f'cannot read {kind} {one_line(str(file))}: {reason}') from error
+
+
+class Files:
+    """The files that a model may be read from: all that the user of the process may read."""
+
+    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+        """
+        Return the content of a file, as :func:`read_file` does.
+
+        :raises ModelError: if it must not or cannot be read
+        """
+        return read_file(file, kind, max_bytes)
+
+    def first(self, places: Sequence[Path]) -> Path:
+        """Return the first place where there is a file, or the first place if there is none."""
+        return next((place for place in places if os.path.exists(place)), places[0])
+
+
+class FilesBelow(Files):
+    """
+    Only the files that are below some folders, wherever symbolic links lead.
+
+    :param folders: may be read, with all below them
+    :param what: what the folders are, for messages, such as ``spawn_roots``
+    :raises ModelError: if one is not a folder
+    """
+
+    def __init__(self, folders: Iterable[str | os.PathLike[str]], what: str) -> None:
+        self._what = what
+        self._given = [Path(folder).expanduser() for folder in folders]
+        for folder in self._given:
+            if not folder.is_dir():
+                raise ModelError(f'no such folder in {what}: {one_line(str(folder))}')
+        self._folders = [Path(os.path.realpath(folder)) for folder in self._given]
+
+    def places(self, path: str) -> list[Path]:
+        """Return where a path may lead: relative ones begin in each of the folders."""
+        return [folder / path for folder in self._folders]
+
+    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+        """
+        Return the content of a file, as :func:`read_file` does.
+
+        What a file outside the folders is, and whether it is there, makes no difference.
+
+        :raises ModelError: if it is not below the folders, or cannot be read
+        """
+        with _told(file, kind):
+            if not self._has(file):
+                raise ModelError(
+                    f'{kind} {quoted(str(file), 200)} must not be read: only files below '
+                    f'{self._what} may be: {", ".join(one_line(str(f)) for f in self._given)}')
+            descriptor = _opened(file, max_bytes)
+            with open(descriptor, 'rb') as stream:
+                # A link may have changed since; this is the file that is open.
+                if not self._has(Path(f'/proc/self/fd/{descriptor}')):
+                    raise OSError(0, 'it has been moved')
+                return stream.read(max_bytes)
+
+    def first(self, places: Sequence[Path]) -> Path:
+        """Return the first place with a file that may be read, or else the first place."""
+        return super().first([place for place in places if self._has(place)] or places[:1])
+
+    def _has(self, file: Path) -> bool:
+        try:
+            real = Path(os.path.realpath(file))
+        except (OSError, ValueError):
+            return False
+        return any(folder in real.parents for folder in self._folders)
+
+
+class OneText(Files):
+    """
+    No file but a text that somebody sent in place of one.
+
+    :param text: the content
+    :param name: what it is called in messages
+    :ivar file: what to read it as
+    """
+
+    def __init__(self, text: str, name: str) -> None:
+        self.content = text.encode(errors='replace')
+        self.file = Path(name)
+
+    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+        """
+        Return the text.
+
+        :raises ModelError: if it is too large, or a file is asked for
+        """
+        if file is not self.file:
+            raise ModelError(f'{self.file} names the {kind} {quoted(str(file), 200)}: a text '
+                             'must not name files, only a file below spawn_roots may')
+        if len(self.content) > max_bytes:
+            raise ModelError(f'{self.file} has {len(self.content)} bytes, and at most {max_bytes} '
+                             'are read')
+        return self.content
+
+    def first(self, places: Sequence[Path]) -> Path:
+        """Return the first place; no file is looked for."""
+        return places[0]

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import os
 from pathlib import Path
 from typing import NoReturn
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 from manip_sim.errors import ModelError
-from manip_sim.models.regular_files import read_file
-from manip_sim.models.xml_limits import (
-    Budget, excess, MAX_BYTES, MAX_DEPTH, MAX_FILES, MAX_KEYS, MAX_MADE, product)
+from manip_sim.models.regular_files import Files
+from manip_sim.models.xml_limits import Budget, excess, product
 from manip_sim.quoting import one_line, quoted
 
 
@@ -61,16 +61,37 @@ def check_xml(file: Path) -> XmlFacts:
     :param file: MJCF or URDF
     :raises ModelError: naming file and line
     """
-    model = _Model(file, Budget(), ())
+    model = XmlModel(file, Budget())
     return XmlFacts(model.root == 'robot', model.folders, model.mesh_files)
 
 
-class _Model:
-    """One model: its file and all that it includes; models that it attaches have their own."""
+class XmlModel:
+    """
+    One model: its file and all that it includes; models that it attaches have their own.
 
-    def __init__(self, file: Path, budget: Budget, loaded_by: tuple[Path, ...]) -> None:
+    :param file: MJCF or URDF
+    :param budget: what its files may still use
+    :param loaded_by: the files of models that are being loaded, the outermost first
+    :param files: those that it may be loaded from
+    :param keep_tree: whether to keep :attr:`tree`
+    :raises ModelError: naming file and line
+    :ivar root: tag of its root element, ``mujoco`` or ``robot``
+    :ivar elements: how many there are, copies included
+    :ivar folders: of the model, then of the models that are attached to it
+    :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
+    :ivar models: the models that it loads, by the name of the file in the element ``model``
+    """
+
+    def __init__(self, file: Path, budget: Budget, loaded_by: tuple[Path, ...] = (),
+                 files: Files | None = None, keep_tree: bool = False) -> None:
         self.root = self.name = ''
         self.elements = 0
+        self.models: dict[str, XmlModel] = {}
+        self._files = files or Files()
+        self._builder = ElementTree.TreeBuilder() if keep_tree else None
+        #: For each open element, whether the tree gets it.
+        self._kept: list[bool] = []
+        self._includes = False
         self.mesh_files: dict[str, str] = {}
         self.folders = [AssetFolders(file.parent)]
         self._file = file
@@ -81,14 +102,21 @@ class _Model:
         self._parsers: list[expat.XMLParserType] = []
         #: Number of copies that are made of each open element.
         self._times = [1]
-        self._models: dict[str, _Model] = {}
+        self._by_name: dict[str, XmlModel] = {}
         self._attached: list[tuple[str, str, int]] = []
         self._read(file, 'model file' if loaded_by else 'MJCF file')
         for attached in self._attached:
             self._count_attached(*attached)
 
+    @property
+    def tree(self) -> ElementTree.Element:
+        """The root element, with what included files hold in place of the includes."""
+        assert self._builder is not None
+        return self._builder.close()
+
     def _read(self, file: Path, kind: str) -> None:
-        data = read_file(file, kind, MAX_BYTES)
+        limits = self._budget.limits
+        data = self._files.read(file, kind, limits.bytes)
         real = Path(os.path.realpath(file))
         if real in self._chain:
             loop = [*self._chain[self._chain.index(real):], real]
@@ -96,10 +124,10 @@ class _Model:
                              + one_line(' > '.join(path.name for path in loop)))
         self._budget.bytes -= len(data)
         self._budget.files -= 1
-        if min(self._budget.bytes, self._budget.files, MAX_DEPTH - len(self._chain)) < 0:
-            raise ModelError(f'{one_line(str(self._file))} is loaded from more than {MAX_FILES} '
-                             f'files, {MAX_BYTES / 1e6:.0f} MB of XML, or files that are loaded '
-                             f'by others {MAX_DEPTH} deep')
+        if min(self._budget.bytes, self._budget.files, limits.depth - len(self._chain)) < 0:
+            raise ModelError(f'{one_line(str(self._file))} is loaded from more than '
+                             f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
+                             f'that are loaded by others {limits.depth} deep')
         parser = expat.ParserCreate()
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
@@ -125,6 +153,7 @@ class _Model:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         if not self.root:
             self._begin(tag, attributes)
+        self._keep(tag, attributes)
         times = self._times[-1]
         self.elements += times
         if times > 1:
@@ -137,8 +166,24 @@ class _Model:
         self._check_numbers(tag, attributes)
         self._follow(tag, attributes)
 
+    def _keep(self, tag: str, attributes: dict[str, str]) -> None:
+        if self._builder is None:
+            return
+        limits = self._budget.limits
+        if self.elements >= limits.elements or len(self._kept) >= limits.nested:
+            raise ModelError(f'{self._place}: a model may have at most {limits.elements} '
+                             f'elements, {limits.nested} in each other')
+        # What is in the root of an included file takes the place of the include.
+        is_included_root, self._includes = self._includes, False
+        self._kept.append(
+            not is_included_root and not (tag == 'include' and bool(attributes.get('file'))))
+        if self._kept[-1]:
+            self._builder.start(tag, attributes)
+
     def _end(self, tag: str) -> None:
         self._times.pop()
+        if self._builder is not None and self._kept.pop():
+            self._builder.end(tag)
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         if tag not in ('mujoco', 'robot'):
@@ -152,7 +197,7 @@ class _Model:
         if tag == 'key':
             self._budget.keys -= 1
             if self._budget.keys < 0:
-                found = f'the number of keyframes is more than {MAX_KEYS}'
+                found = f'the number of keyframes is more than {self._budget.limits.keys}'
         if found:
             raise ModelError(f'{self._place}: {found}')
 
@@ -161,8 +206,9 @@ class _Model:
         if tag == 'include' and file:
             self._include(file)
         elif tag == 'model' and file:
-            model = _Model(self._file.parent / file, self._budget, tuple(self._chain))
-            self._models[attributes.get('name', model.name)] = model
+            model = XmlModel(self._file.parent / file, self._budget, tuple(self._chain),
+                             self._files, self._builder is not None)
+            self._by_name[attributes.get('name', model.name)] = self.models[file] = model
         elif tag == 'attach':
             self._attached.append((attributes.get('model', ''), attributes.get('prefix', ''),
                                    self._times[-1]))
@@ -177,11 +223,11 @@ class _Model:
 
     def _include(self, name: str) -> None:
         places = [self._file.parent / name, self._chain[-1].parent / name]
-        self._read(next((place for place in places if os.path.exists(place)), places[0]),
-                   'included file')
+        self._includes = True
+        self._read(self._files.first(places), 'included file')
 
     def _count_attached(self, name: str, prefix: str, times: int) -> None:
-        model = self._models.get(name)
+        model = self._by_name.get(name)
         if model is None:
             return  # MuJoCo reports it.
         self.elements += times * model.elements
@@ -194,4 +240,4 @@ class _Model:
         if self._budget.made < 0:
             where = self._place if self._parsers else one_line(str(self._file))
             raise ModelError(f'{where}: elements that make several, such as replicate, would make '
-                             f'more than {MAX_MADE}')
+                             f'more than {self._budget.limits.made}')

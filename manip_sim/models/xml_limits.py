@@ -9,14 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
-#: Size of all XML files of a model together [bytes].
-MAX_BYTES = 50_000_000
-#: Number of files that a model is loaded from; one that is used twice counts twice.
-MAX_FILES = 1000
-#: Depth to which files may load each other.
-MAX_DEPTH = 50
-#: Number of bodies, geoms and so on that ``replicate``, ``composite`` and the like make.
-MAX_MADE = 20_000
 #: Number of keyframes, which MuJoCo takes long to remove.
 MAX_KEYS = 1000
 _MAX_USER = 1000
@@ -33,21 +25,42 @@ _MAX_PIXELS = 120_000_000
 _MAX_MESH_PARAMETER = 500
 
 
+@dataclass(frozen=True)
+class Limits:
+    """
+    What all files of a model together may use.
+
+    :ivar bytes: of XML
+    :ivar files: that it is loaded from; one that is used twice counts twice
+    :ivar depth: to which files may load each other
+    :ivar made: bodies, geoms and so on that ``replicate``, ``composite`` and the like make
+    :ivar keys: keyframes, which MuJoCo takes long to remove
+    :ivar elements: of a model whose tree is kept, copies included
+    :ivar nested: depth to which these may be in each other
+    """
+
+    bytes: int = 50_000_000
+    files: int = 1000
+    depth: int = 50
+    made: int = 20_000
+    keys: int = MAX_KEYS
+    elements: int = 1_000_000
+    nested: int = 200
+
+
 @dataclass
 class Budget:
     """
     What all files of a model together may still use; below zero it is spent.
 
-    :ivar bytes: of XML
-    :ivar files: that it is loaded from
-    :ivar made: elements that are made by others, such as ``replicate``
-    :ivar keys: keyframes
+    :ivar limits: what it was at the start
     """
 
-    bytes: int = MAX_BYTES
-    files: int = MAX_FILES
-    made: int = MAX_MADE
-    keys: int = MAX_KEYS
+    limits: Limits = Limits()
+
+    def __post_init__(self) -> None:
+        self.bytes, self.files = self.limits.bytes, self.limits.files
+        self.made, self.keys = self.limits.made, self.limits.keys
 
 
 def excess(tag: str, attributes: Mapping[str, str]) -> str:

@@ -18,10 +18,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
 from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
+from manip_sim.ros import background
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.overrides import for_other_nodes, without_source
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.runtime.camera_thread import THREAD_NAME
+from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals
 
 #: Period at which the main thread checks whether the other threads still run [s].
@@ -61,9 +62,10 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _leave(code: int) -> int:
-    """Return an exit code, or end the process at once if a rendering hangs in it."""
-    if any(thread.name == THREAD_NAME for thread in threading.enumerate()):
-        # A normal exit of Python would close OpenGL while it renders.
+    """Return an exit code, or end the process at once if a thread cannot be ended in it."""
+    if any(thread.name in (camera_thread.THREAD_NAME, background.THREAD_NAME)
+           for thread in threading.enumerate()):
+        # A normal exit of Python would close OpenGL while it renders, or unload what compiles.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)

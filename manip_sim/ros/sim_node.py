@@ -16,7 +16,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
+from manip_sim.interface.composition import (
+    compose_world, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.rclpy_internals import RCLError
@@ -97,7 +98,8 @@ class SimNode(Node):
         self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.simulation, self.thread)
-        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed)
+        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
+                                    spawn_files(value('spawn_roots')))
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)

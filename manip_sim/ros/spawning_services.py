@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 import re
-import tempfile
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
@@ -16,13 +16,16 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ModelError
+from manip_sim.models.held_models import hold_model
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.objects import create_object, ObjectModel
+from manip_sim.models.objects import create_object, object_from_model, ObjectModel
 from manip_sim.models.quaternion import xyzw_to_wxyz
+from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
+from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.rejection import answering, Rejection
+from manip_sim.ros.rejection import answering, Rejection, told
 from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
@@ -34,45 +37,63 @@ _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
 _UNNAMED = 'object'
 #: Formats of files and texts.
 FORMATS = ('mjcf', 'yaml')
+_YAML, _MJCF = ('.yaml', '.yml'), ('.xml', '.mjcf')
+#: Longest text that is read in the executor, and longest YAML, which is slow to read.
+_MAX_QUICK, _MAX_YAML = 5_000, 50_000
 
 
 class SpawningServices:
     """
     The services that add and delete objects while the simulation runs.
 
-    The new world is compiled in the thread of the executor; the simulation's thread takes it over
-    between two control periods, with everything else as it was.
+    A new object that may take long is read, tried and compiled in the background; the
+    simulation's thread takes the new world over between two control periods, with everything else
+    as it was.
 
     :param node: the node
     :param simulation: what is changed
     :param thread: runs it
     :param changed: is called after objects have come or gone
+    :param files: those that a request may name
     :param types: of the services, as ``simulation_interfaces.srv`` has them
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 changed: Callable[[Simulation], None], types: Any) -> None:
+                 changed: Callable[[Simulation], None], files: FilesBelow, types: Any) -> None:
+        self._node = node
         self._simulation = simulation
         self._thread = thread
         self._changed = changed
+        self._files = files
         # One group, because each plan is made from the one before.
         group = MutuallyExclusiveCallbackGroup()
-        for service_type, name, meet in ((types.SpawnEntity, 'spawn_entity', self._spawn),
-                                         (types.DeleteEntity, 'delete_entity', self._delete)):
-            node.create_service(service_type, f'~/{name}', answering(meet), callback_group=group)
+        for service_type, name, answer in (
+                (types.SpawnEntity, 'spawn_entity', self._spawn),
+                (types.DeleteEntity, 'delete_entity', answering(self._delete))):
+            node.create_service(service_type, f'~/{name}', answer, callback_group=group)
 
-    def _spawn(self, request: Any, response: Any) -> None:
+    async def _spawn(self, request: Any, response: Any) -> Any:
+        with told(response.result):
+            response.entity_name = await self._add(request)
+        return response
+
+    async def _add(self, request: Any) -> str:
         if request.entity_namespace.strip('/'):
             raise Rejection(SpawnCode.NAMESPACE_INVALID,
                             'an object is published below objects/ and has no namespace')
-        item = _created(request)
-        item.name = self._free_name(request.name or item.name, request.allow_renaming)
-        _place(item, request.initial_pose)
-        try:
-            self._take_over(plan_with(self._simulation.plan, item))
-        except ModelError as error:
-            raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
-        response.entity_name = item.name
+        pose = _pose(request.initial_pose)
+        with _parsing():
+            is_quick, create = _prepared(request, self._files)
+
+        def make() -> tuple[str, Plan]:
+            with _parsing():
+                item = create()
+                item.name = self._free_name(request.name or item.name, request.allow_renaming)
+                item.place(pose.position, xyzw_to_wxyz(pose.quat_xyzw))
+                return item.name, plan_with(self._simulation.plan, item)
+        name, plan = make() if is_quick else await in_background(self._node, make)
+        self._take_over(plan)
+        return name
 
     def _free_name(self, wanted: str, may_rename: bool) -> str:
         taken = self._simulation.entities.names
@@ -108,54 +129,71 @@ class SpawningServices:
         self._changed(self._simulation)
 
 
-def _created(request: Any) -> ObjectModel:
-    """Return the object of a file or a text; the text is used where there is no file."""
+@contextmanager
+def _parsing() -> Iterator[None]:
     try:
-        if request.uri:
-            return _from_file(_path(request.uri))
-        text = request.resource_string.strip()
-        if not text:
-            raise Rejection(SpawnCode.NO_RESOURCE,
-                            'give a file (uri) or a text (resource_string)')
-        if not text.startswith('<'):
-            return create_object({'name': _UNNAMED, **parse_yaml(text, 'resource_string')})
-        with tempfile.TemporaryDirectory(prefix='manip_sim_') as folder:
-            file = Path(folder, 'object.xml')
-            file.write_text(text)
-            return _from_file(str(file))
+        yield
     except ModelError as error:
         raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
 
 
-def _from_file(path: str) -> ObjectModel:
-    if Path(path).suffix in ('.yaml', '.yml'):
-        return create_object(path)
-    found = create_object({'name': _UNNAMED, 'file': path})
-    own_name = found.spec.worldbody.bodies[0].name
-    found.name = own_name or _UNNAMED
-    return found
+def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], ObjectModel]]:
+    """Tell whether an object is quickly made for sure, and return what makes it."""
+    if request.uri:
+        path = _path(request.uri)
+        return False, lambda: _from_file(path, files)
+    # The text is used where there is no file.
+    text = OneText(request.resource_string.strip(), 'resource_string')
+    if not text.content:
+        raise Rejection(SpawnCode.NO_RESOURCE, 'give a file (uri) or a text (resource_string)')
+    if len(text.content) > _MAX_QUICK:
+        return False, lambda: _from_text(text)[1]()
+    return _from_text(text)
+
+
+def _from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
+    if not text.content.startswith(b'<'):
+        values = parse_yaml(text.read(text.file, 'YAML', _MAX_YAML), str(text.file))
+        return True, lambda: create_object({'name': _UNNAMED, **values}, text)
+    model = hold_model(text.file, text)
+    return model.is_light, lambda: _named_by_itself(object_from_model(model, _UNNAMED))
+
+
+def _from_file(path: str, files: FilesBelow) -> ObjectModel:
+    file = files.first(files.places(path))
+    if file.suffix in _YAML:
+        return create_object(file, files)
+    return _named_by_itself(object_from_model(hold_model(file, files), _UNNAMED))
+
+
+def _named_by_itself(item: ObjectModel) -> ObjectModel:
+    item.name = item.spec.worldbody.bodies[0].name or _UNNAMED
+    return item
 
 
 def _path(uri: str) -> str:
-    parts = urlsplit(uri)
-    if parts.scheme not in ('', 'file'):
+    try:
+        parts = urlsplit(uri)
+    except ValueError as error:
+        raise Rejection(SpawnCode.UNSUPPORTED_FORMAT, f'uri {quoted(uri)}: {error}') from error
+    if parts.scheme not in ('', 'file') or parts.netloc not in ('', 'localhost'):
         raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
                         f'uri {quoted(uri)}: only paths and file:// can be read')
-    if Path(parts.path).suffix not in ('.xml', '.mjcf', '.yaml', '.yml'):
+    path = unquote(parts.path)
+    if Path(path).suffix not in (*_MJCF, *_YAML):
         raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
                         f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
-    return unquote(parts.path)
+    return path
 
 
-def _place(item: ObjectModel, pose: Any) -> None:
-    if pose.header.frame_id not in ('', WORLD):
+def _pose(message: Any) -> Pose:
+    if message.header.frame_id not in ('', WORLD):
         raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                        f"frame_id {quoted(pose.header.frame_id)} is not supported: leave it "
+                        f"frame_id {quoted(message.header.frame_id)} is not supported: leave it "
                         f"empty or write '{WORLD}'")
-    position, turn = pose.pose.position, pose.pose.orientation
+    position, turn = message.pose.position, message.pose.orientation
     try:
-        place = Pose.checked([position.x, position.y, position.z],
-                             [turn.x, turn.y, turn.z, turn.w])
+        return Pose.checked([position.x, position.y, position.z],
+                            [turn.x, turn.y, turn.z, turn.w])
     except CommandError as error:
         raise Rejection(SpawnCode.INVALID_POSE, str(error)) from error
-    item.place(place.position, xyzw_to_wxyz(place.quat_xyzw))

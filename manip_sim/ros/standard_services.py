@@ -12,6 +12,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError
+from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.rejection import answering, Rejection, told
@@ -43,7 +44,8 @@ class _YieldToExecutor:
 
 
 def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: SimulationThread,
-                                objects_changed: Callable[[Simulation], None]) -> None:
+                                objects_changed: Callable[[Simulation], None], files: FilesBelow
+                                ) -> None:
     """
     Offer the services of the standard under ``~/``; note if their package is missing.
 
@@ -51,13 +53,14 @@ def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: Simul
     :param simulation: what is controlled
     :param thread: runs it
     :param objects_changed: is called after objects have come or gone
+    :param files: those that a request may name
     """
     if not AVAILABLE:
         node.notes.append(missing_note('simulation_interfaces', 'standard simulation services'))
         return
     SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
     EntityServices(node, simulation, thread, SERVICE_TYPES)
-    SpawningServices(node, simulation, thread, objects_changed, SERVICE_TYPES)
+    SpawningServices(node, simulation, thread, objects_changed, files, SERVICE_TYPES)
 
 
 class SimulationInterfaces:

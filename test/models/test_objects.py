@@ -13,8 +13,7 @@ import pytest
 from manip_sim.errors import ModelError
 from manip_sim.models import compose
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.objects import (
-    create_object, create_objects, load_objects, object_from_xml)
+from manip_sim.models.objects import create_object, create_objects, load_objects
 from manip_sim.models.world import World
 
 BOX = {'name': 'brick', 'shape': 'box', 'size': [0.1, 0.2, 0.3], 'mass': 2.0}
@@ -207,17 +206,6 @@ def test_options_and_keyframes_of_a_file_stay_behind(mug_file):
     assert model.opt.integrator == plain.opt.integrator
     np.testing.assert_array_equal(model.opt.gravity, plain.opt.gravity)
     assert model.nkey == 0
-
-
-def test_an_object_may_be_the_text_of_a_file():
-    text = '<mujoco><worldbody><body name="any"><geom size="0.1"/></body></worldbody></mujoco>'
-    assert object_from_xml('ball', text).compile().body('ball').mass[0] > 1.0
-    with pytest.raises(ModelError, match="^object 'ball' is not MJCF that MuJoCo can read: "
-                                         r'XML.*$') as error:
-        object_from_xml('ball', text[:-20])
-    assert '\n' not in str(error.value)
-    with pytest.raises(ModelError, match="^object 'ball': an object is one root body, found 0"):
-        object_from_xml('ball', '<mujoco/>')
 
 
 # ---------------------------------------------------------------------- YAML

@@ -7,8 +7,10 @@ The handlers of the services of simulation_interfaces, with plain objects of the
 The package itself need not be installed; test_simulation_interfaces.py has tests with it.
 """
 
+import io
 import math
 from types import SimpleNamespace as Plain
+import zipfile
 
 from geometry_msgs.msg import Accel, Pose, PoseStamped, Twist
 import numpy as np
@@ -17,6 +19,7 @@ from std_msgs.msg import Header
 
 from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
+from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_codes import (
@@ -55,13 +58,15 @@ class Standard:
 
     executor = None
 
-    def __init__(self):
-        self.simulation = Simulation(compose('Panda', arena='table', cube=True))
+    def __init__(self, folder):
+        self.world = compose('Panda', arena='table', cube=True)
+        self.simulation = Simulation(self.world)
         self.thread = SimulationThread(self.simulation, steps=5, stepping='free', paused=True)
         self.services, self.followed = {}, []
         SimulationInterfaces(self, self.simulation, self.thread, TYPES)
         EntityServices(self, self.simulation, self.thread, TYPES)
-        SpawningServices(self, self.simulation, self.thread, self.followed.append, TYPES)
+        SpawningServices(self, self.simulation, self.thread, self.followed.append,
+                         FilesBelow([folder], 'spawn_roots'), TYPES)
         self.thread.start()
 
     def create_service(self, service_type, name, callback, callback_group=None):
@@ -125,8 +130,8 @@ class Standard:
 
 
 @pytest.fixture
-def standard():
-    started = Standard()
+def standard(tmp_path):
+    started = Standard(tmp_path)
     yield started
     started.thread.stop()
 
@@ -306,11 +311,55 @@ def test_name_that_is_taken_gets_a_number_if_it_may_be_changed(standard):
     ({'text': BALL, 'w': 0.0}, 'INVALID_POSE', ''),
     ({'uri': 'https://example.com/can.xml'}, 'UNSUPPORTED_FORMAT', 'only paths and file://'),
     ({'uri': '/tmp/can.sdf'}, 'UNSUPPORTED_FORMAT', 'only MJCF (.xml, .mjcf) and YAML'),
-    ({'uri': '/nowhere/can.xml'}, 'RESOURCE_PARSE_ERROR', '/nowhere/can.xml')])
+    ({'uri': 'nowhere/can.xml'}, 'RESOURCE_PARSE_ERROR', '/nowhere/can.xml')])
 def test_object_that_cannot_come_is_rejected(standard, request_, code, text):
     result = standard.spawn(**request_).result
     assert result.result == SpawnCode[code] and text in result.error_message
     assert result.error_message and standard.entities().entities == ['robot0_base', 'cube']
+
+
+@pytest.mark.parametrize('request_', [
+    {'text': '<mujoco><asset><texture name="t" type="2d" file="SECRET" content_type="image/ktx"/>'
+             '</asset><worldbody><body><geom size="1"/></body></worldbody></mujoco>'},
+    {'text': '{name: can, file: SECRET}'}, {'text': '<mujoco><include file="SECRET"/></mujoco>'},
+    {'uri': 'SECRET'}, {'uri': 'file://SECRET'}, {'uri': '../SECRET'}, {'uri': 'link.xml'},
+    {'uri': 'textured.xml'}])
+def test_a_file_that_may_not_be_read_never_reaches_the_archive(standard, request_, tmp_path):
+    private = tmp_path.parent / f'{tmp_path.name}_private.xml'
+    private.write_text(f'<!-- SECRET --> {MJCF}')
+    (tmp_path / 'link.xml').symlink_to(private)
+    (tmp_path / 'textured.xml').write_text(
+        f'<mujoco><asset><texture name="t" type="2d" file="../{private.name}" content_type='
+        '"image/ktx"/></asset><worldbody><body><geom size="1"/></body></worldbody></mujoco>')
+    request_ = {key: text.replace('SECRET', private.name if '..' in text else str(private))
+                for key, text in {'text': '', **request_}.items()}
+    result = standard.spawn(**request_).result
+    assert result.result == SpawnCode.RESOURCE_PARSE_ERROR
+    assert 'must not' in result.error_message and '\n' not in result.error_message
+    assert standard.entities().entities == ['robot0_base', 'cube']
+
+
+@pytest.mark.parametrize('uri', ['http://[', 'file://elsewhere/a.xml', 'package://a/b.xml'])
+def test_a_uri_of_another_kind_is_rejected(standard, uri):
+    result = standard.spawn('', uri=uri).result
+    assert result.result == SpawnCode.UNSUPPORTED_FORMAT and "uri '" in result.error_message
+
+
+def test_a_mesh_of_a_file_is_in_the_archive(standard, tmp_path):
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    text = ''.join(f'v {x} {y} {z}\n' for x, y, z in corners) + (
+        'f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n')
+    (tmp_path / 'm.obj').write_text(text)
+    (tmp_path / 'can.xml').write_text(
+        '<mujoco><asset><mesh name="m" file="m.obj" scale="0.1 0.1 0.1"/></asset><worldbody>'
+        '<body name="can"><geom type="mesh" mesh="m"/></body></worldbody></mujoco>')
+    assert standard.spawn('', uri='can.xml').entity_name == 'can'
+    (tmp_path / 'm.obj').unlink()
+    assert standard.spawn(BALL).entity_name == 'ball'
+    world = standard.world.with_objects(standard.simulation.plan.objects)
+    with zipfile.ZipFile(io.BytesIO(world.to_archive())) as archive:
+        packed = [archive.read(name).decode() for name in archive.namelist() if 'obj' in name]
+    assert packed == [text]
 
 
 def test_object_in_another_frame_is_rejected(standard):

@@ -1,0 +1,144 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Models that somebody names or sends who must not read every file of the user who runs the process.
+
+All files are read here, through a :class:`Files` that says which ones may be, and checked. MuJoCo
+gets their contents under other names, so it opens no file by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import hashlib
+from pathlib import Path, PurePosixPath
+import re
+from xml.etree import ElementTree
+
+import mujoco
+
+from manip_sim.errors import ModelError
+from manip_sim.models.asset_contents import check_content, MAX_FILE_BYTES
+from manip_sim.models.asset_files import places, references
+from manip_sim.models.loading import spec_from_string
+from manip_sim.models.regular_files import Files
+from manip_sim.models.trial import try_to_compile
+from manip_sim.models.xml_check import XmlModel
+from manip_sim.models.xml_limits import Budget, Limits
+from manip_sim.quoting import one_line, quoted
+
+#: What a model may consist of; all its files together have at most so many bytes.
+LIMITS = Limits(bytes=1_000_000, files=50, depth=10, made=1000, elements=1000, nested=100)
+_MAX_ASSET_BYTES = 2 * MAX_FILE_BYTES
+_NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)
+#: Attributes of files; MuJoCo gets all files by names without a folder and with a known suffix.
+_OF_FILES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
+#: What has no meaning in a part of a world, but may ask for any amount of memory.
+_LEFT_OUT = ('size', 'keyframe')
+#: Elements of a model that compiles so quickly that it need not be tried before.
+_LIGHT = frozenset((
+    'mujoco', 'compiler', 'option', 'flag', 'default', 'asset', 'material', 'worldbody', 'body',
+    'frame', 'geom', 'joint', 'freejoint', 'inertial', 'site', 'camera', 'light', 'contact',
+    'exclude'))
+_MAX_LIGHT_ELEMENTS = 100
+
+
+@dataclass
+class HeldModel:
+    """
+    A model and the contents of all files that it names.
+
+    :ivar name: what it was read from, for messages
+    :ivar xml: MJCF or URDF
+    :ivar models: MJCF that it attaches, by the names in it
+    :ivar assets: meshes and images, by their names in it
+    :ivar is_light: whether it compiles quickly for sure
+    """
+
+    name: str
+    xml: str = ''
+    models: dict[str, bytes] = field(default_factory=dict)
+    assets: dict[str, bytes] = field(default_factory=dict)
+    is_light: bool = True
+
+    def load(self) -> mujoco.MjSpec:
+        """
+        Return a new spec.
+
+        A model that may take long, or crash MuJoCo, is compiled in another process first.
+
+        :raises ModelError: if it is no model, or compiling it takes too long or too much memory
+        """
+        if not self.is_light:
+            try_to_compile(self.name, self.xml, self.models, self.assets)
+        spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets)
+        for reference in references(spec):
+            if reference.file not in self.assets:
+                raise ModelError(f'{one_line(self.name)}: {reference.kind} '
+                                 f'{quoted(reference.element_name)} names a file')
+        return spec
+
+
+def hold_model(file: Path, files: Files) -> HeldModel:
+    """
+    Read a model and all that it names.
+
+    :param file: MJCF or URDF
+    :param files: those that may be read
+    :raises ModelError: if a file must not be or cannot be read, is not what its suffix says, or
+        something is too large
+    """
+    model = XmlModel(file, Budget(LIMITS), files=files, keep_tree=True)
+    held = HeldModel(str(file))
+    held.xml = _hold(model, held, files)
+    held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS
+    return held
+
+
+def _hold(model: XmlModel, held: HeldModel, files: Files) -> str:
+    """Add the files of a model to what is held, and return the model that names them."""
+    root = model.tree
+    for section in [child for child in root if child.tag in _LEFT_OUT]:
+        root.remove(section)
+    for element in root.iter():
+        held.is_light = held.is_light and element.tag in _LIGHT
+        if element.tag == 'plugin':
+            raise ModelError(f'{one_line(held.name)}: an object cannot have plugins')
+        if element.tag == 'model' and not element.get('file'):
+            # After it MuJoCo hangs when it attaches another spec.
+            raise ModelError(f'{one_line(held.name)}: <model> needs a file')
+        for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
+            element.attrib.pop(attribute, None)
+        for attribute, name in element.items():
+            if _NAMES_A_FILE.fullmatch(attribute) and name:
+                element.set(attribute, _name_of_held(model, element, name, held, files))
+    return ElementTree.tostring(root, encoding='unicode')
+
+
+def _name_of_held(model: XmlModel, element: ElementTree.Element, name: str, held: HeldModel,
+                  files: Files) -> str:
+    if element.tag == 'model':
+        content = _hold(model.models[name], held, files).encode()
+        own_name = f'{_digest(content)}.xml'
+        held.models[own_name] = content
+        return own_name
+    if element.tag not in ('mesh', 'texture'):
+        raise ModelError(f'{one_line(held.name)}: <{element.tag[:60]}> names the file '
+                         f'{quoted(name, 200)}, which an object cannot have')
+    own = model.folders[0]
+    names = [name, PurePosixPath(name).name] if model.root == 'robot' else [name]
+    found = files.first([place for each in names for place in places(element.tag, each, own)])
+    content = files.read(found, f'{element.tag} file', MAX_FILE_BYTES)
+    suffix = found.suffix.lower()
+    check_content(element.tag, suffix, content, str(found))
+    short = f'{re.sub(r"[^A-Za-z0-9-]", "_", found.stem)[:40]}_{_digest(content)}{suffix}'
+    held.assets[short] = content
+    if sum(map(len, held.assets.values())) > _MAX_ASSET_BYTES:
+        raise ModelError(f'{one_line(held.name)} names files of more than '
+                         f'{_MAX_ASSET_BYTES / 1e6:.0f} MB')
+    return short
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]

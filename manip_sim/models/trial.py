@@ -1,0 +1,89 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Compile a model in a process of its own first, which can be given up.
+
+MuJoCo cannot be interrupted. The process has little time and memory, and cannot open files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import hashlib
+import os
+from pathlib import Path
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+
+from manip_sim.errors import ModelError
+from manip_sim.quoting import one_line
+
+#: Limits of the process: CPU time [s], wall time [s] and address space [bytes].
+MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 5, 60.0, 4 * 1024**3
+_REMEMBERED = 1000
+
+_passed: dict[bytes, None] = {}
+
+
+def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
+                   assets: Mapping[str, bytes]) -> None:
+    """
+    Compile a model in another process; return if that can be done here, too.
+
+    What passed once is not tried again.
+
+    :param name: what it is, for messages
+    :param xml: the model
+    :param models: files of other models that it names
+    :param assets: files of meshes and images that it names
+    :raises ModelError: if it does not compile, or not within the limits
+    """
+    work = pickle.dumps((MAX_CPU_S, MAX_MEMORY_BYTES, xml, dict(models), dict(assets)))
+    digest = hashlib.sha256(work).digest()
+    if digest in _passed:
+        return
+    problem = _tried(work)
+    if problem:
+        raise ModelError(f'{one_line(name)} {problem}')
+    if len(_passed) >= _REMEMBERED:
+        del _passed[next(iter(_passed))]
+    _passed[digest] = None
+
+
+def _tried(work: bytes) -> str:
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)),
+                   'OPENBLAS_NUM_THREADS': '1'}
+    program = f'from {__name__} import main; main()'
+    with subprocess.Popen([sys.executable, '-c', program], env=environment, cwd='/',
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                          stderr=subprocess.DEVNULL) as process:
+        try:
+            told, _ = process.communicate(work, timeout=MAX_WALL_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+    if process.returncode == 0:
+        return told.decode()
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return f'takes more than {MAX_CPU_S} s to compile, and objects that do cannot be spawned'
+    return (f'cannot be compiled: MuJoCo crashes, or needs more than '
+            f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
+
+
+def main() -> None:
+    """Compile the model on standard input, and write what is wrong to standard output."""
+    from manip_sim.models.loading import compile_spec, spec_from_string
+    # By the function above, so that it can be trusted.
+    cpu_s, memory, xml, models, assets = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
+    os.nice(5)
+    for limit, value in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0),
+                         (resource.RLIMIT_FSIZE, 0), (resource.RLIMIT_NOFILE, 0)):
+        resource.setrlimit(limit, (value, value))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    try:
+        compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it')
+    except ModelError as error:
+        sys.stdout.write(str(error).removeprefix('it '))
