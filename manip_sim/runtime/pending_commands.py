@@ -39,8 +39,8 @@ class PendingCommands:
             for name, robot in simulation.robots.items()}
         self._busy: list[BusyParts] = []
         self._lock = threading.Lock()
-        #: Stamp of the state that commands may answer [ns]; None while they are being used.
-        self._present_ns: int | None = simulation.time_ns
+        #: Stamp of the state that commands may answer [ns]; None until the next one is shown.
+        self._present_ns: int | None = None
 
     def keep_busy(self, busy_parts: BusyParts) -> None:
         """

@@ -36,6 +36,17 @@ def test_a_call_before_the_start_is_answered_at_once(thread):
     assert thread.real_time_factor == 2.0
 
 
+def test_the_pace_begins_again_when_a_pause_ends_and_at_no_other_time(thread):
+    due_s = thread._pacer.deadline_s
+    for paused in (False, False, True, True):
+        # Who says again and again that it shall run must not hold it up.
+        thread.pause(paused)
+        assert thread.paused is paused
+        assert thread._pacer.deadline_s == due_s
+    thread.pause(False)
+    assert thread._pacer.deadline_s > due_s
+
+
 def test_a_call_that_waits_is_rejected_at_the_end():
     published, released = Event(), Event()
 

@@ -365,6 +365,20 @@ def test_what_interferes_ends_the_goal_and_is_told(panda, prepare, interfere, re
     assert goal.outcome.reason.startswith(reason)
 
 
+def test_goal_whose_command_still_waits_ends_when_the_physics_diverges(panda):
+    goal = TrajectoryGoal(panda.simulation.robot, 'arm', panda.request([J1]),
+                          panda.simulation.time_ns)
+    goal.check(panda.simulation)
+    assert goal.outcome is None
+    explode(panda)
+    with contextlib.suppress(DivergenceError):
+        panda.run(0.02)
+    assert goal.command.handle.status is Status.WAITING
+    goal.check(panda.simulation)
+    assert ended(goal) == INVALID
+    assert goal.outcome.reason.startswith('the physics diverged at ')
+
+
 def test_goal_with_a_command_that_failed_is_aborted(panda):
     goal = panda.start()
     goal.command.handle.end(Status.ABORTED, 'broken')
