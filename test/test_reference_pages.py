@@ -8,7 +8,7 @@ import re
 
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, composition_parameters, MODEL_PATH,
-    node_parameters, place_parameters, robot_parameters, wrench_parameters)
+    node_parameters, mode_parameters, place_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 
@@ -39,7 +39,8 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
     scope, place = Scope(), [0.1, 0.2, 0.3]
     specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *arena_specs('bins'),
              *composition_parameters(scope),
-             *place_parameters(scope, place), *robot_parameters(scope, ['arm', 'base']),
+             *place_parameters(scope, place), *mode_parameters(scope, ['arm', 'base']),
+             *timeout_parameters(scope, ['arm', 'base']),
              *camera_parameters('<camera>', ImageSettings()),
              *cartesian_parameters(scope, ['right']), *wrench_parameters(scope, ['right'])]
     rows = {row[0].strip('`'): row for row in table_rows('parameters.md')}

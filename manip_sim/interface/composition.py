@@ -16,8 +16,8 @@ from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
-    composition_parameters, MODEL_PATH, node_parameters, periods_per_image, place_parameters,
-    robot_parameters, steps_per_period, wrench_parameters)
+    composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
+    place_parameters, steps_per_period, timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
@@ -107,7 +107,10 @@ def declare_parts(parameters: ParameterSource,
     """
     for scope, parts in served:
         commanded = commanded_parts(parts)
-        parameters.declare(robot_parameters(scope, commanded))
+        parameters.declare(mode_parameters(scope, commanded))
+        modes = {part: parameters.value(scope.parameter(f'control_mode.{part}'))
+                 for part in commanded}
+        parameters.declare(timeout_parameters(scope, commanded, modes.__getitem__))
         arms = [arm for arm in commanded if f'{arm}/gripper' in parts]
         parameters.declare(cartesian_parameters(scope, arms))
         parameters.declare(wrench_parameters(scope, arms))

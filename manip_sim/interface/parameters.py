@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
@@ -133,24 +133,43 @@ def place_parameters(scope: Scope, position: Sequence[float]) -> list[ParameterS
                       'world: roll, pitch, yaw.', 'rad', length=3))]
 
 
-def robot_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
+def default_timeout(part: str, mode: str) -> float:
     """
-    Return the parameters that depend on the parts of a robot.
+    Return after what time without a fresh command a part stops, unless the user says when [s].
+
+    A position is safe to keep; a velocity or an effort whose sender has died is not.
+    """
+    if mode == 'position':
+        return 0.0
+    return 0.5 if part == 'base' else 0.2
+
+
+def mode_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters that say what commands of each part mean.
 
     :param parts: the parts with driven joints, see :func:`commanded_parts`
     """
-    specs = []
-    for part in parts:
-        moves = part == 'base'
-        specs += [
-            ParameterSpec(f'control_mode.{part}', default_mode(part),
-                          f'What commands of the {part} mean; a change brings it to rest.',
-                          live=True, choices=MODES),
-            ParameterSpec(f'command_timeout.{part}', 0.5 if moves else 0.0,
-                          f'Without a fresh command of the {part} for so long (simulation time), '
-                          'position holds, velocity goes to zero, effort to gravity compensation; '
-                          '0 is never.', 's', live=True, minimum=0.0, maximum=3600.0)]
-    return [spec.within(scope) for spec in specs]
+    return [ParameterSpec(
+        f'control_mode.{part}', default_mode(part),
+        f'What commands of the {part} mean; a change brings it to rest.', live=True,
+        choices=MODES).within(scope) for part in parts]
+
+
+def timeout_parameters(scope: Scope, parts: Sequence[str],
+                       mode_of: Callable[[str], str] = default_mode) -> list[ParameterSpec]:
+    """
+    Return the parameters that say when a part stops for want of commands.
+
+    :param parts: the parts with driven joints, see :func:`commanded_parts`
+    :param mode_of: returns the control mode of a part, on which the default depends
+    """
+    return [ParameterSpec(
+        f'command_timeout.{part}', default_timeout(part, mode_of(part)),
+        f'Without a fresh command of the {part} for so long (simulation time), position holds, '
+        'velocity goes to zero, effort to gravity compensation; 0 is never. Unless it is set, a '
+        'change of the control mode changes it.', 's', live=True, minimum=0.0,
+        maximum=3600.0).within(scope) for part in parts]
 
 
 def camera_parameters(camera: str, default: ImageSettings) -> list[ParameterSpec]:
@@ -256,5 +275,5 @@ def periods_per_message(publish_rate: float, rate: float) -> int:
 
 
 def commanded_parts(parts: Mapping[str, PartLike]) -> list[str]:
-    """Return the parts with driven joints, for :func:`robot_parameters`: all but grippers."""
+    """Return the parts with driven joints, which have a control mode: all but grippers."""
     return [name for name, part in parts.items() if part.gripper is None and part.actuators]

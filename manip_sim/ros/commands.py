@@ -28,7 +28,7 @@ from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import Command
-from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand
+from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand, NoCommand
 
 Parse = Callable[[Any], Sequence[Command]]
 #: Messages whose stamp is that of the state that they answer.
@@ -123,7 +123,9 @@ class CommandSubscribers:
                 self.statistics[entry].rejected += 1
                 self._log.warn(topic, kind_of(error), f'rejected a message on {topic}: {error}')
                 return
-            self.count(topic, part, commands)
+            commands = [c for c in commands if not isinstance(c, NoCommand)]
+            if commands:
+                self.count(topic, part, commands)
 
         # Reading a trajectory may take long and would delay other commands and the physics.
         inbox = None if message_type is JointTrajectory else self._inbox

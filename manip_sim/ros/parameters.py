@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import check_names
 from manip_sim.interface.parameter_spec import ParameterSpec
+from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.scope import Scope
 from manip_sim.rclpy_internals import parameter_overrides
 from manip_sim.simulation.parts import Part
@@ -36,8 +37,11 @@ class Parameters:
         self._node = node
         self._specs: dict[str, ParameterSpec] = {}
         self._parts: dict[Scope, Mapping[str, Part]] = {}
-        node.add_pre_set_parameters_callback(
-            lambda parameters: self._with_coupled(self._integers_to_doubles(parameters)))
+        #: Timeouts that the user has set, and those that follow the modes in the present change.
+        self._set_timeouts: set[str] = set()
+        self._following: set[str] = set()
+        node.add_pre_set_parameters_callback(lambda parameters: self._with_timeouts(
+            self._with_coupled(self._integers_to_doubles(parameters))))
         node.add_on_set_parameters_callback(self._validate)
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
@@ -122,6 +126,25 @@ class Parameters:
                     result.append(values[name])
         return result
 
+    def _with_timeouts(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Add the timeouts of parts whose control mode is set, unless the user has set them."""
+        known = {parameter.name for parameter in parameters} | self._set_timeouts
+        self._following = set()
+        for parameter in list(parameters):
+            scope, group, part = self.of_part(parameter.name) or (None, '', '')
+            if scope is None or group != 'control_mode':
+                continue
+            name = scope.parameter(f'command_timeout.{part}')
+            if name not in known:
+                self._following.add(name)
+                parameters.append(Parameter(
+                    name, Parameter.Type.DOUBLE, default_timeout(part, parameter.value)))
+        return parameters
+
+    def is_set(self, name: str) -> bool:
+        """Tell whether the user has set a timeout, or it follows the control mode."""
+        return name in self._set_timeouts
+
     def value(self, name: str) -> Any:
         """Return the present value of a declared parameter."""
         return self._node.get_parameter(name).value
@@ -144,6 +167,9 @@ class Parameters:
             problem = _problem(spec, parameter)
             if problem:
                 return SetParametersResult(successful=False, reason=problem)
+        self._set_timeouts.update(
+            parameter.name for parameter in parameters if parameter.name not in self._following
+            and (self.of_part(parameter.name) or ('', '', ''))[1] == 'command_timeout')
         return SetParametersResult(successful=True)
 
 

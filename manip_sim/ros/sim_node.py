@@ -138,7 +138,7 @@ class SimNode(Node):
         for name, part in robot.parts.items():
             if part.gripper is None and part.actuators and part.atomic == (name,):
                 robot.set_control_mode(name, value(scope.parameter(f'control_mode.{name}')))
-                robot.set_command_timeout(name, value(scope.parameter(f'command_timeout.{name}')))
+                self._set_timeout(scope, robot, name)
         for arm in robot.end_effectors:
             name = scope.parameter(f'wrench_cutoff.{arm}')
             self._cutoffs[name] = partial(robot.set_wrench_cutoff, arm)
@@ -184,8 +184,15 @@ class SimNode(Node):
 
     def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
         robot = self._robots[scope]
-        change = robot.set_control_mode if group == 'control_mode' else robot.set_command_timeout
-        self.thread.call(lambda: change(part, value))
+        if group == 'control_mode':
+            self.thread.call(lambda: robot.set_control_mode(part, value))
+        else:
+            self.thread.call(lambda: self._set_timeout(scope, robot, part))
+
+    def _set_timeout(self, scope: Scope, robot: SimulatedRobot, part: str) -> None:
+        name = scope.parameter(f'command_timeout.{part}')
+        # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
+        robot.set_command_timeout(part, self._declared.value(name), self._declared.is_set(name))
 
     def _objects_changed(self, simulation: Simulation) -> None:
         for follow in self._followers:

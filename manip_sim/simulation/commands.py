@@ -120,6 +120,15 @@ class JointSetpoint(Command):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class NoCommand(Command):
+    """
+    A message that names joints of some parts without a number: they go on as before.
+
+    It has no effect, but in lock-step it is the answer of its parts.
+    """
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrajectory(Command):
     """
     A trajectory for some joints.

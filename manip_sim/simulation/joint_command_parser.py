@@ -16,7 +16,8 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import counted, quoted
-from manip_sim.simulation.commands import Command, GripperSetpoint, JointSetpoint, MODES
+from manip_sim.simulation.commands import (
+    Command, GripperSetpoint, JointSetpoint, MODES, NoCommand)
 from manip_sim.simulation.gripper_joints import GripperJoints
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import as_numbers, clamp, clamped_example
@@ -91,17 +92,21 @@ class JointCommandParser:
         """
         Return the commands for goals of some joints; one invalid goal rejects them all.
 
+        Parts that are named without any number get a ``NoCommand``.
+
         :param names: of the joints
         :param fields: by control mode, goals in SI units; empty where there are none
         :param part: whose joints may be named; None for all
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         what = part or 'joint_command'
+        given = {field: as_numbers(of, f'{what}: {field}') for field, of in fields.items()}
+        if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
+            return []
         modes = self._joints.modes  # They may change while this thread reads the command.
         addressed = self._addressed(part, tuple(names), modes)
         values = np.full(len(names), np.nan)
-        for field, given in fields.items():
-            numbers = as_numbers(given, f'{what}: {field}')
+        for field, numbers in given.items():
             if not numbers.size:
                 continue
             placed = self._placed(what, field, numbers, addressed)
@@ -114,15 +119,18 @@ class JointCommandParser:
                     f'does not use the field {field}: leave it empty, or NaN for this joint')
             values[uses] = placed[uses]
         missing = np.isnan(values)
-        if missing.all():
-            raise CommandError(f'{what}: no joint is commanded: each number in the field of the '
-                               f'control mode ({", ".join(sorted(set(addressed.modes)))}) is NaN '
-                               'or missing')
-        if missing.any():
-            commanded = tuple(name for name, gone in zip(names, missing) if not gone)
-            addressed = self._addressed(part, commanded, modes)
-            values = values[~missing]
-        return list(_commands(self._robot, addressed, values))
+        if not missing.any():
+            return list(_commands(self._robot, addressed, values))
+        commands, silent = [], _parts(addressed)
+        if not missing.all():
+            named = tuple(name for name, gone in zip(names, missing) if not gone)
+            commands = list(_commands(
+                self._robot, self._addressed(part, named, modes), values[~missing]))
+            silent = silent.difference(*(command.parts for command in commands))
+        if silent:
+            commands.append(NoCommand(
+                robot=self._robot, parts=silent, indices=np.empty(0, dtype=np.int64)))
+        return commands
 
     def _placed(self, what: str, field: str, given: FloatArray, addressed: _Addressed
                 ) -> FloatArray:
@@ -212,6 +220,11 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
     if len(set(names)) != len(names):
         twice = next(name for name in names if list(names).count(name) > 1)
         raise CommandError(f"{what}: joint '{twice}' is named twice")
+
+
+def _parts(addressed: _Addressed) -> frozenset[str]:
+    groups = (*addressed.grippers, *((addressed.own,) if addressed.own is not None else ()))
+    return frozenset().union(*(group.parts for group in groups))
 
 
 def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> Iterable[Command]:

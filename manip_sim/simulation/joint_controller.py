@@ -54,6 +54,8 @@ class JointController(ControlledJoints):
         self._everything = np.arange(len(self.names))
         self.commands = ActiveCommands(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
+        #: The parts whose timeout ends Cartesian targets too.
+        self._targets_end = set(atomic)
         #: Whether new efforts have yet to be written.
         self._efforts_due = False
         self._written = False
@@ -90,15 +92,17 @@ class JointController(ControlledJoints):
 
     # ------------------------------------------------------------------ commands
 
-    def set_timeout(self, part: str, timeout_s: float) -> None:
+    def set_timeout(self, part: str, timeout_s: float, ends_targets: bool = True) -> None:
         """
         Change how long the last command of a part lasts if no fresh one comes.
 
         :param timeout_s: simulation time [s]; 0 for no timeout
+        :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
         :raises UnknownNameError: if there is no such part
         """
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
+            (self._targets_end.add if ends_targets else self._targets_end.discard)(name)
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
@@ -114,6 +118,7 @@ class JointController(ControlledJoints):
         if changed.size:
             self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
             self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
+            self._timeouts.forget(self.parts_of(changed))
             self._hold(changed, data)
 
     def _hold(self, indices: IntArray, data: mujoco.MjData) -> None:
@@ -233,7 +238,8 @@ class JointController(ControlledJoints):
                     and self._setpoints.at_rest(command.indices)):
                 self._finish(command, data, command.values)
         for part in self._timeouts.overdue(now_s):
-            if part not in self.busy_parts:
+            if part not in self.busy_parts and (part in self._targets_end
+                                                or part not in self._target_parts()):
                 self._time_out(part)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
@@ -312,6 +318,10 @@ class JointController(ControlledJoints):
                 # Setpoints may still have a velocity there, or have been held back on the way.
                 self._setpoints.come_back(command.indices, position)
                 self._timeouts.forget(command.parts - self._commanded_parts())
+
+    def _target_parts(self) -> frozenset[str]:
+        return frozenset().union(*(
+            c.parts for c in self.commands.running if isinstance(c, CartesianCommand)))
 
     def _commanded_parts(self) -> frozenset[str]:
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))

@@ -16,7 +16,7 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.command_parser import CommandParser
-from manip_sim.simulation.commands import Command, GripperCommand
+from manip_sim.simulation.commands import Command, GripperCommand, NoCommand, Status
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
@@ -142,7 +142,9 @@ class SimulatedRobot:
             self._period_s = period_s
         now_s = self._now_ns() * 1e-9
         for command in commands:
-            if isinstance(command, GripperCommand):
+            if isinstance(command, NoCommand):
+                command.handle.end(Status.DONE)
+            elif isinstance(command, GripperCommand):
                 (part,) = command.parts
                 self.grippers[part].apply(command, self._data)
             else:
@@ -202,17 +204,18 @@ class SimulatedRobot:
         return {**{name: self.joints.mode_of(name) for name in self.joints.names},
                 **dict.fromkeys(fingers, 'position')}
 
-    def set_command_timeout(self, part: str, timeout_s: float) -> None:
+    def set_command_timeout(self, part: str, timeout_s: float, ends_targets: bool = True) -> None:
         """
         Change how long the last command of a part lasts if no fresh one comes.
 
         :param part: such as ``arm``
         :param timeout_s: simulation time [s]; 0 for no timeout
+        :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
         :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part
         """
         self._check_no_gripper(part)
-        self.joints.set_timeout(part, timeout_s)
+        self.joints.set_timeout(part, timeout_s, ends_targets)
 
     def _check_no_gripper(self, part: str) -> None:
         if part in self.grippers:

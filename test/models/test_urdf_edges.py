@@ -344,7 +344,8 @@ def test_the_tag_of_ros2_control_commands_driven_joints_and_observes_all():
     assert tag.find('hardware/plugin').text == (
         'joint_state_topic_hardware_interface/JointStateTopicSystem')
     assert {p.get('name'): p.text for p in tag.findall('hardware/param')} == {
-        'joint_states_topic': '/s', 'joint_commands_topic': '/c'}
+        'joint_states_topic': '/s', 'joint_commands_topic': '/c',
+        'trigger_joint_command_threshold': '-1'}
     commands = [[c.get('name') for c in joint.findall('command_interface')]
                 for joint in tag.findall('joint')]
     # Joints that are only observed come after the others; a follower has no command.

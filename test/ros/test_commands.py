@@ -3,8 +3,11 @@
 
 """What commands do."""
 
+import math
+
 from builtin_interfaces.msg import Duration
 import numpy as np
+import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -123,13 +126,13 @@ def test_a_position_past_its_limit_is_clamped_and_told(serve, client):
 
 
 def test_effort_and_velocity_modes_take_their_own_fields(serve, client):
-    serve(control_mode__arm='velocity')
+    serve(control_mode__arm='velocity', command_timeout__arm=0.0)
     client.publish('arm/joint_command', JointState(name=['robot0_joint1'], velocity=[0.2]))
     client.spin_until(lambda: abs(client.state().velocity[0] - 0.2) < 0.004)
 
 
 def test_without_fresh_commands_velocity_goes_to_zero_and_comes_back(serve, client):
-    serve(control_mode__arm='velocity', command_timeout__arm=0.3)
+    serve(control_mode__arm='velocity')
     command = JointState(name=['robot0_joint1'], velocity=[0.3])
     for _ in range(2):
         client.publish('arm/joint_command', command)
@@ -231,3 +234,17 @@ def wanted(message):
     if hasattr(message, 'points'):
         return dict(zip(names, message.points))
     return {name: getattr(message, name) for name in names}
+
+
+@pytest.mark.parametrize('message', [
+    JointState(), JointState(name=ARM), JointState(name=ARM, position=[math.nan] * 7),
+    JointState(position=[math.nan])], ids=['empty', 'names', 'NaN', 'NaN of none'])
+def test_a_message_without_a_number_is_taken_silently(message, serve, client):
+    log = client.log()
+    node = serve()
+    for topic in ('arm/joint_command', 'joint_command'):
+        client.publish(topic, message)
+    client.publish('arm/joint_command', JointState(name=ARM[:1], position=[0.05]))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    assert not any(s.rejected for s in node.commands[0].statistics.values())
+    assert not any('rejected' in line for line in log)

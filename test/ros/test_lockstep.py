@@ -4,6 +4,7 @@
 """Physics that advances with the commands of a controller in another process."""
 
 import hashlib
+import math
 from pathlib import Path
 import subprocess
 import sys
@@ -214,3 +215,27 @@ def test_a_trajectory_is_the_command_of_its_part_until_it_ends(serve, client):
 def test_a_late_client_sees_a_paused_state(serve, client):
     serve(start_paused=True)
     assert nanoseconds(client.state()) == 10_000_000
+
+
+@pytest.mark.parametrize('position', [[], [math.nan]])
+def test_names_without_a_number_answer_for_their_part_and_it_goes_on(position, serve, client):
+    node = serve(stepping='lockstep', lockstep_parts=['arm', 'right/gripper'])
+    states = client.listen(JointState, 'joint_states')
+
+    def answered(count):
+        client.spin_until(lambda: bool(states)
+                          and states[-1].header.stamp.nanosec == 10**7 * count)
+        return states[-1].header.stamp
+    client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
+    client.publish('arm/joint_command', JointState(name=['robot0_joint1'], position=[0.3]))
+    answered(2)
+    for count in range(2, 40):
+        answer = JointState(name=['robot0_joint1'], position=position)
+        answer.header.stamp = answered(count)
+        client.publish('arm/joint_command', answer)
+        fingers = JointState(name=['gripper0_right_finger_joint1'])
+        fingers.header.stamp = answer.header.stamp
+        client.publish('joint_command', fingers)
+    answered(40)
+    assert node.simulation.robot.state().position[0] > 0.1
+    assert not any(s.rejected for s in node.commands[0].statistics.values())

@@ -3,7 +3,7 @@
 
 """What parameters change in the physics and its pace, at the start and while the node runs."""
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 import mujoco
 import numpy as np
 import pytest
@@ -107,7 +107,7 @@ def test_the_cutoff_of_a_wrench_changes_while_the_node_runs(serve, client):
 
 
 def test_a_command_timeout_changes_while_the_node_runs(serve, client):
-    node = serve(start_paused=True, control_mode__arm='velocity')
+    node = serve(start_paused=True, control_mode__arm='velocity', command_timeout__arm=0.0)
     command = JointState(name=ARM[:1], velocity=[0.2])
 
     def velocity_after(seconds):
@@ -122,3 +122,72 @@ def test_a_command_timeout_changes_while_the_node_runs(serve, client):
     assert abs(velocity_after(1.0)) < 1e-3
     set_live(client, 'command_timeout.arm', 0.0)
     assert velocity_after(1.0) == pytest.approx(0.2, abs=0.004)
+
+
+def test_the_timeout_of_commands_follows_the_mode_until_it_is_set(serve, client):
+    node = serve(robot='PandaOmron', start_paused=True, control_mode__torso='velocity',
+                 command_timeout__torso=0.0)
+
+    def timeouts(*parts):
+        return [node.get_parameter(f'command_timeout.{part}').value for part in parts]
+    parts = ('arm', 'right', 'base', 'torso')
+    assert timeouts(*parts) == [0.0, 0.0, 0.5, 0.0]
+    set_live(client, 'control_mode.arm', 'effort')
+    set_live(client, 'control_mode.base', 'position')
+    set_live(client, 'control_mode.torso', 'effort')
+    assert timeouts(*parts) == [0.2, 0.2, 0.0, 0.0]
+    set_live(client, 'control_mode.arm', 'position')
+    set_live(client, 'control_mode.base', 'effort')
+    assert timeouts(*parts) == [0.0, 0.0, 0.5, 0.0]
+    set_live(client, 'command_timeout.right', 0.7)
+    set_live(client, 'control_mode.arm', 'velocity')
+    assert timeouts(*parts) == [0.7, 0.7, 0.5, 0.0]
+
+
+def test_a_timeout_that_is_rejected_is_not_set(serve, client):
+    node = serve(start_paused=True)
+    (result,) = node.set_parameters([Parameter('command_timeout.arm', value=-1.0)])
+    assert not result.successful
+    set_live(client, 'control_mode.arm', 'velocity')
+    assert node.get_parameter('command_timeout.arm').value == 0.2
+
+
+@pytest.mark.parametrize('mode', ['velocity', 'effort'])
+def test_a_part_whose_commands_stop_comes_to_rest_by_default(mode, serve, client):
+    node = serve(start_paused=True)
+    steps(node, 100)
+    set_live(client, 'control_mode.arm', mode)
+    robot = node.simulation.robot
+    client.publish('arm/joint_command', JointState(name=ARM[:1], **{mode: [0.2]}))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    steps(node, 18)
+    assert robot.joints.timeouts['arm'] == 0
+    assert robot.state().velocity[0] > 0.01
+    steps(node, 5)
+    assert robot.joints.timeouts['arm'] == 1
+    (reference,) = robot.controller_state('arm').reference.effort[:1]
+    assert reference == 0.0
+    if mode == 'velocity':
+        steps(node, 20)
+        assert abs(robot.state().velocity[0]) < 1e-3
+
+
+def test_the_default_timeout_does_not_end_a_target_pose_in_effort_mode(serve, client):
+    node = serve(start_paused=True, control_mode__arm='effort')
+    robot = node.simulation.robot
+    pose = robot.state().end_effectors['right'].pose
+    goal = PoseStamped()
+    goal.header.frame_id = 'world'
+    goal.pose.position.x, goal.pose.position.y = pose.position[0] - 0.05, pose.position[1]
+    goal.pose.position.z = pose.position[2]
+    for axis, value in zip('xyzw', pose.quat_xyzw):
+        setattr(goal.pose.orientation, axis, float(value))
+    client.publish('right/target_pose', goal)
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+    steps(node, 200)
+    reached = robot.state().end_effectors['right'].pose.position[0]
+    assert reached == pytest.approx(pose.position[0] - 0.05, abs=5e-3)
+    assert robot.joints.timeouts['arm'] == 0
+    set_live(client, 'command_timeout.arm', 0.2)
+    steps(node, 1)
+    assert robot.joints.timeouts['arm'] == 1

@@ -213,21 +213,24 @@ def test_a_flood_of_commands_does_not_slow_the_simulation(sim_process, client):
     assert max(rates) > 0.99
 
 
-def test_a_dead_publisher_leaves_the_arm_at_rest_and_a_new_one_takes_over(sim_process, client,
-                                                                          tmp_path):
-    sim_process('control_mode.arm:=velocity', 'command_timeout.arm:=0.3')
+@pytest.mark.parametrize('mode, value, slow', [('velocity', 0.2, 1e-3), ('effort', 2.0, 0.02)])
+def test_a_dead_publisher_leaves_the_arm_at_rest_and_a_new_one_takes_over(
+        mode, value, slow, sim_process, client, tmp_path):
+    sim_process(f'control_mode.arm:={mode}')
     client.state()
-    script = tmp_path / 'publish_velocity.py'
-    script.write_text(PUBLISH_VELOCITY)
+    script = tmp_path / 'publish.py'
+    script.write_text(PUBLISH)
     for _ in range(2):
-        publisher = subprocess.Popen([sys.executable, str(script)])
+        publisher = subprocess.Popen([sys.executable, str(script), mode, str(value)])
         client.spin_until(lambda: client.state().velocity[0] > 0.15)
         publisher.send_signal(signal.SIGKILL)
         publisher.wait(timeout=10.0)
-        client.spin_until(lambda: abs(client.state().velocity[0]) < 1e-3)
+        client.spin_until(lambda: abs(client.state().velocity[0]) < slow)
+        assert client.state().position[0] < 2.8  # Not because it came to the end of its range.
 
 
-PUBLISH_VELOCITY = """
+PUBLISH = """
+import sys
 import time
 import rclpy
 from sensor_msgs.msg import JointState
@@ -237,6 +240,6 @@ node = rclpy.create_node('publisher')
 publisher = node.create_publisher(JointState, 'arm/joint_command', 1)
 end = time.monotonic() + 30.0
 while time.monotonic() < end:
-    publisher.publish(JointState(name=['robot0_joint1'], velocity=[0.2]))
+    publisher.publish(JointState(name=['robot0_joint1'], **{sys.argv[1]: [float(sys.argv[2])]}))
     time.sleep(0.02)
 """

@@ -16,7 +16,7 @@ from manip_sim.models import compose
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import (
-    Command, GripperAction, GripperSetpoint, JointSetpoint, Status)
+    Command, GripperAction, GripperSetpoint, JointSetpoint, NoCommand, Status)
 
 J1, J2 = 'robot0_joint1', 'robot0_joint2'
 FINGER = 'gripper0_right_finger_joint1'
@@ -58,15 +58,12 @@ def test_action_spans_the_limits_of_the_mode_and_is_clamped(panda_sim, parse, mo
 
 
 @pytest.mark.parametrize(('names', 'fields', 'message'), [
-    ([], {}, r'^arm: no joint is named$'),
+    ([], {'position': [0.0]}, r'^arm: no joint is named$'),
     ([J1, 'robot0_joint9'], {'position': [0, 0]}, r"^arm has no joint 'robot0_joint9' that can be "
      r"commanded: did you mean 'robot0_joint\d' .*available: robot0_joint1, robot0_joint2"),
     ([J1, FINGER], {'position': [0, 0]}, r"^arm has no joint 'gripper0_right_finger_joint1'"),
     ([J1, J1], {'position': [0, 0]}, r"^arm: joint 'robot0_joint1' is named twice$"),
     ([J1], {'position': [0, 1]}, r'^arm: position must have 1 number, got 2: one for each '),
-    ([J1], {}, r'^arm: no joint is commanded: each number in the field of the '
-     r'control mode \(position\) is NaN or missing$'),
-    ([J1, J2], {'position': [NAN, NAN]}, r'^arm: no joint is commanded: each number '),
     ([J1], {'position': [0], 'velocity': [1]}, r"^arm: joint 'robot0_joint1' is in position mode, "
      r'which does not use the field velocity: leave it empty, or NaN for this joint$'),
     ([J1], {'effort': [1]}, r'^arm: effort must have 1 number, got 1: one for each joint$|'
@@ -403,3 +400,30 @@ def test_the_joint_that_is_farthest_above_its_own_limit_is_told(panda_sim):
     here = float(panda_sim.data.joint('robot0_joint7').qpos[0])
     with pytest.raises(CommandError, match="'robot0_joint1' would .* its limit is 2.175$"):
         trajectory_of(panda_sim, [1e-4], [[1.0, here + 1.1]], names=[J1, 'robot0_joint7'])
+
+
+@pytest.mark.parametrize('names, fields, parts', [
+    ([J1], {}, {'arm'}),
+    ([J1, J2], {'position': [NAN, NAN]}, {'arm'}),
+    ([J1, J2], {'position': [], 'velocity': [NAN]}, {'arm'}),
+    ([J1, FINGER], {'position': [NAN, NAN], 'effort': [NAN, NAN]}, {'arm', 'right/gripper'})])
+def test_names_without_a_number_are_no_command_for_their_parts(panda_sim, names, fields, parts):
+    robot = panda_sim.robot
+    (command,) = robot.parse.joint_command(names, **fields)
+    assert type(command) is NoCommand and command.parts == parts
+    panda_sim.advance(5)
+    robot.apply(command)
+    assert command.handle.status is Status.DONE
+    assert robot.resting
+
+
+@pytest.mark.parametrize('fields', [{}, {'position': []}, {'position': [NAN], 'effort': [NAN]}])
+def test_a_message_of_nothing_is_no_command_at_all(panda_sim, fields):
+    assert panda_sim.robot.parse.joint_command([], **fields) == []
+
+
+def test_a_part_without_a_number_beside_one_that_has_some_gets_no_command(panda_sim):
+    first, second = panda_sim.robot.parse.joint_command(
+        [J1, FINGER, J2], position=[0.1, NAN, NAN])
+    assert (type(first), first.parts) == (JointSetpoint, {'arm'})
+    assert (type(second), second.parts) == (NoCommand, {'right/gripper'})

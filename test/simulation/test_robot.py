@@ -9,7 +9,7 @@ import pytest
 from sampling import whole_robot
 
 from manip_sim.errors import CommandError
-from manip_sim.interface.parameters import commanded_parts, robot_parameters
+from manip_sim.interface.parameters import commanded_parts, mode_parameters
 from manip_sim.interface.scope import Scope
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
@@ -60,6 +60,7 @@ def commands_of_every_kind(robot):
         parse.action('arm', [0.5] * 7), parse.action('right/gripper', [1.0]),
         *parse.joint_command([*joints[-1:], *robot.grippers['right/gripper'].joints.names[:1]],
                              [0.1, 0.02]),
+        *parse.joint_command(joints[:1]),
         parse.trajectory('arm', joints[:1], [1.0], [[0.3]]), parse.trajectory('arm', [], [], []),
         parse.twist(0.1, 0.0, 0.0), poses.pose('right', [0.4, 0.0, 1.2], [1.0, 0.0, 0.0, 0.0]),
         poses.twist('right', [0.1, 0.0, 0.0], [0.0] * 3), poses.action('right', [0.5] * 6),
@@ -100,7 +101,7 @@ def test_a_robot_takes_its_commands_in_every_simulation_of_its_world():
 def test_each_part_starts_in_the_mode_in_which_it_starts_in_the_node(name):
     robot = Simulation(compose(name)).robot
     parts = commanded_parts(robot.parts)
-    specs = {spec.name: spec.default for spec in robot_parameters(Scope(), parts)}
+    specs = {spec.name: spec.default for spec in mode_parameters(Scope(), parts)}
     for part in parts:
         modes = set(robot.joints.modes_of(robot.joints.indices_of(part)))
         assert modes == {specs[f'control_mode.{part}']} == {

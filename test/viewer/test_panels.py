@@ -134,22 +134,23 @@ def test_sliders_follow_the_robot_but_not_under_a_hand(rig):
     assert a.value == pytest.approx(2.0, abs=a.step)
 
 
-def test_velocities_are_repeated_until_they_are_zero(rig):
-    panel = joint_panel(rig, 'velocity')
+@pytest.mark.parametrize('mode', ['velocity', 'effort'])
+def test_velocities_and_efforts_are_repeated_until_they_are_zero(rig, mode):
+    panel = joint_panel(rig, mode)
     rig.gui.found['b'].use(value=0.2)
     rig.events.run()
     for tenth in range(4):
         panel.send(1.0 + tenth * 0.11)
     assert rig.sent.taken() == 4 * [
-        ('move_joints', '/left/', 'arm', 'velocity', {'robot0_b': 0.2})]
+        ('move_joints', '/left/', 'arm', mode, {'robot0_b': 0.2})]
     rig.gui.found['Stop'].use()
     rig.events.run()
     panel.send(3.0)
     panel.send(3.2)
     assert rig.sent.taken() == [
-        ('move_joints', '/left/', 'arm', 'velocity', {'robot0_a': 0.0, 'robot0_b': 0.0})]
+        ('move_joints', '/left/', 'arm', mode, {'robot0_a': 0.0, 'robot0_b': 0.0})]
     panel.show(4.0, {'robot0_a': 1.0}, {}, paused=False)
-    assert rig.gui.found['a'].value == 0.0  # It is a velocity, not a position.
+    assert rig.gui.found['a'].value == 0.0  # It is no position.
 
 
 def test_fingers_take_actions(rig):

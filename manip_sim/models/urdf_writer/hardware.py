@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 _PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
+#: A threshold below zero lets the plugin publish in each cycle; else it is silent while states and
+#: commands agree, and a command timeout of the node would stop the robot.
+_ALWAYS = '-1'
 _STATES = ('position', 'velocity', 'effort')
 
 
@@ -42,7 +45,8 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
     system = ElementTree.SubElement(tag, 'hardware')
     ElementTree.SubElement(system, 'plugin').text = _PLUGIN
     for name, topic in (('joint_states_topic', hardware.states_topic),
-                        ('joint_commands_topic', hardware.commands_topic)):
+                        ('joint_commands_topic', hardware.commands_topic),
+                        ('trigger_joint_command_threshold', _ALWAYS)):
         ElementTree.SubElement(system, 'param', name=name).text = topic
     driven = [name for name in joints if name in hardware.interfaces and name not in mimics]
     for name in [*driven, *(name for name in joints if name not in driven)]:

@@ -19,8 +19,8 @@ from manip_sim.viewer.page.robots import Joint, Part, Robot
 _STEPS, _RESOLUTION = 500, 1e-4
 #: A joint that is slower is still [steps of the slider per second].
 _STILL = 2.0
-#: Time after which velocities that are not zero are sent again [s]; the node's timeouts are
-#: longer.
+#: Time after which velocities and efforts other than zero are sent again [s]; the timeouts of the
+#: node are longer.
 _REPEAT_S = 0.1
 
 
@@ -108,7 +108,7 @@ class JointPanel:
     def send(self, now_s: float) -> None:
         """Send what people have requested since the last call; wall time [s]."""
         asked, self._asked = self._asked, {}
-        if self.mode == 'velocity' and now_s > self._repeat_s + _REPEAT_S:
+        if self.mode != 'position' and now_s > self._repeat_s + _REPEAT_S:
             asked = {**{name: float(slider.value) for name, slider in self._sliders.items()
                         if slider.value != 0.0}, **asked}
         if asked:
