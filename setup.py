@@ -74,7 +74,7 @@ setup(
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],
         # trimesh smooths shapes by scipy.
-        'viewer': ['scipy', 'trimesh', 'viser>=1.1,<2'],
+        'viewer': ['msgspec', 'scipy', 'trimesh', 'viser>=1.1,<2', 'websockets>=14'],
         'mutate': ['cosmic-ray'],
         'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis',
                  'lxml', 'mypy', 'pin', 'playwright', 'pytest', 'pytest-timeout',

@@ -23,7 +23,7 @@ MAY_IMPORT = {
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
     'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
-    'viewer/page': ({'viewer'}, PURE | {'trimesh', 'viser'}),
+    'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),
     'viewer': ({'viewer'}, PURE | {'viser'}),

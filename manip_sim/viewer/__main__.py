@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import argparse
 
 _EPILOG = """\
+The printed address ends with a token, which is new at each start unless SIM_VIEW_TOKEN is set.
 ROS arguments come last: '--ros-args -r __ns:=/cell' looks for the node in a namespace.
 """
 _PORT = 8080
@@ -67,10 +68,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
         description='Show a running sim_node on a page for the browser, and drive it from there.')
-    parser.add_argument('--host', default='127.0.0.1', metavar='ADDRESS',
-                        help='where to listen, %(default)s by default: this machine alone; '
-                        '0.0.0.0 lets everyone on the network drive the robot')
+    parser.add_argument('--listen', '--host', default='127.0.0.1', metavar='ADDRESS',
+                        help='where to listen, %(default)s by default: this machine alone; with '
+                        '0.0.0.0, everyone on the network who knows the token can drive the robot')
     parser.add_argument('--port', type=int, default=_PORT, help='%(default)s by default')
+    parser.add_argument('--allow-host', action='append', default=[], metavar='NAME',
+                        help='a name under which browsers may open the page, beside localhost, '
+                        'the name of this machine and addresses; may be given several times')
+    parser.add_argument('--no-commands', action='store_true',
+                        help='watch only: nobody can command the robot or the simulation from '
+                        'the page')
     parser.add_argument('--node', default='manip_sim', metavar='NAME',
                         help='the node to show, %(default)s by default; relative names are in '
                         'the namespace')

@@ -41,7 +41,7 @@ class Visit:
 
     def __init__(self):
         self.texts, self.requests, self.received = {}, [], []
-        self.ran, self.images, self.labels = [], 0, ''
+        self.ran, self.images, self.errors = [], 0, []
 
     def take(self, frame):
         if isinstance(frame, bytes):
@@ -69,6 +69,7 @@ def visit(hostile, browser, tmp_path_factory):  # noqa: F811
     page, found = browser.new_page(viewport={'width': 1000, 'height': 900}), Visit()
     page.set_default_timeout(PATIENCE_MS)
     page.expose_function('hit', lambda what: found.ran.append(what))
+    page.on('pageerror', lambda error: found.errors.append(str(error)))
     page.on('request', lambda request: found.requests.append(request.url))
     page.on('websocket', lambda socket: socket.on('framereceived', found.take))
     try:
@@ -127,6 +128,8 @@ def test_no_text_of_a_message_runs(visit, source):
 def test_no_text_of_a_message_becomes_an_element_or_a_request(visit, address_of):
     assert visit.images == 0
     assert visit.ran == []
+    # The policy for the content of the page forbids nothing that the page itself needs.
+    assert visit.errors == []
     assert [url for url in visit.requests
             if not url.startswith((address_of, 'data:', 'blob:'))] == []
     assert not any(url.endswith('/x') for url in visit.requests)

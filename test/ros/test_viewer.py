@@ -265,7 +265,7 @@ def test_a_port_that_is_taken_is_told_in_one_line():
     assert done.returncode == 1
     assert done.stdout == ''
     assert done.stderr == (f'sim_view: cannot listen on 127.0.0.1:{port}: Address already in use; '
-                           'choose another port with --port, or another address with --host\n')
+                           'choose another port with --port, or another address with --listen\n')
 
 
 def test_bad_ros_arguments_are_told_in_one_line():

@@ -13,6 +13,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
+from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
 from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status  # noqa: E402
@@ -226,13 +227,13 @@ def test_events_run_in_their_order_and_those_that_they_add_later():
 
 
 def test_a_server_listens_where_it_is_told_and_rejects_a_port_that_is_taken():
-    server = open_server('127.0.0.1', 0)
+    server = open_server('127.0.0.1', 0, Access.of({}))
     try:
         with pytest.raises(ManipSimError, match=r'cannot listen on 127\.0\.0\.1:\d+: Address'):
-            open_server('127.0.0.1', server.get_port())
+            open_server('127.0.0.1', server.get_port(), Access.of({}))
     finally:
         close_server(server)
     with pytest.raises(ManipSimError, match='cannot listen on no.such.host:'):
-        open_server('no.such.host', 8080)
+        open_server('no.such.host', 8080, Access.of({}))
     with pytest.raises(ManipSimError, match='there is no port 99999999: choose one'):
-        open_server('127.0.0.1', 99999999)
+        open_server('127.0.0.1', 99999999, Access.of({}))

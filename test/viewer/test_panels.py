@@ -205,7 +205,7 @@ def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
 
 
 def test_images_are_asked_for_only_while_they_are_shown(rig):
-    panel = CameraPanel(rig.gui, ['front'], rig.sent, rig.events)
+    panel = CameraPanel(rig.gui, ['front'], rig.sent.watch, rig.events)
     box, images = rig.gui.found['Show'], {}
     box.use(value=True)
     rig.events.run()

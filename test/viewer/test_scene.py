@@ -100,11 +100,12 @@ def test_a_posture_takes_joints_by_name_and_free_bodies_by_pose(omron):
     scalar = [model.joint(i).name for i in range(model.njnt) if int(model.jnt_type[i]) > 1]
     posture.set_joints(['no_such_joint', *reversed(scalar)],
                        [9.0, *(float(data.joint(name).qpos[0]) for name in reversed(scalar))])
-    posture.place('ball', data.body('ball').xpos, data.body('ball').xquat)
+    for body in ('ball', 'cube'):
+        posture.place(body, data.body(body).xpos, data.body(body).xquat)
     posture.place('no_such_body', np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     posture.compute()
     np.testing.assert_allclose(posture.data.xpos, data.xpos, atol=1e-12)
-    assert posture.free_bodies == ['ball']
+    assert set(posture.free_bodies) == {'ball', 'cube'}
 
 
 class Recorder:

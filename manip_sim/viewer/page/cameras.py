@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from numpy.typing import NDArray
 
-from manip_sim.viewer.page.commands import Commands, Events
+from manip_sim.viewer.page.commands import Events
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 
 #: Least time between two images of a camera [s].
@@ -24,13 +24,13 @@ class CameraPanel:
 
     :param gui: ``viser.ViserServer.gui``
     :param cameras: names
-    :param commands: starts and stops listening to images
+    :param watch: starts or stops listening to the images of a camera
     :param events: queue to the thread that updates the page
     """
 
-    def __init__(self, gui: Any, cameras: Iterable[str], commands: Commands, events: Events
-                 ) -> None:
-        self._gui, self._commands = gui, commands
+    def __init__(self, gui: Any, cameras: Iterable[str], watch: Callable[[str, bool], None],
+                 events: Events) -> None:
+        self._gui, self._watch = gui, watch
         self._images: dict[str, Any] = {}
         self._shown_s: dict[str, float] = {}
         self._folders = {name: gui.add_folder(plain(name)) for name in cameras}
@@ -46,7 +46,7 @@ class CameraPanel:
         box.on_update(lambda _: events.add(lambda: self._tick(name, bool(box.value))))
 
     def _tick(self, name: str, wanted: bool) -> None:
-        self._commands.watch(name, wanted)
+        self._watch(name, wanted)
         if not wanted and name in self._images:
             self._images.pop(name).remove()
 

@@ -13,7 +13,11 @@ from manip_sim.arrays import FloatArray
 
 
 class Commands(Protocol):
-    """A receiver of the commands that people give on the page; called in one thread."""
+    """
+    A receiver of the commands that people give on the page; called in one thread.
+
+    A page without one can only be watched.
+    """
 
     def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
         """
@@ -45,9 +49,6 @@ class Commands(Protocol):
 
     def tare(self) -> None:
         """Tare the external wrenches: let them read zero now."""
-
-    def watch(self, camera: str, wanted: bool) -> None:
-        """Start or stop listening to the images of a camera."""
 
 
 class Events:

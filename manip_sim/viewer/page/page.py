@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -40,12 +40,14 @@ class Page:
     The content of the page.
 
     :param server: the ``viser.ViserServer``
-    :param commands: receives what people command
+    :param commands: receives what people command; None: the page can only be watched
+    :param watch: starts or stops listening to the images of a camera
     :param dark: whether it begins dark
     """
 
-    def __init__(self, server: Any, commands: Commands, dark: bool = False) -> None:
-        self._server, self._commands = server, commands
+    def __init__(self, server: Any, commands: Commands | None,
+                 watch: Callable[[str, bool], None], dark: bool = False) -> None:
+        self._server, self._commands, self._watch = server, commands, watch
         self.events = Events()
         self._dark = dark
         self._posture: Posture | None = None
@@ -74,21 +76,26 @@ class Page:
         self._robots, self._modes = tuple(robots), {}
         self._simulation = SimulationPanel(gui, self._commands, self.events)
         tabs = gui.add_tab_group()
-        self._control = tabs.add_tab('Control')
         self._joints: dict[tuple[str, str], JointPanel] = {}
         self._drives: dict[str, DrivePanel] = {}
-        self._targets = {(robot.space, arm): HandTarget(scene, robot.space, arm, self._commands)
-                         for robot in robots for arm in robot.hands}
+        self._targets: dict[tuple[str, str], HandTarget] = {}
+        if self._commands is not None:
+            self._control = tabs.add_tab('Control')
+            for robot in robots:
+                for arm in robot.hands:
+                    self._targets[robot.space, arm] = HandTarget(
+                        scene, robot.space, arm, self._commands)
         with tabs.add_tab('View'):
             self._view = ViewPanel(gui, self._dark, {
                 robot.titled(arm): self._targets[robot.space, arm]
-                for robot in robots for arm in robot.hands}, self._set_dark)
+                for robot in robots for arm in robot.hands
+                if self._commands is not None}, self._set_dark, self.events)
         with tabs.add_tab('Plots'):
             self._plots = PlotPanel(gui, robots)
         with tabs.add_tab('Health'):
             self._health = PlainText(gui, in_words([]))
         with tabs.add_tab('Cameras'):
-            self._cameras = CameraPanel(gui, cameras, self._commands, self.events)
+            self._cameras = CameraPanel(gui, cameras, self._watch, self.events)
 
     def _set_dark(self, dark: bool) -> None:
         self._dark = dark
@@ -169,24 +176,25 @@ class Page:
         self._posture.compute()
 
     def _follow(self, now_s: float, latest: Latest, paused: bool) -> None:
-        if not self._modes:  # Sliders depend on the control modes.
+        if not self._modes or self._commands is None:  # Sliders depend on the control modes.
             return
         number = 0
         for robot in self._robots:
             states = latest.joints.get(robot.space)
             for part in robot.parts:
-                panel = self._panel(robot, part, number)
+                panel = self._panel(self._commands, robot, part, number)
                 number += 1
                 if states is not None and panel is not None:
                     panel.show(now_s, dict(zip(states.names, states.position)),
                                dict(zip(states.names, states.velocity)), paused)
 
-    def _panel(self, robot: Robot, part: Part, number: int) -> JointPanel | None:
+    def _panel(self, commands: Commands, robot: Robot, part: Part, number: int
+               ) -> JointPanel | None:
         """Return the panel of a part in its present control mode; None if it needs none."""
         mode = self._modes.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)
         drives = part.name == 'base' and robot.twist is not None and mode == 'velocity'
         if drives != (robot.space in self._drives) and part.name == 'base':
-            self._change_drive(robot, drives)
+            self._change_drive(commands, robot, drives)
         key = robot.space, part.name
         found = self._joints.get(key)
         if found is not None and (found.mode != mode or drives):
@@ -196,14 +204,14 @@ class Page:
             folded = len(part.joints) > _MANY_JOINTS or number >= _UNFOLDED
             with self._control:
                 found = self._joints[key] = JointPanel(
-                    self._server.gui, robot, part, mode, self._commands, self.events, folded,
+                    self._server.gui, robot, part, mode, commands, self.events, folded,
                     order=float(number))
         return found
 
-    def _change_drive(self, robot: Robot, wanted: bool) -> None:
+    def _change_drive(self, commands: Commands, robot: Robot, wanted: bool) -> None:
         if wanted:
             with self._control:
                 self._drives[robot.space] = DrivePanel(
-                    self._server.gui, robot, self._commands, self.events)
+                    self._server.gui, robot, commands, self.events)
         else:
             self._drives.pop(robot.space).remove()

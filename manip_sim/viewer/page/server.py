@@ -11,29 +11,39 @@ import socket
 from typing import Any
 
 from manip_sim.errors import ManipSimError
+from manip_sim.viewer.page.access import Access, guarding
 
 _LAST_PORT = 65535
 #: Colour of buttons and sliders.
 _BRAND = (40, 110, 180)
 
 
-def open_server(host: str, port: int) -> Any:
+def open_server(host: str, port: int, access: Access) -> Any:
     """
     Return a ``viser.ViserServer``.
 
     :param host: name or address of the interface to listen on
     :param port: 0 takes one that is free
+    :param access: who may open the page
     :raises ManipSimError: if it cannot listen there
     """
     _check_free(host, port)
     import viser
-    with contextlib.redirect_stdout(io.StringIO()):  # It prints its address in a frame.
+    # It prints its address in a frame.
+    with contextlib.redirect_stdout(io.StringIO()), guarding(access):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         close_server(server)
         raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
     server.scene.configure_environment_map('warehouse', environment_intensity=0.7)
     return server
+
+
+def page_address(server: Any, host: str, access: Access) -> str:
+    """Return the address to open: that of this machine by its name if it listens on all."""
+    if host in ('', '0.0.0.0', '::'):
+        host = socket.gethostname()
+    return f'http://{f"[{host}]" if ":" in host else host}:{server.get_port()}/{access.token}/'
 
 
 def close_server(server: Any) -> None:
@@ -65,4 +75,4 @@ def _check_free(host: str, port: int) -> None:
     except OSError as error:
         what = error.strerror or error
         raise ManipSimError(f'cannot listen on {host}:{port}: {what}; choose another port with '
-                            '--port, or another address with --host') from error
+                            '--port, or another address with --listen') from error

@@ -19,13 +19,18 @@ class SimulationPanel:
     A line of state and the buttons of the whole simulation.
 
     :param gui: ``viser.ViserServer.gui``
-    :param commands: receives what people command
+    :param commands: receives what people command; None: there are no buttons
     :param events: queue to the thread that updates the page
     """
 
-    def __init__(self, gui: Any, commands: Commands, events: Events) -> None:
+    def __init__(self, gui: Any, commands: Commands | None, events: Events) -> None:
         self._paused = False
+        self._buttons: Any = None
         self._state = PlainText(gui)
+        if commands is not None:
+            self._add_buttons(gui, commands, events)
+
+    def _add_buttons(self, gui: Any, commands: Commands, events: Events) -> None:
         self._buttons = gui.add_button_group(
             'Simulation', ('Pause', 'Step'),
             hint='Step: one control period of a paused simulation')
@@ -37,11 +42,12 @@ class SimulationPanel:
             what = event.target.value
             if what == 'Step':
                 events.add(commands.step)
-            else:
+            elif what in ('Pause', 'Resume'):
                 events.add(lambda: commands.pause(what == 'Pause'))
         self._buttons.on_click(pressed)
+        again = {'Reset': commands.reset, 'Tare': commands.tare}
         self._again.on_click(lambda event: events.add(
-            commands.reset if event.target.value == 'Reset' else commands.tare))
+            again.get(event.target.value, lambda: None)))
 
     def show(self, state: str, text: str, paused: bool | None = None) -> None:
         """
@@ -54,4 +60,5 @@ class SimulationPanel:
         self._state.show([Line(text, color=_COLORS[state])])
         if paused is not None and paused != self._paused:
             self._paused = paused
-            self._buttons.options = ('Resume' if paused else 'Pause', 'Step')
+            if self._buttons is not None:
+                self._buttons.options = ('Resume' if paused else 'Pause', 'Step')

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.viewer.page.commands import Events
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.scene import Scene
@@ -27,15 +28,17 @@ class ViewPanel:
     :param dark: whether the page is dark
     :param targets: those of the hands, by title
     :param set_dark: makes the page dark or light
+    :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, dark: bool, targets: Mapping[str, HandTarget],
-                 set_dark: Callable[[bool], None]) -> None:
+                 set_dark: Callable[[bool], None], events: Events) -> None:
         self._scene: Scene | None = None
         for title, target in targets.items():
             box = gui.add_checkbox(f'Target {title}', False,
                                    hint='drag the hand: arrows move it, arcs turn it')
-            box.on_update(lambda _, box=box, target=target: target.show(box.value))
+            box.on_update(lambda _, box=box, target=target: events.add(
+                lambda: target.show(box.value)))
         self._contacts = gui.add_checkbox('Contacts', True, hint='points, and forces in yellow')
         self._wrenches = gui.add_checkbox('Wrenches', True, hint='what the world does to the '
                                           'tools: forces red, torques blue')
@@ -44,8 +47,8 @@ class ViewPanel:
         self._collision = gui.add_checkbox('Collision', False, hint='the shapes that collide')
         dark_box = gui.add_checkbox('Dark', dark)
         for box in (self._frames, self._names, self._collision):
-            box.on_update(lambda _: self._apply())
-        dark_box.on_update(lambda _: set_dark(bool(dark_box.value)))
+            box.on_update(lambda _: events.add(self._apply))
+        dark_box.on_update(lambda _: events.add(lambda: set_dark(bool(dark_box.value))))
 
     def attach(self, scene: Scene) -> None:
         """Let the boxes act on this scene from now on."""

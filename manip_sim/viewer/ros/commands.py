@@ -29,7 +29,6 @@ class CommandSender:
     :param simulation: full name of the node that is seen, without the first slash
     :param frames: those in which the node gives the poses of hands, by namespace and arm
     :param tell: called with what could not be done, for people
-    :ivar cameras: those whose images are wanted
     :ivar paused: called when the simulation has been paused or goes on
     """
 
@@ -40,7 +39,6 @@ class CommandSender:
         self._clients: dict[str, Any] = {}
         self._waiting: dict[str, Any] = {}
         self._action_sizes: dict[str, int] = {}
-        self.cameras: set[str] = set()
         self.paused: Callable[[bool], None] = lambda paused: None
 
     def notice(self, base: str, statuses: list[Status]) -> None:
@@ -125,10 +123,6 @@ class CommandSender:
     def tare(self) -> None:
         """Call the service that tares."""
         self._call('tare_wrench', Trigger.Request())
-
-    def watch(self, camera: str, wanted: bool) -> None:
-        """Add a camera to those that are wanted, or remove it."""
-        (self.cameras.add if wanted else self.cameras.discard)(camera)
 
     def _call(self, name: str, request: Any, done: Callable[[], None] = lambda: None) -> None:
         client = self._clients.get(name)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import os
 import time
 from typing import Any
 
@@ -18,7 +19,8 @@ from rclpy.signals import SignalHandlerOptions
 from manip_sim.errors import ManipSimError
 from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.startup import EndSignals
-from manip_sim.viewer.page.server import close_server, open_server
+from manip_sim.viewer.page.access import Access
+from manip_sim.viewer.page.server import close_server, open_server, page_address
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.session import Session
 
@@ -30,7 +32,7 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """
     Serve the page until SIGINT, SIGTERM or SIGHUP.
 
-    :param options: of the command line: ``host``, ``port``, ``node``, ``dark``, ``native``
+    :param options: of the command line, such as ``listen`` and ``port``
     :param arguments: of ROS, such as ``--ros-args -r __ns:=/cell``
     :returns: the exit code, 0
     :raises ManipSimError: if it cannot listen, or ROS cannot start
@@ -68,11 +70,13 @@ def _start_ros(arguments: Sequence[str]) -> Node:
 
 def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecutor,
            options: argparse.Namespace, ended: EndSignals) -> None:
-    server: Any = open_server(options.host, options.port)
+    access = Access.of(os.environ, options.allow_host)
+    server: Any = open_server(options.listen, options.port, access)
     try:
-        session = Session(node, readers, simulation, server, options.dark)
-        host = f'[{options.host}]' if ':' in options.host else options.host
-        print(f'sim_view: http://{host}:{server.get_port()} shows /{simulation}', flush=True)
+        session = Session(node, readers, simulation, server, options.dark,
+                          commands=not options.no_commands)
+        address = page_address(server, options.listen, access)
+        print(f'sim_view: {address} shows /{simulation}', flush=True)
         due_s = time.monotonic()
         while not ended.wait(due_s - time.monotonic()):
             executor.run_ready()

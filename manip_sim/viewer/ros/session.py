@@ -36,17 +36,21 @@ class Session:
     :param simulation: full name of the node that is seen, without the first slash
     :param server: the ``viser.ViserServer``
     :param dark: whether the page begins dark
+    :param commands: whether people can command the node; else there is nothing that could
     """
 
-    def __init__(self, node: Node, readers: Readers, simulation: str, server: Any, dark: bool
-                 ) -> None:
+    def __init__(self, node: Node, readers: Readers, simulation: str, server: Any, dark: bool,
+                 commands: bool = True) -> None:
         self._name, self._readers = simulation, readers
         self._discovery = Discovery(node, readers, simulation)
         self._states = States(node, readers, simulation, self._discovery.base)
         self._states.told = self._diagnosed
-        self._sender = CommandSender(node, simulation, self._states.frames, self._complain)
-        self._sender.paused = self._set_paused
-        self._page = Page(server, self._sender, dark)
+        self._sender: CommandSender | None = None
+        if commands:
+            self._sender = CommandSender(node, simulation, self._states.frames, self._complain)
+            self._sender.paused = self._set_paused
+        self._cameras: set[str] = set()
+        self._page = Page(server, self._sender, self._watch, dark)
         self._shown: tuple[Any, ...] = ()
         self._models = 0
         self._layout: Any = None
@@ -56,6 +60,9 @@ class Session:
         self._pace = Pace()
         self._next_look_s = self._next_tell_s = 0.0
 
+    def _watch(self, camera: str, wanted: bool) -> None:
+        (self._cameras.add if wanted else self._cameras.discard)(camera)
+
     def _complain(self, text: str) -> None:
         self._page.show_trouble(text)
 
@@ -64,7 +71,8 @@ class Session:
         self._next_tell_s = 0.0
 
     def _diagnosed(self, statuses: list[Status]) -> None:
-        self._sender.notice(self._discovery.base, statuses)
+        if self._sender is not None:
+            self._sender.notice(self._discovery.base, statuses)
         rejected = self._readers.rejected
         self._page.show_diagnostics([*statuses, *([Status(
             WARN, 'viewer', f'{counted(rejected, "message")} rejected, see its log')]
@@ -97,7 +105,8 @@ class Session:
         if not discovery.is_there:
             if self._was_there:
                 self._states.forget()
-                self._sender.forget_waiting()
+                if self._sender is not None:
+                    self._sender.forget_waiting()
                 self._layout, self._was_there, self._pace = None, False, Pace()
             return
         layout = discovery.layout
@@ -107,21 +116,23 @@ class Session:
         if layout != self._layout:
             self._layout = layout
             self._states.listen(layout)
-            self._prepare()
+            if self._sender is not None:
+                self._sender.prepare(self._command_topics())
             robots = discovery.robots()
             if (robots, layout.cameras) != self._shown:
                 self._shown = robots, layout.cameras
-                self._sender.cameras.clear()
+                self._cameras.clear()
                 self._page.show_robots(robots, layout.cameras)
         if discovery.models != self._models:
             self._models = discovery.models
             self._page.show_model(discovery.model, self._states.latest)
-        self._sender.send_waiting()
+        if self._sender is not None:
+            self._sender.send_waiting()
         watched = self._page.is_watched
         self._states.want_markers(watched and self._page.wants_markers)
-        self._states.want_images(self._sender.cameras if watched else ())
+        self._states.want_images(self._cameras if watched else ())
 
-    def _prepare(self) -> None:
+    def _command_topics(self) -> dict[str, Any]:
         topics: dict[str, Any] = {}
         for robot in self._layout.robots:
             for part in robot.parts:
@@ -132,7 +143,7 @@ class Session:
                 topics[f'{robot.space}{arm}/target_pose'] = PoseStamped
             if robot.drives:
                 topics[f'{robot.space}base/cmd_vel'] = Twist
-        self._sender.prepare(topics)
+        return topics
 
     def _state(self, now_s: float) -> tuple[str, str, bool | None]:
         name = f'/{self._name}'
