@@ -1,21 +1,37 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Look for other nodes that publish the same time or states, or have the same name."""
+"""Look for other nodes that are in conflict with this one, or do not reach it by mistake."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+import difflib
+from itertools import islice
+from typing import Any
 
 from rclpy.node import Node
+from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from manip_sim.quoting import quoted_names
 from manip_sim.interface.scope import Scope
+from manip_sim.quoting import one_line, quoted, quoted_names
+from manip_sim.rclpy_internals import endpoint_counts
+
+#: Programs of this package; what they publish may outlive a node by a moment.
+_OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
+#: How similar the name of a topic that nobody takes must be to one that the node takes.
+_SIMILAR = 0.8
+#: How many conflicts are reported at most.
+_MOST = 20
 
 
 class Neighbours:
     """
     Conflicts with other nodes; each is logged once for as long as it lasts.
+
+    A conflict is reported when two looks in a row find it, because discovery has no order. As long
+    as the graph does not change, a look is a comparison of the names and numbers of its endpoints.
 
     :param node: the node
     :param scopes: namespace of the topics of each robot
@@ -23,7 +39,10 @@ class Neighbours:
 
     def __init__(self, node: Node, scopes: Sequence[Scope]) -> None:
         self._node = node
-        self._told: set[str] = set()
+        self._graph: tuple[Any, ...] = ()
+        self._looks = 0
+        self._found: dict[str, str] = {}
+        self._told: dict[str, str] = {}
         self._own = (node.get_name(), node.get_namespace())
         self._topics = {
             '/clock': 'time goes back and forth; set publish_clock:=false in all but one',
@@ -33,15 +52,27 @@ class Neighbours:
 
     def conflicts(self) -> list[str]:
         """
-        Return the present conflicts: nodes of the same name, publishers of the same topics.
+        Return the present conflicts: names, topics of two publishers, and what does not match.
 
         To be called from time to time; new conflicts are logged as warnings.
         """
-        found = {**self._same_name(), **self._same_topics()}
-        for what in found.keys() - self._told:
-            self._node.get_logger().warning(found[what])
-        self._told = set(found)
-        return list(found.values())
+        topics = self._node.get_topic_names_and_types()
+        graph = (self._node.get_node_names_and_namespaces(), topics,
+                 endpoint_counts(self._node, [name for name, _ in topics]))
+        if graph != self._graph:
+            self._graph, self._looks = graph, 2
+        if self._looks:
+            self._looks -= 1
+            self._look(dict(topics))
+        return list(self._told.values())
+
+    def _look(self, topics: Mapping[str, Sequence[str]]) -> None:
+        found = {**self._same_name(), **self._same_topics(),
+                 **{text: text for text in islice(self._mismatches(topics), _MOST)}}
+        confirmed = {what: text for what, text in found.items() if what in self._found}
+        for what in confirmed.keys() - self._told.keys():
+            self._node.get_logger().warning(confirmed[what])
+        self._found, self._told = found, confirmed
 
     def _same_name(self) -> dict[str, str]:
         count = self._node.get_node_names_and_namespaces().count(self._own)
@@ -64,3 +95,83 @@ class Neighbours:
             # One of the nodes that have this name is this node.
             names.remove(self._own)
         return quoted_names(sorted({f'{space.rstrip("/")}/{name}' for name, space in names}))
+
+    def _mismatches(self, topics: Mapping[str, Sequence[str]]) -> Iterator[str]:
+        """Yield a line for each endpoint of others that does not match one of this node."""
+        node = self._node
+        taken, published = _types(node.subscriptions), _types(node.publishers)
+        for topic, kind in taken.items():
+            for info in self._others_of(node.get_publishers_info_by_topic(topic)):
+                if info.topic_type != kind:
+                    yield (f'{topic} takes {_short(kind)}; {_name(info)} publishes '
+                           f'{_short(info.topic_type)}{_taking(topic, info.topic_type, taken)}')
+                elif reason := _incompatible([(info.qos_profile, own) for own in self._own_qos(
+                        node.get_subscriptions_info_by_topic(topic))]):
+                    yield f'{topic} cannot take what {_name(info)} publishes: {reason}'
+        for topic, kind in published.items():
+            for info in self._others_of(node.get_subscriptions_info_by_topic(topic)):
+                if info.topic_type != kind:
+                    yield (f'{topic} is {_short(kind)}; {_name(info)} subscribes to '
+                           f'{_short(info.topic_type)}')
+                elif reason := _incompatible([(own, info.qos_profile) for own in self._own_qos(
+                        node.get_publishers_info_by_topic(topic))]):
+                    yield f'{_name(info)} cannot receive {topic}: {reason}'
+        for topic in sorted(topics.keys() - taken.keys() - published.keys()):
+            near = _nearest(topic, topics[topic], taken)
+            if near is not None and not node.count_subscribers(topic):
+                for info in self._others_of(node.get_publishers_info_by_topic(topic)):
+                    yield (f'{_name(info)} publishes {quoted(topic)}, which nobody takes; this '
+                           f'node takes {near}')
+
+    def _others_of(self, infos: Sequence[TopicEndpointInfo]) -> Iterator[TopicEndpointInfo]:
+        for info in infos:
+            if not self._is_own(info) and info.node_name not in _OWN_PROGRAMS:
+                yield info
+
+    def _own_qos(self, infos: Sequence[TopicEndpointInfo]) -> list[QoSProfile]:
+        # As the middleware has them: in the node's own profiles, zero stands for a default.
+        return [info.qos_profile for info in infos if self._is_own(info)]
+
+    def _is_own(self, info: TopicEndpointInfo) -> bool:
+        return (info.node_name, info.node_namespace) == self._own
+
+
+def _types(own: Iterator[Any]) -> dict[str, str]:
+    """Return the types of the publishers or subscriptions of the node, by topic."""
+    return {endpoint.topic_name: f'{endpoint.msg_type.__module__.partition(".")[0]}/msg/'
+            f'{endpoint.msg_type.__name__}' for endpoint in list(own)}
+
+
+def _incompatible(pairs: Sequence[tuple[QoSProfile, QoSProfile]]) -> str:
+    """Return why none of some pairs of publisher and subscription match, or nothing."""
+    results = [qos_check_compatible(*pair) for pair in pairs]
+    if not results or any(found != QoSCompatibility.ERROR for found, _ in results):
+        return ''
+    return results[0][1].replace('ERROR: ', '').rstrip(';').replace(';', ', ').lower()
+
+
+def _taking(topic: str, kind: str, taken: Mapping[str, str]) -> str:
+    """Return the hint that another topic with a similar name takes a type."""
+    near = difflib.get_close_matches(
+        topic, [name for name, other in taken.items() if other == kind], n=1, cutoff=0.7)
+    return f', which {near[0]} takes' if near else ''
+
+
+def _nearest(topic: str, kinds: Sequence[str], taken: Mapping[str, str]) -> str | None:
+    """Return the topic of the node that was probably meant by one that it does not have."""
+    in_other_namespace = [name for name in taken if name.endswith(topic) or topic.endswith(name)]
+    of_one_kind = [name for name, kind in taken.items()
+                   if kind in kinds and name.rpartition('/')[2] == topic.rpartition('/')[2]]
+    for names, similarity in ((in_other_namespace, 0.0), (of_one_kind, 0.0), (taken, _SIMILAR)):
+        near = difflib.get_close_matches(topic, names, n=1, cutoff=similarity)
+        if near:
+            return near[0]
+    return None
+
+
+def _short(kind: str) -> str:
+    return one_line(kind.rpartition('/')[2])
+
+
+def _name(info: TopicEndpointInfo) -> str:
+    return quoted(f'{info.node_namespace.rstrip("/")}/{info.node_name}')

@@ -11,9 +11,11 @@ from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
@@ -174,6 +176,11 @@ class SimNode(Node):
                 found = self._declared.of_part(parameter.name)
                 if found is not None:
                     self._change_part(*found, parameter.value)
+
+    def create_publisher(self, *arguments: Any, **keywords: Any) -> Publisher:
+        """Create a publisher as rclpy does; what does not match it is in the diagnostics."""
+        return super().create_publisher(*arguments, **{
+            'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False), **keywords})
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as rclpy does, but say more about those that cannot be set."""

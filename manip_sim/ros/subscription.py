@@ -51,11 +51,13 @@ class CommandSubscription:
         def match_best_effort(_: Any) -> None:
             if self._best_effort is None:
                 self._best_effort = subscribe(QoSProfile(
-                    depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+                    depth=COMMAND_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+                    event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
 
         self._reliable = subscribe(
             QoSProfile(depth=COMMAND_DEPTH),
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=match_best_effort),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=match_best_effort, use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:

@@ -10,10 +10,16 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
 from harness import Client
+import pytest
+from rclpy.qos import qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+
+from manip_sim.ros.neighbours import _nearest
 
 NEVER_READS = """
 import time
@@ -177,3 +183,73 @@ def test_a_second_clock_is_told_and_separate_robots_are_not(process, client):
     # A busy machine may be too slow.
     warnings = [line for line in ended(right).splitlines() if '[WARN]' in line]
     assert not [line for line in warnings if 'the machine is too slow' not in line]
+
+
+LATE_JOINER = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+#: What another node publishes or subscribes to by mistake, and what the node says.
+PUBLISHED_BY_MISTAKE = [
+    (Twist, 'right/target_twist', "/right/target_twist takes TwistStamped; '/client' publishes "
+     'Twist'),
+    (Twist, 'base/cmd_vel_stamped', "/base/cmd_vel_stamped takes TwistStamped; '/client' "
+     'publishes Twist, which /base/cmd_vel takes'),
+    (JointState, 'arm/joint_commands', "'/client' publishes '/arm/joint_commands', which nobody "
+     'takes; this node takes /arm/joint_command'),
+    (Twist, 'cmd_vel', "'/client' publishes '/cmd_vel', which nobody takes; this node takes "
+     '/base/cmd_vel')]
+SUBSCRIBED_BY_MISTAKE = [
+    (Float64MultiArray, 'right/wrench', 1, "/right/wrench is WrenchStamped; '/client' subscribes "
+     'to Float64MultiArray'),
+    (JointState, 'joint_states', LATE_JOINER, "'/client' cannot receive /joint_states: volatile "
+     'publisher and transient local subscription')]
+
+
+def test_what_does_not_match_the_node_is_reported_once_while_it_lasts(serve, client):
+    log = client.log()
+    serve(robot='PandaOmron')
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    endpoints = [client.node.create_publisher(kind, topic, 1)
+                 for kind, topic, _ in PUBLISHED_BY_MISTAKE]
+    readers = [client.node.create_subscription(kind, topic, lambda _: None, qos)
+               for kind, topic, qos, _ in SUBSCRIBED_BY_MISTAKE]
+    expected = {row[-1] for row in (*PUBLISHED_BY_MISTAKE, *SUBSCRIBED_BY_MISTAKE)}
+
+    client.spin_until(lambda: expected <= set(log))
+    client.spin_until(lambda: all(text in message for message in conflicts_of(arrays[-1:]).values()
+                                  for text in expected))
+    arrays.clear()
+    client.spin_until(lambda: len(arrays) > 2)
+    assert all(log.count(text) == 1 for text in expected)
+    for publisher in endpoints:
+        client.node.destroy_publisher(publisher)
+    for reader in readers:
+        client.node.destroy_subscription(reader)
+    client.spin_until(lambda: conflicts_of(arrays[-1:]) == {
+        'manip_sim: other nodes': 'no conflict'})
+
+
+def test_what_matches_the_node_is_not_reported(serve, client):
+    serve()
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.node.create_publisher(JointState, 'joint_command', qos_profile_sensor_data)
+    client.node.create_publisher(TwistStamped, 'right/target_twist', LATE_JOINER)
+    client.node.create_publisher(Float64MultiArray, 'temperature', 1)
+    # Somebody else takes it.
+    client.node.create_publisher(JointState, 'other/joint_command', 1)
+    client.node.create_subscription(JointState, 'other/joint_command', print, 1)
+    client.node.create_subscription(
+        WrenchStamped, 'right/wrench', lambda _: None, qos_profile_sensor_data)
+    client.spin_until(lambda: client.node.count_subscribers('joint_command') == 2)
+    arrays.clear()
+    client.spin_until(lambda: len(arrays) > 3)
+    assert conflicts_of(arrays) == {'manip_sim: other nodes': 'no conflict'}
+
+
+@pytest.mark.parametrize('topic, kind, meant', [
+    ('/joint_command', 'a/A', '/left/joint_command'),
+    ('/old/left/arm/joint_command', 'b/B', '/left/arm/joint_command'),
+    ('/left/arm/joint_comand', 'b/B', '/left/arm/joint_command'),
+    ('/elbow/pose', 'c/C', '/left/arm/pose'), ('/elbow/pose', 'a/A', None), ('/x', 'a/A', None)])
+def test_the_topic_that_was_meant_is_the_nearest(topic, kind, meant):
+    taken = {'/left/joint_command': 'a/A', '/left/arm/joint_command': 'a/A',
+             '/left/arm/pose': 'c/C'}
+    assert _nearest(topic, [kind], taken) == meant
