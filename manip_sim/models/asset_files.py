@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
+from manip_sim.models.asset_contents import png_pixels
 from manip_sim.models.regular_files import check_file, Files, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlFacts
 from manip_sim.quoting import one_line
@@ -22,7 +23,6 @@ from manip_sim.quoting import one_line
 MAX_ASSET_BYTES = 50_000_000
 #: Largest image [pixels]; a pixel of a height field takes 16 bytes, one of a texture 6.
 _MAX_PIXELS = {'texture': 120_000_000, 'height field': 16_000_000}
-_PNG_SIGNATURE = b'\x89PNG\r\n\x1a\n'
 
 
 @dataclass
@@ -166,9 +166,7 @@ def _check_image(path: Path, kind: str) -> None:
         return
     with path.open('rb') as stream:
         header = stream.read(24)
-    if not header.startswith(_PNG_SIGNATURE) or len(header) < 24:
-        return
-    width, height = int.from_bytes(header[16:20], 'big'), int.from_bytes(header[20:24], 'big')
-    if width * height > most:
-        raise ModelError(f'{kind} file {one_line(str(path))} has {width} times {height} pixels, '
-                         f'and at most {most} are loaded')
+    size = png_pixels(header)
+    if size is not None and size[0] * size[1] > most:
+        raise ModelError(f'{kind} file {one_line(str(path))} has {size[0]} times {size[1]} '
+                         f'pixels, and at most {most} are loaded')

@@ -23,7 +23,7 @@ from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line
 
 #: Limits of the process: CPU time [s], wall time [s] and address space [bytes].
-MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 5, 60.0, 4 * 1024**3
+MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 3, 60.0, 4 * 1024**3
 _REMEMBERED = 1000
 
 _passed: dict[bytes, None] = {}

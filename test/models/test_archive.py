@@ -17,6 +17,7 @@ import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.models import World
+from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, TableArena
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.grippers import GripperModel
@@ -156,6 +157,18 @@ def test_equal_files_are_packed_once(part, arm_class, loads):
     assert names_in(world) == ['model.xml', 'assets/a.obj']
     for model in loads(world).values():
         assert set(edges_m(model).values()) == {0.1} and model.nmesh == 4
+
+
+def test_the_suffix_says_what_equal_contents_are():
+    xml = ('<mujoco><asset><mesh file="a.STL"/><mesh file="b.obj"/><mesh file="c.stl"/>'
+           '<texture fileup="a b.png"/></asset></mujoco>')
+    held = dict.fromkeys(('a.STL', 'b.obj', 'c.stl', 'a b.png'), b'equal')
+    with zipfile.ZipFile(io.BytesIO(pack(xml, held))) as packed:
+        assert sorted(packed.namelist()) == [
+            'assets/a.stl', 'assets/a_b.png', 'assets/b.obj', 'model.xml']
+        text = packed.read('model.xml').decode()
+    assert re.findall(r'file\w*="(.*?)"', text) == [
+        'assets/a.stl', 'assets/b.obj', 'assets/a.stl', 'assets/a_b.png']
 
 
 def test_robot_gripper_and_arena_have_folders_of_their_own(

@@ -221,7 +221,7 @@ def test_a_model_below_the_folders_brings_all_that_it_names(below):
     (folder / 'parts' / 'tin can.STL').write_bytes(tetrahedron())
     (folder / 'skin.png').write_bytes(png())
     (folder / 'include.xml').write_text(
-        '<any><texture name="t" type="2d" file="skin.png"/>'
+        '<any><texture name="t" type="2d" file="skin.png" content_type="model/stl"/>'
         '<material name="m" texture="t"/></any>')
     (folder / 'lid.xml').write_text(
         '<mujoco><compiler meshdir="parts"/><asset><mesh name="n" file="tin can.STL"/></asset>'
@@ -234,6 +234,9 @@ def test_a_model_below_the_folders_brings_all_that_it_names(below):
     held = hold_model(folder / 'can.xml', files)
     assert set(held.assets.values()) == {tetrahedron(), png()}
     item = object_from_model(held, 'can')
+    # The suffix says what a file is, not the one who names it.
+    (folder / 'include.xml').write_text(
+        (folder / 'include.xml').read_text().replace('model/stl', 'image/png'))
     trusted = create_object({'name': 'can', 'file': str(folder / 'can.xml')})
     world = World([], objects=[item])
     model, same = world.compile(), World([], objects=[trusted]).compile()
@@ -245,6 +248,25 @@ def test_a_model_below_the_folders_brings_all_that_it_names(below):
         file.unlink()
     packed = mujoco.MjSpec.from_zip(io.BytesIO(world.to_archive())).compile()
     assert (packed.nmesh, packed.ntex) == (2, 3)
+
+
+def test_the_six_images_of_a_cube_are_held(below):
+    sides = ('right', 'left', 'up', 'down', 'front', 'back')
+    for number, side in enumerate(sides):
+        (below[0] / f'{side}.png').write_bytes(png(number + 1, number + 1))
+    (below[0] / 'o.xml').write_text(mjcf('<asset><texture name="t" type="cube" ' + ' '.join(
+        f'file{side}="{side}.png"' for side in sides) + '/></asset>'))
+    assert len(hold_model(below[0] / 'o.xml', below[1]).assets) == 6
+
+
+def test_a_mesh_of_a_urdf_is_held_wherever_its_package_is(below):
+    (below[0] / 'cans' / 'meshes').mkdir(parents=True)
+    (below[0] / 'cans' / 'meshes' / 'm.stl').write_bytes(tetrahedron())
+    (below[0] / 'cans' / 'can.xml').write_text(
+        '<robot name="r"><link name="l"><visual><geometry>'
+        '<mesh filename="package://cans/meshes/m.stl"/></geometry></visual></link></robot>')
+    held = hold_model(below[0] / 'cans' / 'can.xml', below[1])
+    assert list(held.assets.values()) == [tetrahedron()]
 
 
 def test_a_list_of_objects_may_name_files_below_the_folders_only(secret, below):
