@@ -3,7 +3,11 @@
 
 """The policy for SROS2 allows what the node has, and nothing else."""
 
+import importlib.metadata
+import os
 import re
+import subprocess
+import sys
 from xml.etree import ElementTree
 
 from harness import Served
@@ -88,3 +92,22 @@ def test_a_controller_may_command_and_observe_but_not_change_parameters():
     assert controller('action', 'call') == node('action', 'execute')
     assert node('service', 'reply') - controller('service', 'request') == {
         '/manip_sim/set_parameters', '/manip_sim/set_parameters_atomically'}
+
+
+@pytest.mark.skipif(not list(importlib.metadata.distributions(name='ros-fastrtps')),
+                    reason='ROS 2 does not come from wheels')
+@pytest.mark.parametrize('strategy', ['Enforce', 'Permissive'])
+def test_ros_from_wheels_has_no_security_and_a_node_that_needs_it_does_not_start(strategy,
+                                                                                 tmp_path):
+    enclave = tmp_path / 'enclaves' / 'manip_sim'
+    enclave.mkdir(parents=True)
+    for name in ('identity_ca.cert.pem', 'cert.pem', 'key.pem', 'permissions_ca.cert.pem',
+                 'governance.p7s', 'permissions.p7s'):
+        (enclave / name).touch()
+    done = subprocess.run(
+        [sys.executable, '-m', 'manip_sim', '--ros-args', '--enclave', '/manip_sim'], env={
+            **os.environ, 'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': strategy,
+            'ROS_SECURITY_KEYSTORE': str(tmp_path)}, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == (
+        "sim_node: error creating node: This Fast DDS version doesn't have the security libraries")
