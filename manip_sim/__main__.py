@@ -53,16 +53,22 @@ def _run() -> int:
         return 2
     # Nothing that is imported and built at the start is garbage; run() enables collection again.
     gc.disable()
+    from manip_sim.environment import check_ros_environment, missing_module
+    from manip_sim.errors import ManipSimError
     try:
+        check_ros_environment()
         import_mujoco()
         from manip_sim.ros.main import run
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith('manip_sim'):
-            raise
-        print(f"sim_node: no module '{error.name}': source ROS 2 Jazzy, or install it from wheels "
-              "with pip install 'manip_sim[jazzy]'", file=sys.stderr)
-        return 1
+        return _fail(missing_module(error))
+    except ManipSimError as error:
+        return _fail(str(error))
     return run(arguments)
+
+
+def _fail(message: str) -> int:
+    print(f'sim_node: {message}', file=sys.stderr)
+    return 1
 
 
 if __name__ == '__main__':

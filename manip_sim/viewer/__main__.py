@@ -43,9 +43,11 @@ def _run() -> int:
     words = sys.argv[1:]
     begin = words.index('--ros-args') if '--ros-args' in words else len(words)
     options = _parser().parse_args(words[:begin])
+    from manip_sim.environment import check_ros_environment, missing_module
+    from manip_sim.errors import ManipSimError
     try:
-        from manip_sim.errors import ManipSimError
         from manip_sim.viewer.display import check_display
+        check_ros_environment()
         use_one_blas_thread()  # viser imports NumPy.
         if options.native:
             check_display()
@@ -54,7 +56,7 @@ def _run() -> int:
         import_mujoco()
         from manip_sim.viewer.ros.main import show
     except ModuleNotFoundError as error:
-        return _missing(error)
+        return _fail(missing_module(error))
     except ManipSimError as error:
         return _fail(str(error))
     try:
@@ -85,16 +87,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--native', action='store_true',
                         help="open MuJoCo's own viewer in a window instead; it only shows")
     return parser
-
-
-def _missing(error: ModuleNotFoundError) -> int:
-    module = (error.name or '').partition('.')[0]
-    if module == 'manip_sim':
-        raise error
-    if module in ('viser', 'trimesh'):
-        return _fail(f"no module '{module}': install it with pip install 'manip_sim[viewer]'")
-    return _fail(f"no module '{module}': source ROS 2 Jazzy, or install it from wheels with "
-                 "pip install 'manip_sim[jazzy]'")
 
 
 def _fail(message: str) -> int:

@@ -1,0 +1,112 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Mistakes in the environment are one line that says what fits, before rclpy is imported."""
+
+import subprocess
+import sys
+
+from hypothesis import given, settings, strategies
+import pytest
+
+from manip_sim.environment import check_ros_environment, missing_module
+from manip_sim.errors import ManipSimError
+
+#: Run a program as if a module were not installed.
+WITHOUT = """
+import sys
+sys.modules[sys.argv[1]] = None
+sys.argv[1:] = []
+from manip_sim.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize('value', ['0', '7', '101', '150', '232', ''])
+def test_a_domain_that_has_ports_is_accepted(value, monkeypatch):
+    monkeypatch.delenv('RMW_IMPLEMENTATION', raising=False)
+    monkeypatch.setenv('ROS_DOMAIN_ID', value)
+    check_ros_environment()
+
+
+@pytest.mark.parametrize('value', ['233', '-1', 'abc', '7.0', ' 7', '0x10', '1' * 5000, '\u0667'])
+def test_a_domain_without_ports_is_rejected_with_the_range(value, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', value)
+    with pytest.raises(ManipSimError, match='a whole number from 0 to 232, got ') as caught:
+        check_ros_environment()
+    assert len(str(caught.value)) < 300
+    assert 'below 102 or above 214' in str(caught.value)
+
+
+@given(strategies.text(strategies.characters(exclude_characters='\0', exclude_categories=['Cs'])))
+@settings(max_examples=100, derandomize=True, deadline=None)
+def test_any_text_is_a_domain_or_one_line(text):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv('RMW_IMPLEMENTATION', raising=False)
+        patch.setenv('ROS_DOMAIN_ID', text)
+        try:
+            check_ros_environment()
+        except ManipSimError as error:
+            assert str(error).isprintable()
+        else:
+            assert text == '' or 0 <= int(text) <= 232
+
+
+def index(folder, *names):
+    folder = folder / 'share' / 'ament_index' / 'resource_index' / 'rmw_typesupport'
+    folder.mkdir(parents=True)
+    for name in names:
+        (folder / name).touch()
+
+
+def test_a_middleware_that_is_not_installed_is_rejected_with_those_that_are(
+        tmp_path, monkeypatch):
+    index(tmp_path / 'a', 'rmw_implementation', 'rmw_zenoh_cpp')
+    index(tmp_path / 'b', 'rmw_fastrtps_cpp')
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'b'))
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path}/a:{tmp_path}/nowhere')
+    for name in ('rmw_zenoh_cpp', 'rmw_fastrtps_cpp', ''):
+        monkeypatch.setenv('RMW_IMPLEMENTATION', name)
+        check_ros_environment()
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
+    with pytest.raises(ManipSimError, match="^RMW_IMPLEMENTATION is 'rmw_cyclonedds_cpp', which "
+                       'is not installed; installed: rmw_fastrtps_cpp, rmw_zenoh_cpp$'):
+        check_ros_environment()
+    # Nothing is known where ROS has no index.
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path))
+    monkeypatch.delenv('AMENT_PREFIX_PATH')
+    check_ros_environment()
+
+
+@pytest.mark.parametrize('module', ['manip_sim', 'manip_sim.viewer'])
+@pytest.mark.parametrize('variable, value', [
+    ('ROS_DOMAIN_ID', '300'), ('RMW_IMPLEMENTATION', 'rmw_nonsense_cpp')])
+def test_a_program_ends_with_one_line(module, variable, value, monkeypatch):
+    pytest.importorskip('rclpy', reason='which middleware is installed is known to ROS')
+    monkeypatch.setenv(variable, value)
+    done = subprocess.run([sys.executable, '-m', module], capture_output=True, text=True,
+                          timeout=60.0, check=False)
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr.count('\n') == 1
+    assert variable in done.stderr and value in done.stderr
+
+
+@pytest.mark.parametrize('module, hint', [
+    ('mujoco', 'pip install mujoco'), ('yaml', 'pip install pyyaml'), ('PIL', 'pillow'),
+    ('viser', "pip install 'manip_sim[viewer]'"), ('rclpy', 'source ROS 2 Jazzy'),
+    ('sensor_msgs.msg', 'source ROS 2 Jazzy')])
+def test_a_module_that_is_missing_is_named_with_what_installs_it(module, hint):
+    line = missing_module(ModuleNotFoundError('', name=module))
+    assert f"no module '{module.partition('.')[0]}'" in line and hint in line
+
+
+def test_a_missing_module_of_the_package_is_an_error_of_the_package():
+    with pytest.raises(ModuleNotFoundError):
+        missing_module(ModuleNotFoundError('', name='manip_sim.ros.nothing'))
+
+
+def test_without_mujoco_the_node_names_it_and_not_ros():
+    done = subprocess.run([sys.executable, '-c', WITHOUT, 'mujoco'], capture_output=True,
+                          text=True, timeout=60.0, check=False)
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr == "sim_node: no module 'mujoco': install it with pip install mujoco\n"
