@@ -125,14 +125,16 @@ class JointController(ControlledJoints):
         """Let joints come to rest as soon as their acceleration limits allow."""
         gives = self._servos.gives_effort(indices)
         free, held = indices[gives], indices[~gives]
-        self._setpoints.set_velocity(held, np.zeros(len(held)))
+        self._setpoints.brake(held)
         if free.size:
             self._effort[free] = 0.0
             self._servos.give_effort(free, False)
             self._setpoints.place(free, data.qpos[self._servos.qpos[free]],
                                   data.qvel[self._servos.dofs[free]])
-            self._servos.start(data, free, self._setpoints.position[free],
-                               self._setpoints.velocity[free])
+            self._setpoints.brake(free)
+            # Those that brake push the others, which have to withstand at once.
+            self._servos.start(data, self._setpoints.position, self._setpoints.velocity,
+                               self._setpoints.acceleration)
 
     def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
@@ -145,7 +147,7 @@ class JointController(ControlledJoints):
         position = data.qpos[self._servos.qpos]
         self._setpoints.place(everything, position, np.zeros(len(position)))
         self._setpoints.moving = False
-        self._servos.start(data, everything, position, np.zeros(len(position)))
+        self._servos.hold(data, position)
         self._efforts_due = self._written = False
 
     def apply(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float) -> None:
@@ -277,7 +279,10 @@ class JointController(ControlledJoints):
         if not setpoints.settled:
             setpoints.advance(duration_s)
         self._follow_trajectories(data, now_s + duration_s)
-        setpoints.hold_back(data.qpos[servos.qpos], servos.lead)
+        # Joints faster than their limit go far in an interval; they must not stop at once.
+        velocity = data.qvel[servos.dofs]
+        excess = velocity - np.clip(velocity, -servos.velocity_limit, servos.velocity_limit)
+        setpoints.hold_back(data.qpos[servos.qpos] + duration_s * excess, servos.lead)
         servos.write(data, duration_s, setpoints.position, setpoints.velocity,
                      setpoints.acceleration, self._effort)
         self._written, self._efforts_due = True, False

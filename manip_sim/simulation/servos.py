@@ -200,17 +200,24 @@ class Servos:
         self._model = model
         self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
 
-    def start(self, data: mujoco.MjData, indices: IntArray, position: FloatArray,
-              velocity: FloatArray) -> None:
+    def start(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
+              acceleration: FloatArray) -> None:
         """
-        Set the setpoints of some servos at once.
+        Let the servos take over a motion at once, with the force that it needs.
 
-        :param position: [rad or m], shape of ``indices``
-        :param velocity: [rad/s or m/s], shape of ``indices``
+        :param position: [rad or m], shape (n,); ``velocity`` and ``acceleration`` too
         """
-        ahead = self._drag[indices] / self._stiffness[indices] * velocity
-        data.act[self._activation[indices]] = (position + ahead) * self._gear[indices]
-        data.ctrl[self._ids[indices]] = 0.0
+        servos = np.flatnonzero(~self._gives_effort)
+        # The integrator takes the damping at the end of a step.
+        ahead = velocity + self._model.opt.timestep * acceleration
+        goal = self._goal(data, position, ahead, acceleration)
+        data.act[self._activation[servos]] = goal[servos]
+        data.ctrl[self._ids[servos]] = 0.0
+
+    def hold(self, data: mujoco.MjData, position: FloatArray) -> None:
+        """Set the setpoints of all servos at rest [rad or m], shape (n,)."""
+        data.act[self._activation] = position * self._gear
+        data.ctrl[self._ids] = 0.0
 
     def rest(self, data: mujoco.MjData) -> None:
         """Keep the setpoints where they are."""
@@ -234,13 +241,18 @@ class Servos:
             data.ctrl[self._ids] = 0.0
             data.act[self._activation] = effort / self._gear
             return
+        goal = self._goal(data, position, velocity, acceleration)
+        here = data.act[self._activation]
+        data.ctrl[self._ids] = np.where(self._gives_effort, 0.0, (goal - here) / duration_s)
+        data.act[self._activation] = np.where(self._gives_effort, effort / self._gear, here)
+
+    def _goal(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
+              acceleration: FloatArray) -> FloatArray:
+        """Return the activations of servos with the force that the motion needs."""
         self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
         force += self._friction.at(velocity, acceleration)
         # The bias force minus the weight, which the actuators carry already.
         force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
-        goal = (position + force / self._stiffness) * self._gear
-        here = data.act[self._activation]
-        data.ctrl[self._ids] = np.where(self._gives_effort, 0.0, (goal - here) / duration_s)
-        data.act[self._activation] = np.where(self._gives_effort, effort / self._gear, here)
+        return np.asarray((position + force / self._stiffness) * self._gear)

@@ -131,6 +131,20 @@ class SetpointGenerator:
         change = np.abs(velocity - self._stream[indices])
         self._ramp[indices] = np.clip(change / duration_s, 1e-9, self._ramp[indices])
 
+    def brake(self, indices: IntArray) -> None:
+        """
+        Let setpoints come to rest at the acceleration limit.
+
+        Where the range would end before, they slow down evenly up to there.
+        """
+        position, velocity = self.position[indices], self.velocity[indices]
+        ahead = np.where(velocity > 0.0, self._high[indices] - position,
+                         position - self._low[indices])
+        self.set_velocity(indices, np.zeros(len(indices)))
+        self._ramp[indices] = np.maximum(
+            self._ramp[indices], velocity**2 / (2.0 * np.maximum(ahead, 1e-6)))
+        self.acceleration[indices] = -np.sign(velocity) * self._ramp[indices]
+
     def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
         # Only one part moves: both together could exceed the acceleration limit.
         self._stream[indices] = self.velocity[indices]

@@ -10,6 +10,7 @@ import pytest
 from sampling import Driven, sampled, whole_robot
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.activation import is_position_servo
@@ -344,6 +345,51 @@ def test_mode_change_in_motion_does_not_jolt(first, second):
     way = samples.position[-1, 0] - samples.position[149, 0]
     assert way == pytest.approx(begin**2 / (2.0 * limit), abs=0.03 * begin)
     assert np.abs(samples.velocity[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+@pytest.mark.parametrize('name', robot_names())
+def test_a_runaway_in_effort_mode_brakes_within_the_acceleration_limit(name, mode):
+    simulation = whole_robot(name)
+    joints, robot = Driven(simulation, 'right'), simulation.robot
+    limit = robot.joints.acceleration_limits(robot.joints.find(joints.names))
+    robot.set_control_mode('right', 'effort')
+    middle = (np.maximum(joints.low, -1e3) + np.minimum(joints.high, 1e3)) / 2.0
+    joints.command('effort', np.where(joints.position < middle, 0.1, -0.1)
+                   * robot.limits('right')[:, 1])
+    too_fast = 1.3 * joints.velocity_limit
+    while (np.abs(simulation.data.qvel[joints.dofs]) < too_fast).all():
+        simulation.advance(5)
+    position, velocity = joints.position, simulation.data.qvel[joints.dofs].copy()
+    room = np.where(velocity > 0.0, joints.high - position, position - joints.low)
+    needed = velocity**2 / (2.0 * np.maximum(room, 1e-9))
+    with sampled(joints) as samples:
+        robot.set_control_mode('right', mode)
+        for _ in range(300):
+            simulation.advance(5)
+    acceleration = np.diff(np.vstack([velocity, samples.velocity]), axis=0) / 0.002
+    assert (np.abs(acceleration).max(axis=0) < 1.35 * np.maximum(limit, needed)).all()
+    assert np.abs(samples.velocity[-1]).max() < 1e-3
+    ended = samples.position[-1]
+    assert ((joints.low - 1e-3 < ended) & (ended < joints.high + 1e-3)).all()
+
+
+def test_a_runaway_near_the_end_of_its_range_brakes_evenly_up_to_there(panda_sim):
+    joints, robot = Driven(panda_sim, 'arm'), panda_sim.robot
+    robot.set_control_mode('arm', 'effort')
+    joints.command('effort', [20.0, *[0.0] * 6])
+    for _ in range(30):
+        panda_sim.advance(5)
+    position, velocity = joints.position[0], panda_sim.data.qvel[0]
+    assert velocity > 3.0 * joints.velocity_limit[0]
+    with sampled(joints) as samples:
+        robot.set_control_mode('arm', 'position')
+        for _ in range(100):
+            panda_sim.advance(5)
+    needed = velocity**2 / (2.0 * (joints.high[0] - position))
+    acceleration = np.diff(samples.velocity[:, 0]) / 0.002
+    assert 15.0 < needed < np.abs(acceleration).max() < 1.05 * needed
+    assert samples.position[-1, 0] == pytest.approx(joints.high[0], abs=1e-3)
 
 
 #: Two links that turn in a horizontal plane.
