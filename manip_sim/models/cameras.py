@@ -12,6 +12,7 @@ from typing import Any, TYPE_CHECKING, Union
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.image_settings import ImageSettings
@@ -99,15 +100,15 @@ def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:
     """Return the orientation w, x, y, z of the frame that looks along x, with z up."""
     if found.quat_xyzw is not None:
         quat = np.array(found.quat_xyzw)
-        return xyzw_to_wxyz(quat / np.linalg.norm(quat))
+        return xyzw_to_wxyz(quat / length(quat))
     if found.look_at is None:
         return quat_wxyz_from_rpy(found.rpy or [0.0, 0.0, 0.0])
     forward = np.array(found.look_at) - position
-    forward /= np.linalg.norm(forward)
+    forward /= length(forward)
     left = np.cross([0.0, 0.0, 1.0], forward)
-    if np.linalg.norm(left) < _PARALLEL:
+    if length(left) < _PARALLEL:
         left = np.cross([1.0, 0.0, 0.0], forward)
-    left /= np.linalg.norm(left)
+    left /= length(left)
     quat_wxyz = np.empty(4)
     axes = np.stack([forward, left, np.cross(forward, left)], axis=1)
     mujoco.mju_mat2Quat(quat_wxyz, axes.ravel())

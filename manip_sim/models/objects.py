@@ -13,6 +13,7 @@ from typing import Any, TYPE_CHECKING, Union
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import length
 from manip_sim.errors import ModelError
 from manip_sim.models.held_models import hold_model, HeldModel, LIMITS
 from manip_sim.models.loading import load_spec
@@ -189,6 +190,6 @@ def _place(found: ObjectModel, description: PlacedDescription) -> None:
     if description.rpy is not None:
         quat = quat_wxyz_from_rpy(description.rpy)
     elif description.quat_xyzw is not None:
-        quat = xyzw_to_wxyz(np.array(description.quat_xyzw) / np.linalg.norm(
-            description.quat_xyzw))
+        quat = xyzw_to_wxyz(np.array(description.quat_xyzw) / length(
+            np.array(description.quat_xyzw)))
     found.place(description.position, quat)

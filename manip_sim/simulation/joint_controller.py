@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+import math
 from typing import TypeVar
 
 import mujoco
@@ -337,6 +338,6 @@ class JointController(ControlledJoints):
             if isinstance(command, BaseTwist):
                 forward, side, turn = command.twist
                 yaw = data.qpos[self._servos.qpos[command.indices[2]]]
-                cos, sin = np.cos(yaw), np.sin(yaw)
+                cos, sin = math.cos(yaw), math.sin(yaw)
                 velocity = np.array([cos * forward - sin * side, sin * forward + cos * side, turn])
                 self._setpoints.set_velocity(command.indices, velocity)

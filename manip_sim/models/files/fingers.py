@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.hands import FoundHand
 from manip_sim.models.files.tree import BodyTree, words_of
@@ -131,7 +132,7 @@ class Fingers:
             return body, -1
         geoms = range(first, first + count)
         origin = data.xpos[self._hand.body]
-        return body, max(geoms, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - origin)))
+        return body, max(geoms, key=lambda g: length(data.geom_xpos[g] - origin))
 
     def _tip_points(self, data: mujoco.MjData) -> FloatArray:
         return np.array([data.geom_xpos[geom] if geom >= 0 else data.xpos[body]
@@ -167,8 +168,8 @@ class Fingers:
         points = self._tip_points(data)
         if len(points) == 1:
             points = np.vstack([points, self._palm_point(data)])
-        local: FloatArray = data.xmat[body].reshape(3, 3).T @ (
-            points.mean(axis=0) - data.xpos[body])
+        local: FloatArray = product(
+            data.xmat[body].reshape(3, 3).T, points.mean(axis=0) - data.xpos[body])
         return local
 
     def closing(self, actuators: Sequence[int]) -> dict[int, tuple[float, float, bool]]:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
@@ -26,7 +27,7 @@ def quat_wxyz_of(orientation: ArrayLike) -> FloatArray:
     numbers = np.asarray(orientation, dtype=float)
     if numbers.shape == (3,):
         return quat_wxyz_from_rpy(numbers)
-    unit: FloatArray = numbers / np.linalg.norm(numbers)
+    unit: FloatArray = numbers / length(numbers)
     return unit
 
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.hands import FoundHand
@@ -43,11 +44,11 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     """
     model, told = tree.model, []
     reach = Fingers(tree, hand, start).grasp_point()
-    length = float(np.linalg.norm(reach))
-    if length < _SHORT_M:
+    size = length(reach)
+    if size < _SHORT_M:
         return []
     position, quat = model.body_pos[1].copy(), model.body_quat[1].copy()
-    if _rotated(quat, reach)[2] < length * np.sqrt(0.5):
+    if _rotated(quat, reach)[2] < size * np.sqrt(0.5):
         quat, position = _quarter_turn(reach), np.zeros(3)
         told.append('mount: turned so that the fingers point along z')
     behind = -_lowest(tree, hand, quat) - position[2]
@@ -93,7 +94,7 @@ def _lowest(tree: BodyTree, hand: FoundHand, quat: FloatArray) -> float:
     for geom in still:
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         for signs in itertools.product((-1.0, 1.0), repeat=3):
-            corner = (data.geom_xmat[geom].reshape(3, 3) @ (centre + half * np.array(signs))
+            corner = (product(data.geom_xmat[geom].reshape(3, 3), centre + half * np.array(signs))
                       + data.geom_xpos[geom] - model.body_pos[1])
             lowest = min(lowest, float(_rotated(quat, _rotated(back, corner))[2]))
     return lowest

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.quoting import quoted
@@ -95,7 +96,7 @@ def rotation_of(quat_wxyz: FloatArray) -> FloatArray:
 
 def rotation_of_vector(vector: FloatArray) -> FloatArray:
     """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
-    quat_wxyz, angle = np.empty(4), float(np.linalg.norm(vector))
+    quat_wxyz, angle = np.empty(4), length(vector)
     axis = vector / angle if angle > 0.0 else np.array([1.0, 0.0, 0.0])
     mujoco.mju_axisAngle2Quat(quat_wxyz, axis, angle)
     return rotation_of(quat_wxyz)

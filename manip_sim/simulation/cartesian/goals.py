@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import product
 from manip_sim.simulation.cartesian.commands import (
     CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, WORLD
@@ -33,14 +33,14 @@ def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data
     if isinstance(command, CartesianPose):
         origin, turned = command.frame.pose(data)
         anchor = Frame(WORLD, 0) if _moves(hand, command.frame, model) else command.frame
-        return Target.at(anchor, origin + turned @ command.position, turned @ command.rotation,
-                         data)
+        return Target.at(anchor, origin + product(turned, command.position),
+                         product(turned, command.rotation), data)
     position, rotation = hand.tip.pose(data)
     if isinstance(command, PoseAction):
         _, axes = hand.origin.pose(data)
-        turn = rotation_of_vector(axes @ (_ACTION_TURN * command.action[3:]))
-        return Target.at(hand.origin, position + axes @ (_ACTION_STEP * command.action[:3]),
-                         turn @ rotation, data)
+        turn = rotation_of_vector(product(axes, _ACTION_TURN * command.action[3:]))
+        return Target.at(hand.origin, position + product(axes, _ACTION_STEP * command.action[:3]),
+                         product(turn, rotation), data)
     assert isinstance(command, CartesianTwist)
     if before is not None:
         position, rotation = before.goal(data)

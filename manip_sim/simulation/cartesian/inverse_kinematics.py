@@ -4,8 +4,7 @@
 """
 Differential inverse kinematics: joint velocities that bring a hand nearer to its target.
 
-Damped least squares by singular values (Nakamura and Hanafusa 1986; the damping varies as in
-Chiaverini 1997). Nothing here knows of time, commands or MuJoCo.
+How fast to go along the displacements of :mod:`displacements`. Nothing here knows of commands.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ import math
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.algebra import dot, length, product
+from manip_sim.simulation.cartesian.displacements import displace
 from manip_sim.simulation.setpoints import braking_velocity
 
-#: Singular values of the Jacobian [m/rad and 1] below this are damped.
-_SINGULAR = 0.04
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
 #: Share of the acceleration limits that braking may use: the path is not straight in joint space.
@@ -28,8 +27,9 @@ _BRAKING = 0.5
 #: (v[n] + v[n+1]) / 2 with v[n+1] = k x[n] is at k T = 6 - 4 sqrt(2).
 _APPROACH = 6.0 - 4.0 * math.sqrt(2.0)
 _MAX_RATE = 40.0
-#: Rate at which a redundant arm goes towards its posture [1/s].
-_POSTURE_RATE = 1.0
+#: Rate at which a redundant arm goes towards its posture [1/s], when the hand rests and while it
+#: moves faster than this share of the velocity limits, so that its way is straight.
+_POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
 #: A twist is slowed down so that no joint comes to its limit sooner than this [s].
 _HORIZON_S = 0.1
 
@@ -93,16 +93,17 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     :param linear_velocity: limit for the hand [m/s]
     :param angular_velocity: limit for the hand [rad/s]
     """
-    way, turn = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-    part = min(1.0, _LARGEST_STEP / max(way, 1e-12), _LARGEST_TURN / max(turn, 1e-12))
-    step, drift, held, singular = _displacements(jacobian, part * error, joints, *_room(joints))
-    rate = min(_rate(step, joints, interval_s),
-               linear_velocity / max(part * way, 1e-12),
-               angular_velocity / max(part * turn, 1e-12))
-    velocity = rate * step
+    part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
+               _LARGEST_TURN / max(length(error[3:]), 1e-12))
+    found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position)
+    moved = product(jacobian, found.step)
+    rate = min(_rate(found.step, joints, interval_s),
+               linear_velocity / max(length(moved[:3]), 1e-12),
+               angular_velocity / max(length(moved[3:]), 1e-12))
+    velocity = rate * found.step
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
-    return Solution(_evenly(_with_drift(velocity, drift, joints), joints, interval_s), pace,
-                    _progress(jacobian @ step, part * error), held, singular)
+    return Solution(_evenly(_with_drift(velocity, found.drift, joints), joints, interval_s), pace,
+                    _progress(moved, part * error), found.held, found.singular)
 
 
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float
@@ -119,18 +120,19 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     low, high = _room(joints)
     slowest, fastest = (_HORIZON_S * braking_velocity(
         end, _BRAKING * joints.acceleration_limit, interval_s) for end in (low, high))
-    step, drift, held, singular = _displacements(
-        jacobian, _HORIZON_S * twist, joints, np.maximum(low, slowest), np.minimum(high, fastest))
-    velocity = step / _HORIZON_S
+    found = displace(jacobian, _HORIZON_S * twist, np.maximum(low, slowest),
+                     np.minimum(high, fastest), joints.posture - joints.position)
+    velocity = found.step / _HORIZON_S
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
-    velocity = _with_drift(velocity / max(1.0, pace), drift, joints)
+    velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
     return Solution(_evenly(velocity, joints, interval_s), pace,
-                    _progress(jacobian @ step, _HORIZON_S * twist), held, singular,
+                    _progress(product(jacobian, found.step), _HORIZON_S * twist), found.held,
+                    found.singular,
                     slowed=pace > 1.0 + 1e-6)
 
 
 def _progress(made: FloatArray, wanted: FloatArray) -> float:
-    return float(made @ wanted) / max(float(wanted @ wanted), 1e-18)
+    return dot(made, wanted) / max(dot(wanted, wanted), 1e-18)
 
 
 def stop(joints: JointState, interval_s: float) -> FloatArray:
@@ -143,40 +145,6 @@ def _room(joints: JointState) -> tuple[FloatArray, FloatArray]:
     return joints.low - joints.position, joints.high - joints.position
 
 
-def _displacements(jacobian: FloatArray, task: FloatArray, joints: JointState, low: FloatArray,
-                   high: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, bool]:
-    """
-    Return the joint displacements for a task, and those in the null space towards the posture.
-
-    Joints that would leave their limits are clamped to them, and the other joints compensate.
-    """
-    free = np.ones(len(low), dtype=bool)
-    step = np.zeros(len(low))
-    while True:
-        rest = task - jacobian[:, ~free] @ step[~free]
-        left, values, right = np.linalg.svd(jacobian[:, free], full_matrices=False)
-        wanted = left.T @ rest
-        step[free] = right.T @ (_damped_inverse(values) * wanted)
-        beyond = free & ((step < low) | (step > high))
-        if not beyond.any():
-            break
-        step[beyond] = np.clip(step, low, high)[beyond]
-        free &= ~beyond
-        if not free.any():
-            return step, np.zeros(len(low)), ~free, False
-    singular = bool(values[-1] < _SINGULAR / 2.0
-                    and abs(wanted[-1]) > 0.5 * np.linalg.norm(rest) + 1e-9)
-    drift = np.zeros(len(low))
-    away = (joints.posture - joints.position)[free]
-    drift[free] = away - right.T @ (right @ away)
-    return step, drift, ~free, singular
-
-
-def _damped_inverse(values: FloatArray) -> FloatArray:
-    damping = _SINGULAR**2 * np.maximum(0.0, 1.0 - (values / _SINGULAR)**2)
-    return np.asarray(values / np.maximum(values**2 + damping, 1e-12))
-
-
 def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     """
     Return how fast to go along a displacement, as a share of it per second.
@@ -184,7 +152,7 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     The displacement begins where the present velocities bring the joints in the interval.
     """
     size = np.maximum(np.abs(step), 1e-12)
-    present = float(joints.velocity @ step) / float(size @ size)
+    present = dot(joints.velocity, step) / dot(size, size)
     # Braking from v at the end of the interval takes v^2 / (2 a), and until then the mean of the
     # two velocities counts; together they make the whole displacement from the present.
     whole = 1.0 + present * interval_s
@@ -201,7 +169,8 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
 
 def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
     """Add the motion towards the posture for which the velocity limits leave room."""
-    wanted = _POSTURE_RATE * drift
+    moving = min(float((np.abs(velocity) / joints.velocity_limit).max()) / _MOVING_PACE, 1.0)
+    wanted = (_POSTURE_RATE + moving * (_POSTURE_RATE_MOVING - _POSTURE_RATE)) * drift
     room = joints.velocity_limit - np.abs(velocity)
     share = float((room / np.maximum(np.abs(wanted), 1e-12)).min())
     return velocity + min(max(share, 0.0), 1.0) * wanted

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Operational space control: efforts that make a hand behave like a mass on a spring and damper.
+Operational space control: what makes a hand behave like a mass on a spring and damper.
 
-After Khatib (1987): the force at the hand is the arm's inertia as seen from the hand times the
-wanted acceleration, and efforts that do not move the hand draw a redundant arm to a posture.
+As Khatib (1987) the hand accelerates as spring and damper say, whatever the inertia of the arm;
+here by joint accelerations rather than by a force at the hand, which is the same for the hand and
+well behaved where the arm is singular. What leaves the hand where it is goes to a posture.
 """
 
 from __future__ import annotations
@@ -15,93 +16,81 @@ import math
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.algebra import length
+from manip_sim.simulation.cartesian.displacements import displace, Displacement
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 
-#: Singular values of the Jacobian [m/rad and 1] below this are damped.
-_SINGULAR = 0.06
 #: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
 _POSTURE = 10.0
-
-
-def effort(jacobian: FloatArray, inertia: FloatArray, velocity: FloatArray, wanted: FloatArray,
-           posture_error: FloatArray, damping: float) -> FloatArray:
-    """
-    Return joint efforts, without those against gravity, damping and Coriolis forces.
-
-    The acceleration of the hand is damping times its velocity error, in all six directions.
-
-    :param jacobian: of position and rotation of the hand, shape (6, n)
-    :param inertia: of the joints, shape (n, n)
-    :param velocity: of the joints [rad/s], shape (n,)
-    :param wanted: velocity of the hand, as of :func:`wanted_motion` [m/s, rad/s], shape (6,)
-    :param posture_error: posture minus position of the joints [rad], shape (n,)
-    :param damping: [1/s]
-    :returns: [N m], shape (n,)
-    """
-    acceleration = damping * (wanted - jacobian @ velocity)
-    mobility = np.linalg.solve(inertia, jacobian.T)
-    task_inertia = np.linalg.inv(jacobian @ mobility + _regular(jacobian, inertia))
-    # Efforts towards the posture; the force at the hand cancels the motion that they cause there.
-    own = inertia @ (_POSTURE * posture_error - 2.0 * math.sqrt(_POSTURE) * velocity)
-    force = task_inertia @ (acceleration - mobility.T @ own)
-    return np.asarray(jacobian.T @ force + own)
+#: Displacements are sought for a longer motion than this no more [m], [rad].
+_LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
 
 
 @dataclass(frozen=True)
 class WantedMotion:
     """
-    The motion wanted of a hand.
+    The motion wanted of the joints of an arm.
 
-    :ivar twist: in the world [m/s, rad/s], shape (6,)
-    :ivar joints: velocities of the joints that give it [rad/s], shape (n,)
-    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
+    :ivar joints: velocities for the hand [rad/s], shape (n,)
+    :ivar found: the displacements that they make in a while
     :ivar slowed: whether joint velocity limits slow it down
     """
 
-    twist: FloatArray
     joints: FloatArray
-    singular: bool
+    found: Displacement
     slowed: bool
+
+    @property
+    def singular(self) -> bool:
+        """Whether a motion is wanted in a direction in which the hand can hardly move."""
+        return self.found.singular
+
+    @property
+    def held(self) -> BoolArray:
+        """Whether the range of a joint keeps it from doing more, shape (n,)."""
+        return self.found.held
+
+    def acceleration(self, velocity: FloatArray, damping: float) -> FloatArray:
+        """
+        Return the accelerations of the joints [rad/s^2], shape (n,).
+
+        That of the hand is damping times its velocity error, in all six directions.
+
+        :param velocity: of the joints [rad/s], shape (n,)
+        :param damping: [1/s]
+        """
+        slack = self.found.slack(velocity)
+        return (damping * (self.joints - velocity + slack)
+                + _POSTURE * self.found.drift - 2.0 * math.sqrt(_POSTURE) * slack)
 
 
 def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
-                  settings: CartesianSettings, velocity_limit: FloatArray) -> WantedMotion:
+                  settings: CartesianSettings, velocity_limit: FloatArray, low: FloatArray,
+                  high: FloatArray, away: FloatArray) -> WantedMotion:
     """
-    Return the velocity of the hand at which spring and damper are in balance.
+    Return the motion at which spring and damper are in balance.
 
     It is limited to the velocities of the settings and of the joints, and to what the arm can do
-    near a singularity.
+    near a singularity and near the ends of the ranges of the joints.
 
     :param jacobian: of position and rotation of the hand, shape (6, n)
     :param error: translation [m] and rotation vector [rad] to the target, shape (6,)
     :param twist: velocity of the target [m/s, rad/s], shape (6,)
     :param velocity_limit: of the joints [rad/s], shape (n,)
+    :param low: lowest displacements within the ranges of the joints [rad], shape (n,)
+    :param high: highest displacements [rad], shape (n,)
+    :param away: displacements to the posture [rad], shape (n,)
     """
     wanted = settings.stiffness / settings.damping * error
     for half, limit in ((wanted[:3], settings.linear_velocity),
                         (wanted[3:], settings.angular_velocity)):
-        half *= min(1.0, limit / max(float(np.linalg.norm(half)), 1e-12))
-    left, values, right = np.linalg.svd(jacobian, full_matrices=False)
-    damped = np.maximum(values**2, _SINGULAR**2)
-    parts = left.T @ (wanted + twist)
-    joints = right.T @ (values / damped * parts)
+        half *= min(1.0, limit / max(length(half), 1e-12))
+    wanted = wanted + twist
+    while_s = min(settings.damping / settings.stiffness,
+                  _LARGEST_STEP / max(length(wanted[:3]), 1e-12),
+                  _LARGEST_TURN / max(length(wanted[3:]), 1e-12))
+    found = displace(jacobian, while_s * wanted, low, high, away)
+    joints = found.step / while_s
     excess = max(1.0, float((np.abs(joints) / velocity_limit).max()))
-    return WantedMotion(left @ (values**2 / damped * parts) / excess, joints / excess,
-                        values[-1] < _SINGULAR / 2.0
-                        and bool(abs(parts[-1]) > 0.5 * np.linalg.norm(parts) + 1e-9),
-                        excess > 1.0 + 1e-6)
-
-
-def _regular(jacobian: FloatArray, inertia: FloatArray) -> FloatArray:
-    """Return what to add to the inverse inertia at the hand, zero far from singularities."""
-    squares = jacobian @ jacobian.T
-    try:
-        # The smallest squared singular value is at least 1 / trace of the inverse.
-        if 0.0 < np.trace(np.linalg.inv(squares)) < _SINGULAR**-2:
-            return np.zeros_like(squares)
-    except np.linalg.LinAlgError:  # It is exactly singular.
-        pass
-    values, axes = np.linalg.eigh(squares)
-    damping = np.maximum(0.0, _SINGULAR**2 - np.maximum(values, 0.0))
-    return np.asarray((axes * (damping * len(inertia) / np.trace(inertia))) @ axes.T)
+    return WantedMotion(joints / excess, found, excess > 1.0 + 1e-6)

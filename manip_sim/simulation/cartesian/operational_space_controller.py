@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.algebra import dot, product
 from manip_sim.simulation.cartesian.frames import Frame
-from manip_sim.simulation.cartesian.operational_space import effort, wanted_motion
+from manip_sim.simulation.cartesian.operational_space import wanted_motion
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.servos import Servos
@@ -20,8 +21,6 @@ from manip_sim.simulation.servos import Servos
 #: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
 _REACHED = np.array([1e-3] * 3 + [1e-2] * 3)
 _SLOW_TWIST = 2e-3
-#: A joint that is nearer than this to an end of its range is at the end [rad].
-_END = 1e-3
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class OperationalSpaceController:
     def rebind(self, model: mujoco.MjModel) -> None:
         """Continue with another model in which the robot is unchanged."""
         self._model = model
-        self._unit, self._column = np.zeros(model.nv), np.zeros(model.nv)
+        self._accelerations, self._forces = np.zeros(model.nv), np.zeros(model.nv)
 
     def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
                duration_s: float, settings: CartesianSettings) -> EffortSolution:
@@ -84,27 +83,20 @@ class OperationalSpaceController:
             target.move(data, tip, twist, duration_s)
         error = pose_error(target.goal(data), tip.pose(data))
         jacobian, velocity = tip.jacobian(self._model, data, dofs), data.qvel[dofs]
-        wanted = wanted_motion(jacobian, error, twist, settings,
-                               self._servos.velocity_limit[indices])
-        given = effort(jacobian, self._inertia(data, dofs), velocity, wanted.twist,
-                       self._posture[indices] - position, settings.damping)
+        wanted = wanted_motion(
+            jacobian, error, twist, settings, self._servos.velocity_limit[indices],
+            self._low[indices] - position, self._high[indices] - position,
+            self._posture[indices] - position)
+        self._accelerations[dofs] = wanted.acceleration(velocity, settings.damping)
+        mujoco.mj_mulM(self._model, data, self._forces, self._accelerations)
+        self._accelerations[dofs] = 0.0
+        given = self._forces[dofs]
         # Gravity that is compensated needs no effort here.
         given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
         given += self._servos.passive_damping[indices] * velocity
-        moved, goes = jacobian @ velocity, settings.stiffness / settings.damping * error
+        moved, goes = product(jacobian, velocity), settings.stiffness / settings.damping * error
         rests = bool((np.abs(error) <= _REACHED).all() and (np.abs(moved) < _SLOW_TWIST).all())
-        held = (((position <= self._low[indices] + _END) & (wanted.joints < 0.0))
-                | ((position >= self._high[indices] - _END) & (wanted.joints > 0.0)))
         return EffortSolution(
             np.clip(given, *self._torque[indices].T), error, rests,
-            float(moved @ goes) / max(float(goes @ goes), 1e-12), held & (not rests),
+            dot(moved, goes) / max(dot(goes, goes), 1e-12), wanted.held & (not rests),
             wanted.singular and not rests, wanted.slowed)
-
-    def _inertia(self, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
-        inertia = np.empty((len(dofs), len(dofs)))
-        for index, dof in enumerate(dofs):
-            self._unit[dof] = 1.0
-            mujoco.mj_mulM(self._model, data, self._column, self._unit)
-            self._unit[dof] = 0.0
-            inertia[index] = self._column[dofs]
-        return inertia

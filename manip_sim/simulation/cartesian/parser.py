@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.robots import RobotModel
@@ -107,7 +108,7 @@ class CartesianParser:
 
 def _shortened(vector: FloatArray, limit: float) -> tuple[FloatArray, int]:
     """Return a vector that is no longer than a limit, and how many of its numbers changed."""
-    length = float(np.linalg.norm(vector))
-    if length <= limit:
+    size = length(vector)
+    if size <= limit:
         return vector, 0
-    return vector * (limit / length), int(np.count_nonzero(vector))
+    return vector * (limit / size), int(np.count_nonzero(vector))

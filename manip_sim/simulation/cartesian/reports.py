@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 
 #: A target is unreachable if the hand is farther from it than this [m, rad], and for this time [s]
@@ -81,8 +82,8 @@ class CartesianReport:
             ('joint_limit', 'a joint is at the end of its range'),
             ('singular', 'the arm is at a singularity')) if kind in self._active)
         self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,
-                   f'the target is not reached, {np.linalg.norm(error[:3]):.3f} m and '
-                   f'{np.linalg.norm(error[3:]):.3f} rad are left{causes}')
+                   f'the target is not reached, {length(error[:3]):.3f} m and '
+                   f'{length(error[3:]):.3f} rad are left{causes}')
 
     def _note(self, kind: str, active: bool, text: str) -> None:
         if not active:

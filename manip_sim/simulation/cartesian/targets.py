@@ -11,6 +11,7 @@ import math
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
 
@@ -62,19 +63,20 @@ class Target:
         :param pose: position [m] and rotation matrix in the world
         """
         origin, turned = self.anchor.pose(data)
-        self.position, self.rotation = turned.T @ (pose[0] - origin), turned.T @ pose[1]
+        self.position, self.rotation = (
+            product(turned.T, pose[0] - origin), product(turned.T, pose[1]))
 
     def goal(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation matrix of the goal in the world."""
         origin, turned = self.anchor.pose(data)
-        return origin + turned @ self.position, turned @ self.rotation
+        return origin + product(turned, self.position), product(turned, self.rotation)
 
     def twist_in_world(self, data: mujoco.MjData) -> FloatArray:
         """Return the twist in the axes of the world [m/s, rad/s], shape (6,)."""
         if self.twist is None:
             return np.zeros(6)
         _, axes = self.axes.pose(data)
-        return np.concatenate([axes @ self.twist[:3], axes @ self.twist[3:]])
+        return np.concatenate([product(axes, self.twist[:3]), product(axes, self.twist[3:])])
 
     def move(self, data: mujoco.MjData, tip: Frame, twist: FloatArray, duration_s: float) -> None:
         """
@@ -86,15 +88,17 @@ class Target:
         position, rotation = self.goal(data)
         here, turned = tip.pose(data)
         ahead = _bounded(position + duration_s * twist[:3] - here, _LEAD)
-        turn = rotation_vector(rotation_of_vector(duration_s * twist[3:]) @ rotation @ turned.T)
-        self.stay_at((here + ahead, rotation_of_vector(_bounded(turn, _TURN_LEAD)) @ turned), data)
+        turn = rotation_vector(product(product(
+            rotation_of_vector(duration_s * twist[3:]), rotation), turned.T))
+        self.stay_at((here + ahead, product(
+            rotation_of_vector(_bounded(turn, _TURN_LEAD)), turned)), data)
 
 
 def _bounded(vector: FloatArray, limit: float) -> FloatArray:
-    return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-12))
+    return vector * min(1.0, limit / max(length(vector), 1e-12))
 
 
 def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, FloatArray]
                ) -> FloatArray:
     """Return translation [m] and rotation vector [rad] from here to the goal, shape (6,)."""
-    return np.concatenate([goal[0] - here[0], rotation_vector(goal[1] @ here[1].T)])
+    return np.concatenate([goal[0] - here[0], rotation_vector(product(goal[1], here[1].T))])
