@@ -32,11 +32,7 @@ MAY_IMPORT = {
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'examples', 'viewer/ros', f'{INTERNALS}.py')
-<<<<<<< HEAD
-TOP_LEVEL = {'arrays', 'environment', 'errors', 'quoting', 'resources', 'startup'}
-=======
-TOP_LEVEL = {'algebra', 'arrays', 'errors', 'quoting', 'resources', 'startup'}
->>>>>>> 4a97dc7 (Let hands out of reach come to rest, with the same bits everywhere)
+TOP_LEVEL = {'algebra', 'arrays', 'environment', 'errors', 'quoting', 'resources', 'startup'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 
