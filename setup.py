@@ -78,7 +78,7 @@ setup(
         'mutate': ['cosmic-ray'],
         'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis',
                  'lxml', 'mypy', 'pin', 'playwright', 'pytest', 'pytest-timeout',
-                 'pytest-xdist', 'ruff', 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
+                 'pytest-xdist', 'reuse', 'ruff', 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer=MAINTAINER.text,
