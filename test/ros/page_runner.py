@@ -36,7 +36,8 @@ OTHERS = {
     'foxglove_bridge': 'foxglove_bridge foxglove_bridge_launch.xml', 'joy': 'joy_node',
     'nav2_bringup': 'navigation_launch.py', 'panda_moveit_config': 'moveit.launch.py',
     'plotjuggler': 'plotjuggler', 'robot_state_publisher': 'robot_state_publisher',
-    'rqt_image_view': 'rqt_image_view', 'teleop_twist_joy': 'teleop_node',
+    'rqt_image_view': 'rqt_image_view', 'spacenav': 'spacenav_node',
+    'teleop_twist_joy': 'teleop_node',
     'teleop_twist_keyboard': 'teleop_twist_keyboard', 'my_package': 'my_controller'}
 #: First words of commands of other programs.
 TOOLS = {'rviz2': 'rviz2', 'ros2 bag': 'rosbag2', 'ros2 security': 'sros2', 'sudo nft': 'nftables',
