@@ -16,7 +16,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.named_elements import NamedElements
-from manip_sim.models.naming import check_names_are_free
+from manip_sim.models.naming import TakenNames
 from manip_sim.models.spec_edits import attach, name_main_default
 
 _MIN_MASS_KG = 1e-6
@@ -153,7 +153,7 @@ class MujocoXMLModel(NamedElements):
                      own: mujoco.MjSpec) -> None:
         if not self.naming_prefix:
             name_main_default(own)
-        check_names_are_free(spec, own, self.naming_prefix, self.name)
+        TakenNames(spec).add(own, self.naming_prefix, self.name)
         for key in list(own.keys):
             own.delete(key)
         resolve_files(own, self.file)

@@ -36,27 +36,49 @@ def check_prefix(prefix: str) -> None:
                          'it needs a letter, then at most 63 letters, digits and underscores')
 
 
-def check_names_are_free(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str,
-                         part: str) -> None:
+class TakenNames:
     """
-    Reject attaching a spec to another that has one of its names already.
+    The names of a spec, collected once for all that is attached to it.
 
-    MuJoCo would not compile the result, or would write XML that it cannot read again.
-
-    :param spec: the spec to attach to
-    :param own: the spec to be attached
-    :param prefix: what its names will begin with
-    :param part: what it is, for the message
-    :raises ModelError: naming the element
+    :param spec: a ``mujoco.MjSpec``
     """
-    for kind, elements in _LISTS.items():
-        taken = {element.name for element in getattr(spec, elements) if element.name}
-        for element in getattr(own, elements):
-            if prefix + element.name in taken and element.name not in ('', 'world'):
-                raise _taken(kind, prefix, element.name, part)
-    for name in sorted(set(_default_classes(own))):
-        if spec.find_default(prefix + name) is not None:
-            raise _taken('default class', prefix, name, part)
+
+    def __init__(self, spec: mujoco.MjSpec) -> None:
+        self._spec = spec
+        self._by_list = {elements: {element.name for element in getattr(spec, elements)}
+                         for elements in _LISTS.values()}
+
+    def add(self, own: mujoco.MjSpec, prefix: str, part: str) -> None:
+        """
+        Reject attaching a spec that has one of the names, else add its names.
+
+        MuJoCo would not compile the result, or would write XML that it cannot read again.
+
+        :param own: the spec to be attached
+        :param prefix: what its names will begin with
+        :param part: what it is, for the message
+        :raises ModelError: naming the element
+        """
+        names = {elements: [element.name for element in getattr(own, elements)
+                            if element.name not in ('', 'world')] for elements in self._by_list}
+        for kind, elements in _LISTS.items():
+            for name in names[elements]:
+                if prefix + name in self._by_list[elements]:
+                    raise _taken(kind, prefix, name, part)
+        for name in sorted(set(_default_classes(own))):
+            if self._spec.find_default(prefix + name) is not None:
+                raise _taken('default class', prefix, name, part)
+        for elements, added in names.items():
+            self._by_list[elements].update(prefix + name for name in added)
+
+    def rename(self, elements: str, old: str, new: str) -> None:
+        """
+        Follow a new name.
+
+        :param elements: the list of the spec that has it, such as ``bodies``
+        """
+        self._by_list[elements].discard(old)
+        self._by_list[elements].add(new)
 
 
 def _default_classes(spec: mujoco.MjSpec) -> Iterator[str]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
-from manip_sim.models.naming import check_names_are_free
+from manip_sim.models.naming import TakenNames
 from manip_sim.models.spec_edits import rename_body
 from manip_sim.quoting import quoted
 
@@ -169,23 +169,28 @@ class ObjectModel:
         if quat_wxyz is not None:
             self._root.quat = np.asarray(quat_wxyz, dtype=float)
 
-    def attach(self, spec: mujoco.MjSpec) -> None:
+    def attach(self, spec: mujoco.MjSpec, taken: TakenNames | None = None) -> None:
         """
         Add a copy of the object to a world.
 
         :param spec: the ``mujoco.MjSpec`` to add to
+        :param taken: its names, if more objects are added
         :raises ModelError: if the spec has one of the names already
         """
         self._check_own_names_are_free(spec)
+        taken = taken or TakenNames(spec)
         own = self._spec.copy()
-        check_names_are_free(spec, own, self._prefix, self.origin)
+        taken.add(own, self._prefix, self.origin)
         for key in list(own.keys):
             own.delete(key)
         own.option = spec.option
         spec.attach(own, prefix=self._prefix, frame=spec.worldbody.add_frame())
-        rename_body(spec, spec.body(self._prefix + self._root.name), self.name)
+        root = self._prefix + self._root.name
+        rename_body(spec, spec.body(root), self.name)
+        taken.rename('bodies', root, self.name)
         if self._is_shape:
             spec.geom(self._prefix + SHAPE_GEOM).name = self.name
+            taken.rename('geoms', self._prefix + SHAPE_GEOM, self.name)
 
     @property
     def _is_shape(self) -> bool:

@@ -18,6 +18,7 @@ from manip_sim.models.cameras import Camera, create_camera
 from manip_sim.models.initialization_noise import InitializationNoise
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.naming import TakenNames
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
@@ -115,8 +116,9 @@ class World:
         return spec
 
     def _attach_objects(self, spec: mujoco.MjSpec) -> None:
+        taken = TakenNames(spec)
         for item in self.objects:
-            item.attach(spec)
+            item.attach(spec, taken)
 
     def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
         # All that is mounted on a robot is below its root, also bodies that composing added.

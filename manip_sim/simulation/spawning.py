@@ -10,6 +10,7 @@ and may be done in another thread; :func:`carry_over` then copies the state, whi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import copy
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ import mujoco
 
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.loading import compile_spec
+from manip_sim.models.naming import TakenNames
 from manip_sim.models.objects import check_object_names, ObjectModel
 from manip_sim.simulation.carrying import carry_data, carry_edits, ElementMap
 
@@ -70,10 +72,16 @@ def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world')
     :raises ModelError: if names collide or MuJoCo cannot compile it
     """
     check_object_names(objects)
-    spec = base.copy()
-    for item in objects:
-        item.attach(spec)
+    spec = _composed(base, objects)
     return Plan(base, tuple(objects), spec, compile_spec(spec, name))
+
+
+def _composed(base: Any, objects: Iterable[ObjectModel]) -> Any:
+    spec = base.copy()
+    taken = TakenNames(spec)
+    for item in objects:
+        item.attach(spec, taken)
+    return spec
 
 
 def compile_visual(plan: Plan) -> Any:
@@ -84,11 +92,9 @@ def compile_visual(plan: Plan) -> Any:
 
     :raises ModelError: with MuJoCo's message, if MuJoCo cannot compile it
     """
-    spec = plan.base.copy()
-    spec.compiler.discardvisual = False
-    for item in plan.objects:
-        item.attach(spec)
-    return compile_spec(spec, 'the world with its visual shapes')
+    base = plan.base.copy()
+    base.compiler.discardvisual = False
+    return compile_spec(_composed(base, plan.objects), 'the world with its visual shapes')
 
 
 def plan_with(plan: Plan, item: ObjectModel) -> Plan:
@@ -97,7 +103,10 @@ def plan_with(plan: Plan, item: ObjectModel) -> Plan:
 
     :raises ModelError: if a name is taken already or MuJoCo cannot compile it
     """
-    return plan_world(plan.base, (*plan.objects, item), f"the world with '{item.name}'")
+    objects = (*plan.objects, item)
+    check_object_names(objects)
+    spec = _composed(plan.spec, [item])
+    return Plan(plan.base, objects, spec, compile_spec(spec, f"the world with '{item.name}'"))
 
 
 def plan_without(plan: Plan, name: str) -> Plan:

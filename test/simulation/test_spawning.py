@@ -14,7 +14,7 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
-from manip_sim.models.objects import create_object
+from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.spawning import (
     carry_over, delete, plan_with, plan_without, plan_world, spawn, start_live)
@@ -160,6 +160,23 @@ WORLD = """
 </mujoco>"""
 
 
+#: An object with what a spec can have beside shapes.
+CART = """
+<mujoco>
+  <default><default class="wheel"><geom size="0.05" rgba="1 0 0 1"/></default></default>
+  <asset>
+    <material name="red" rgba="1 0 0 1"/>
+    <mesh name="wedge" vertex="0 0 0 0.1 0 0 0 0.1 0 0 0 0.1"/>
+  </asset>
+  <worldbody>
+    <body name="cart"><geom type="mesh" mesh="wedge" material="red"/>
+      <body name="front" pos="0.2 0 0"><joint axis="0 1 0"/><geom class="wheel"/><site/></body>
+    </body>
+  </worldbody>
+  <contact><exclude body1="cart" body2="front"/></contact>
+</mujoco>"""
+
+
 def arrays(*models):
     """Yield the name of each array of models and the arrays."""
     for field in structs.STRUCTS['mjModel'].fields:
@@ -254,6 +271,32 @@ def test_a_world_is_as_before_after_an_object_came_and_went(live):
         mujoco.mj_step(live.model, live.data)
         mujoco.mj_step(back.model, back.data)
     assert back.data.qpos.tobytes() == live.data.qpos.tobytes()
+
+
+def test_a_world_that_grew_is_the_one_that_is_composed_at_once(live):
+    kinds = (('sphere', 0.1), ('cylinder', [0.1, 0.2]), ('box', [0.1, 0.2, 0.3]))
+    more = [create_object({'name': f'more{number}', 'shape': shape, 'size': size,
+                           'position': [0.0, number, 3.0], 'friction': [0.7, 0.1]})
+            for number, (shape, size) in enumerate(kinds)]
+    more.append(ObjectModel('cart', mujoco.MjSpec.from_string(CART)))
+    grown = live
+    for item in more:
+        grown = spawn(grown, item)
+    whole = plan_world(live.plan.base, (*live.plan.objects, *more))
+    assert grown.plan.spec.to_xml() == whole.spec.to_xml()
+    for name, old, new in arrays(grown.plan.compiled, whole.compiled):
+        np.testing.assert_array_equal(old, new, err_msg=name)
+
+
+def test_a_name_that_an_object_gives_its_body_is_taken_for_those_after_it(live):
+    named = create_object({'name': 'a_b', 'shape': 'sphere', 'size': 0.1})
+    other = ObjectModel('a', mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><body name="c"><freejoint/><geom size="1" name="b"/></body>'
+        '</worldbody></mujoco>'))
+    for spawned in (lambda: spawn(spawn(live, named), other),
+                    lambda: plan_world(live.plan.base, (named, other))):
+        with pytest.raises(ModelError, match="geom 'a_b' already exists"):
+            spawned()
 
 
 def test_a_plan_may_be_older_than_the_state_that_is_carried_over(live):

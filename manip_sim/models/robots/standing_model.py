@@ -15,7 +15,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.naming import check_names_are_free
+from manip_sim.models.naming import TakenNames
 from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.robots.subsystems import Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
@@ -208,7 +208,7 @@ class StandingModel(Subsystems):
 
     def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                                base: MobileBaseModel, own: mujoco.MjSpec) -> None:
-        check_names_are_free(spec, own, self.naming_prefix, self.name)
+        TakenNames(spec).add(own, self.naming_prefix, self.name)
         mount = own.body(self._root().name)
         if own.body(_MANIPULATOR_MOUNT) is not None:
             raise ModelError(f"{self.name} cannot stand on a mobile base: it has a body "
