@@ -8,7 +8,13 @@
 #                (MUTATE_ARGS=--help)
 # make bench  how fast the node is, in a table of targets and figures (BENCH_ARGS=--help)
 # make docs   build the documentation as a site, build/docs/index.html; a warning is an error
+# make requirements  write the versions and hashes of all packages anew, for LOCKED=1
+#                    (REQUIREMENTS_ARGS=--upgrade for the newest ones)
+# make release  a wheel and its software bill of materials (CycloneDX) in dist/
 # make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
+#
+# With LOCKED=1, such as LOCKED=1 make run, pip installs exactly the versions of requirements/, and
+# checks their hashes. They are those of ROS 2 Jazzy from wheels.
 #
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
 # site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix.
@@ -28,6 +34,7 @@ TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150
 SOAK_ARGS ?=
 BENCH_ARGS ?=
+REQUIREMENTS_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 ifeq ($(ROS_DISTRO),jazzy)
@@ -53,7 +60,18 @@ DOCS_READY = $(VENV)/.ready-for-docs
 TEST_READY = $(VENV)/.ready-to-test-$(ROS_FROM)
 MUTATE_READY = $(VENV)/.ready-to-mutate-$(ROS_FROM)
 
-.PHONY: run pick view test coverage lint docs bench soak mutate clean
+# $(call install,EXTRAS,FILE): the package with extras, or what a file of requirements/ locks.
+ifeq ($(LOCKED),1)
+ifeq ($(ROS_FROM),sourced)
+$(error make: LOCKED=1 is for ROS 2 Jazzy from wheels, and another one is sourced)
+endif
+install = $(BIN)/python -m pip install --require-hashes --requirement requirements/$(2).txt \
+	&& $(BIN)/python -m pip install --no-deps --no-build-isolation --editable .
+else
+install = $(BIN)/python -m pip install --editable '.$(1)'
+endif
+
+.PHONY: run pick view test coverage lint docs bench soak mutate requirements release clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -98,25 +116,41 @@ $(READY): setup.py
 	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
 		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
 	$(PYTHON) -m venv --clear $(VENV_ARGS) $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
-	$(BIN)/python -m pip install --editable '.$(RUN_EXTRAS)'
+	[ '$(LOCKED)' = 1 ] || $(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
+	$(call install,$(RUN_EXTRAS),run)
 	touch $@
 
 $(VIEW_READY): $(READY)
-	$(BIN)/python -m pip install --editable '.$(VIEW_EXTRAS)'
+	$(call install,$(VIEW_EXTRAS),run)
 	touch $@
 
 $(DOCS_READY): $(READY)
-	$(BIN)/python -m pip install --editable '.[docs]'
+	$(call install,[docs],test)
 	touch $@
 
 $(TEST_READY): $(READY)
-	$(BIN)/python -m pip install --editable '.$(TEST_EXTRAS)'
+	$(call install,$(TEST_EXTRAS),test)
 	touch $@
 
 $(MUTATE_READY): $(TEST_READY)
-	$(BIN)/python -m pip install --editable '.$(MUTATE_EXTRAS)'
+	$(call install,$(MUTATE_EXTRAS),test)
 	touch $@
+
+# For all Pythons at once, users and tests with the same versions.
+COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --generate-hashes \
+	--no-annotate --custom-compile-command 'make requirements' $(REQUIREMENTS_ARGS) setup.py
+
+requirements: $(READY)
+	$(BIN)/python -m pip install --quiet uv
+	$(COMPILE) --all-extras --output-file requirements/test.txt
+	$(COMPILE) --extra jazzy --extra viewer --constraint requirements/test.txt \
+		--output-file requirements/run.txt
+
+release: $(TEST_READY)
+	rm -rf dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/python -m cyclonedx_py requirements requirements/run.txt \
+		--output-reproducible --output-format JSON --output-file dist/manip_sim.cdx.json
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info

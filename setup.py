@@ -67,8 +67,10 @@ setup(
         *launchers(),
     ],
     python_requires='>=3.10,<3.14',
-    install_requires=['setuptools', 'mujoco>=3.3.7', 'numpy', 'pillow>=10.1', 'pydantic>=2',
-                      'pyyaml'],
+    # A new major version of those with an upper bound may change what is used here, as NumPy 2
+    # and pydantic 2 did; for viser, the names of its handles.
+    install_requires=['setuptools', 'mujoco>=3.3.7,<5', 'numpy<3', 'pillow>=10.1',
+                      'pydantic>=2,<3', 'pyyaml'],
     extras_require={
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
@@ -76,9 +78,10 @@ setup(
         # trimesh smooths shapes by scipy.
         'viewer': ['msgspec', 'scipy', 'trimesh', 'viser>=1.1,<2', 'websockets>=14'],
         'mutate': ['cosmic-ray'],
-        'test': ['colcon-common-extensions', 'coverage>=7.10', 'flake8', 'hypothesis',
-                 'lxml', 'mypy', 'pin', 'playwright', 'pytest', 'pytest-timeout',
-                 'pytest-xdist', 'reuse', 'ruff', 'scipy', 'viser>=1.1,<2', 'yourdfpy'],
+        'test': ['colcon-common-extensions', 'coverage>=7.10', 'cyclonedx-bom', 'flake8',
+                 'hypothesis', 'lxml', 'mypy', 'packaging', 'pin', 'playwright', 'pytest',
+                 'pytest-timeout', 'pytest-xdist', 'reuse', 'ruff', 'scipy', 'viser>=1.1,<2',
+                 'yourdfpy'],
     },
     zip_safe=False,
     maintainer=MAINTAINER.text,
