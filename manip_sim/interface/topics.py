@@ -119,6 +119,8 @@ TOPICS = (
     Topic('~/markers', 'visualization_msgs/MarkerArray', PUBLISHED,
           'contacts with their forces, and external wrenches, to look at'),
     Topic('robot_description', 'std_msgs/String', PUBLISHED, 'URDF of the robot, latched'),
+    Topic('~/dynamics', 'std_msgs/String', PUBLISHED,
+          'armature, damping, friction and limits of each joint as JSON, latched'),
     Topic('<camera>/color/image_raw', 'sensor_msgs/Image', PUBLISHED, 'what it sees, rgb8',
           'camera'),
     Topic('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage', PUBLISHED,

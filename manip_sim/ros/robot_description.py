@@ -1,11 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish the URDF of each robot for robot_state_publisher, RViz and ros2_control."""
+"""Publish the URDF of each robot, and what a URDF does not say of its joints."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
+import json
 from typing import Any
 
 from std_msgs.msg import String
@@ -14,7 +16,30 @@ from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.ros.outputs import LATCHED
-from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+
+class DynamicsPublisher:
+    """
+    A latched publisher of ``~/dynamics``, which says what a URDF does not: JSON by joint.
+
+    :param node: the node
+    :param simulation: with the robots
+    :param gravity_compensation: whether the actuators carry the weight
+    """
+
+    def __init__(self, node: Any, simulation: Simulation, gravity_compensation: bool) -> None:
+        self._publisher = node.create_publisher(String, '~/dynamics', LATCHED)
+        self._simulation = simulation
+        self._gravity_compensation = gravity_compensation
+
+    def publish(self) -> None:
+        """Publish what the joints of all robots are like, once."""
+        self._publisher.publish(String(data=json.dumps({
+            'timestep': self._simulation.timestep_s,
+            'gravity_compensation': self._gravity_compensation,
+            'joints': {name: asdict(joint) for robot in self._simulation.robots.values()
+                       for name, joint in robot.dynamics().items()}}, allow_nan=False)))
 
 
 class DescriptionPublisher:

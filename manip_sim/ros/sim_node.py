@@ -35,7 +35,7 @@ from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
-from manip_sim.ros.robot_description import DescriptionPublisher
+from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
@@ -132,8 +132,9 @@ class SimNode(Node):
         if value('publish_clock'):
             clock = ClockPublisher(self, self.rejections)
             self.thread.observe(clock.publish, look=clock.look)
-        self._descriptions: list[ModelPublisher | DescriptionPublisher] = [
-            model, DescriptionPublisher(self, world, self._robots, value('ros2_control_tag'))]
+        self._descriptions: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
+            model, DescriptionPublisher(self, world, self._robots, value('ros2_control_tag')),
+            DynamicsPublisher(self, self.simulation, value('gravity_compensation'))]
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
         value = self._declared.value

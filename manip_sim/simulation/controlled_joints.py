@@ -109,6 +109,10 @@ class ControlledJoints:
         """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
         return np.array(self._servos.acceleration_limit[indices])
 
+    def velocity_limits(self, indices: IntArray) -> FloatArray:
+        """Return the velocity limits [rad/s or m/s], shape (n,), a copy."""
+        return np.array(self._servos.velocity_limit[indices])
+
     def clamps(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
         """
         Return the ranges of goals, shape (n, 2), a copy.

@@ -17,6 +17,7 @@ from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import Command, GripperCommand, NoCommand, Status
+from manip_sim.simulation.dynamics import joint_dynamics, JointDynamics
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
@@ -50,6 +51,7 @@ class SimulatedRobot:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel,
                  efforts: ActuatorEfforts, now_ns: Callable[[], int]) -> None:
+        self._model = model
         self._data = data
         self._efforts = efforts
         self._now_ns = now_ns
@@ -91,6 +93,7 @@ class SimulatedRobot:
         :param data: its ``mujoco.MjData``, in the present state
         :param efforts: of its actuators
         """
+        self._model = model
         self._data = data
         self._efforts = efforts
         self.joints.rebind(model)
@@ -259,6 +262,10 @@ class SimulatedRobot:
         qpos, dofs = self._addresses[part]
         data = self._data
         return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])
+
+    def dynamics(self) -> dict[str, JointDynamics]:
+        """Return inertia, damping, friction and limits of all scalar joints, by name."""
+        return joint_dynamics(self._model, self.joints, self.joint_names)
 
     def controller_state(self, part: str) -> ControllerState:
         """

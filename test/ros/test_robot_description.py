@@ -3,6 +3,7 @@
 
 """``robot_description``: latched, of every robot, in agreement with what the node publishes."""
 
+import json
 from xml.etree import ElementTree
 
 from geometry_msgs.msg import PoseStamped
@@ -87,7 +88,7 @@ def test_the_tag_of_ros2_control_is_that_of_this_node(node, client):
         tag = description(client, f'{robot}/robot_description').find('ros2_control')
         first = tag.find('joint')
         assert [c.get('name') for c in first.findall('command_interface')] == [kind]
-        assert {p.text for p in tag.findall('hardware/param')} == {
+        assert {p.text for p in tag.findall('hardware/param')} - {'-1'} == {
             f'/{robot}/joint_states', f'/{robot}/joint_command'}
 
 
@@ -98,3 +99,19 @@ def test_a_robot_of_a_file_has_one_without_the_tag_unless_it_is_asked_for(serve,
     assert scalar(urdf) == {'robot0_swing'} and urdf.find('ros2_control') is None
     meshes = {mesh.get('filename') for mesh in urdf.iter('mesh')}
     assert meshes == {f'file://{file.resolve().parent}/link.stl'}
+
+
+def test_the_dynamics_of_all_robots_are_latched_as_json(node, client):
+    messages = client.listen(String, 'manip_sim/dynamics', LATCHED)
+    client.spin_until(lambda: bool(messages))
+    told = json.loads(messages[-1].data)
+    assert (told['timestep'], told['gravity_compensation']) == (0.002, True)
+    robots = node.simulation.robots.values()
+    assert list(told['joints']) == [name for robot in robots for name in robot.joint_names]
+    model = node.simulation.model
+    for name, joint in told['joints'].items():
+        dof = model.joint(name).dofadr[0]
+        assert joint['armature'] == model.dof_armature[dof]
+        assert joint['position_range'] == (
+            model.joint(name).range.tolist() if model.joint(name).limited[0] else None)
+    assert told['joints']['ur_elbow_joint']['velocity_limit'] == pytest.approx(np.pi, abs=0.01)
