@@ -11,7 +11,8 @@
 # make requirements  write the versions and hashes of all packages anew, for LOCKED=1
 #                    (REQUIREMENTS_ARGS=--upgrade for the newest ones)
 # make release  a wheel and its software bill of materials (CycloneDX) in dist/
-# make soak   load the node for ten minutes with malformed messages, floods, stops ...; see a table
+# make soak   load node and viewer for twenty minutes with malformed messages, floods, stops ...; see a
+#             table
 #
 # With LOCKED=1, such as LOCKED=1 make run, pip installs exactly the versions of requirements/, and
 # checks their hashes. They are those of ROS 2 Jazzy from wheels.

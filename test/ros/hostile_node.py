@@ -58,9 +58,10 @@ class HostileNode:
         self.executor.add_node(self.node)
         self.publishers = {topic: self.node.create_publisher(kind, topic, 10)
                            for topic, kind in TOPICS.items()}
-        self._archive = self.node.create_publisher(UInt8MultiArray, f'{NAME}/mjcf_archive',
-                                                   LATCHED)
-        self._urdf = self.node.create_publisher(String, 'robot_description', LATCHED)
+        #: The latched topics of the world.
+        self.model = self.node.create_publisher(UInt8MultiArray, f'{NAME}/mjcf_archive',
+                                                LATCHED)
+        self.urdf = self.node.create_publisher(String, 'robot_description', LATCHED)
         #: Commands that have come.
         self.taken: list[Any] = []
         for topic, kind in (('arm/joint_command', JointState), ('right/target_pose', PoseStamped)):
@@ -91,10 +92,10 @@ class HostileNode:
                '<body name="cube" pos="0.3 0 0"><freejoint/><geom size="0.05" rgba="1 0 0 1"/>'
                f'</body></worldbody><actuator><position joint={quoteattr(joint)} kp="1"/>'
                '</actuator></mujoco>')
-        self._archive.publish(UInt8MultiArray(data=archive(xml)))
-        self._urdf.publish(String(data=f'<robot name={quoteattr(self._text("robot"))}>'
-                                       f'<joint name={quoteattr(joint)}><limit lower="-1" '
-                                       'upper="1" velocity="1" effort="1"/></joint></robot>'))
+        self.model.publish(UInt8MultiArray(data=archive(xml)))
+        self.urdf.publish(String(data=f'<robot name={quoteattr(self._text("robot"))}>'
+                                      f'<joint name={quoteattr(joint)}><limit lower="-1" '
+                                      'upper="1" velocity="1" effort="1"/></joint></robot>'))
 
     def states(self) -> dict[str, Any]:
         """Return a message for each topic."""

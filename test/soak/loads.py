@@ -16,16 +16,16 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, Vector3
 import numpy as np
+from random_messages import damaged
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
-from target import SoakError, Target, wait_for_handlers
+from target import Row, SoakError, Target, wait_for_handlers
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-Row = dict[str, str]
 _CLIENTS = str(Path(__file__).parent / 'clients.py')
 #: What ends the node; with nohup it does not end by SIGHUP.
 _SIGNALS = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -61,15 +61,6 @@ def random_message(rng: random.Random, message_type: Any) -> Any:
             message.points.append(point)
     message.header.stamp.sec = rng.choice((0, 0, 1, -(2 ** 31), 2 ** 31 - 1))
     return message
-
-
-def damaged(rng: random.Random, data: bytes) -> bytes:
-    """Return serialized data that is cut, or has other bytes in some places."""
-    changed = bytearray(data[:rng.randint(4, len(data))] if rng.random() < 0.3 else data)
-    for _ in range(rng.randint(0, 6)):
-        changed[rng.randrange(min(4, len(changed) - 1), len(changed))] = rng.choice(
-            (0, 1, 2, 7, 0x7f, 0x80, 0xff, rng.randrange(256)))
-    return bytes(changed)
 
 
 def _parameter(rng: random.Random) -> Parameter:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Put the node under load for a while and print a table of what it withstood.
+Put the node and the viewer under load for a while and print a table of what it withstood.
 
-``make soak`` takes about ten minutes. Amounts are options, for instance for a night::
+``make soak`` takes about twenty minutes. Amounts are options, for instance for a night::
 
     make soak SOAK_ARGS='--messages 1000000 --hours 24 --stops 200'
 
@@ -23,7 +23,9 @@ _TEST = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(_TEST), str(_TEST / 'ros'), str(_TEST / 'soak')]
 
 import loads  # noqa: E402
+from request_loads import requests  # noqa: E402
 from target import SoakError  # noqa: E402
+from viewer_load import viewer  # noqa: E402
 
 COLUMNS = ('load', 'amount', 'result', 'growth')
 
@@ -42,8 +44,12 @@ def main() -> int:
     parser.add_argument('--starts', type=int, default=200, help='stops during the start')
     parser.add_argument('--hours', type=float, default=1.0, help='simulated time [h]')
     parser.add_argument('--seed', type=int, default=1, help='of what is random')
-    parser.add_argument('--only', nargs='*',
-                        help='malformed, floods, clients, stops, starts, time')
+    parser.add_argument('--requests', type=int, default=20_000,
+                        help='random requests to services, and as many of parameters')
+    parser.add_argument('--viewer', type=int, default=10_000,
+                        help='malformed messages to the viewer')
+    parser.add_argument('--only', nargs='*', help='malformed, floods, clients, stops, starts, '
+                        'time, requests, viewer')
     options = parser.parse_args()
     parts = {
         'malformed': lambda: [loads.malformed(options.messages, options.seed)],
@@ -51,7 +57,9 @@ def main() -> int:
         'clients': lambda: [loads.vanishing_clients(options.clients)],
         'stops': lambda: [loads.stops(options.stops, options.seed)],
         'starts': lambda: [loads.starts(options.starts, options.seed)],
-        'time': lambda: [loads.simulated_time(options.hours, options.seed)]}
+        'time': lambda: [loads.simulated_time(options.hours, options.seed)],
+        'requests': lambda: requests(options.requests, options.seed),
+        'viewer': lambda: [viewer(options.viewer, options.seed)]}
     lost = 0
     rows = []
     for name, part in parts.items():
@@ -63,7 +71,8 @@ def main() -> int:
         except (SoakError, AssertionError) as error:
             lost += 1
             traceback.print_exc()
-            rows.append({'load': name, 'amount': '', 'result': f'LOST: {error}', 'growth': ''})
+            rows.append({'load': name, 'amount': '', 'growth': '',
+                         'result': f'LOST: {str(error).partition(chr(10))[0]}'})
         print(f'{name}: {time.monotonic() - begin:.0f} s', file=sys.stderr, flush=True)
     print('| ' + ' | '.join(COLUMNS) + ' |')
     print('|---' * len(COLUMNS) + '|')

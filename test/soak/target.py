@@ -18,32 +18,37 @@ import numpy as np
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from typing_extensions import Self
 from usage import Usage
+
+
+#: A row of the table, by column.
+Row = dict[str, str]
 
 
 class SoakError(Exception):
     """The node did not withstand."""
 
 
-class Target:
+class Watched:
     """
-    The node as a process, with a client beside it.
+    A process under load, with a client beside it.
 
-    :param parameters: as ``NAME:=VALUE``
+    :param words: of its command line, after ``python3 -m``
     """
 
-    def __init__(self, *parameters: str) -> None:
-        # A pipe that nobody reads would block the node.
+    def __init__(self, *words: str) -> None:
+        # A pipe that nobody reads would block the process.
         self._output = tempfile.TemporaryFile('w+', errors='replace')  # noqa: SIM115
-        words = [word for parameter in parameters for word in ('-p', parameter)]
-        self.process = subprocess.Popen([sys.executable, '-m', 'manip_sim', '--ros-args', *words],
+        self.process = subprocess.Popen([sys.executable, '-m', *words],
                                         stdout=self._output, stderr=subprocess.STDOUT)
         self.client = Client()
-        self._tare = self.client.node.create_client(Trigger, 'manip_sim/tare_wrench')
-        self._clock: list[tuple[float, float]] = []
 
-    def __enter__(self) -> Target:
-        self.client.state()
+    def wait_until_ready(self) -> None:
+        """Wait until there is something to put under load."""
+
+    def __enter__(self) -> Self:
+        self.wait_until_ready()
         self.before = Usage.of(self.process.pid)
         return self
 
@@ -60,8 +65,60 @@ class Target:
         return self.before
 
     def growth(self) -> str:
-        """Return what the node holds more than at the start."""
+        """Return what the process holds more than at the start."""
         return Usage.of(self.process.pid).since(self.before)
+
+    def checked_growth(self, most_mb: float) -> str:
+        """Return what the process holds more than at the start: so much memory at most [MB]."""
+        growth = self.growth()
+        if Usage.of(self.process.pid).memory_mb - self.before.memory_mb > most_mb:
+            raise SoakError(f'growth is {growth}, and at most {most_mb:g} MB are no leak')
+        return growth
+
+    def check_alive(self) -> None:
+        """Check that the node lives."""
+        if self.process.poll() is not None:
+            raise SoakError(f'the node ended with {self.process.returncode}: {self.output()}')
+
+    def output(self, most: int = 2000) -> str:
+        """Return the end of what the process wrote, so many characters at most."""
+        self._output.seek(0)
+        return self._output.read()[-most:]
+
+    def stop(self, number: int = signal.SIGINT) -> float:
+        """
+        End the node by a signal; it must end cleanly.
+
+        :returns: how long it took [s]
+        """
+        begin = time.monotonic()
+        self.process.send_signal(number)
+        while self.process.poll() is None:
+            if time.monotonic() - begin > 10.0:
+                raise SoakError('the node did not end within 10 s')
+            self.client.executor.spin_once(timeout_sec=0.001)
+        output = self.output()
+        if self.process.returncode != 0 or 'Traceback' in output:
+            raise SoakError(f'the node ended with {self.process.returncode}: {output}')
+        return time.monotonic() - begin
+
+
+class Target(Watched):
+    """
+    The node as a process.
+
+    :param parameters: as ``NAME:=VALUE``
+    """
+
+    def __init__(self, *parameters: str) -> None:
+        super().__init__('manip_sim', '--ros-args', *(
+            word for parameter in parameters for word in ('-p', parameter)))
+        self._tare = self.client.node.create_client(Trigger, 'manip_sim/tare_wrench')
+        self._clock: list[tuple[float, float]] = []
+
+    def wait_until_ready(self) -> None:
+        """Wait for the first states."""
+        self.client.state()
 
     def watch_clock(self) -> None:
         """Take wall time and simulation time from now on."""
@@ -88,11 +145,6 @@ class Target:
             raise SoakError(f'tare_wrench was rejected: {answer.result().message}')
         return (time.monotonic() - begin) * 1e3
 
-    def check_alive(self) -> None:
-        """Check that the node lives."""
-        if self.process.poll() is not None:
-            raise SoakError(f'the node ended with {self.process.returncode}: {self.output()}')
-
     def check(self) -> None:
         """Check that the node lives, that its state is finite, and that it obeys."""
         self.check_alive()
@@ -111,28 +163,6 @@ class Target:
         state = self.client.state()
         if not np.isfinite([*state.position, *state.velocity, *state.effort]).all():
             raise SoakError(f'the state is not finite: {state}')
-
-    def output(self) -> str:
-        """Return the end of what the node wrote."""
-        self._output.seek(0)
-        return self._output.read()[-2000:]
-
-    def stop(self, number: int = signal.SIGINT) -> float:
-        """
-        End the node by a signal; it must end cleanly.
-
-        :returns: how long it took [s]
-        """
-        begin = time.monotonic()
-        self.process.send_signal(number)
-        while self.process.poll() is None:
-            if time.monotonic() - begin > 10.0:
-                raise SoakError('the node did not end within 10 s')
-            self.client.executor.spin_once(timeout_sec=0.001)
-        output = self.output()
-        if self.process.returncode != 0 or 'Traceback' in output:
-            raise SoakError(f'the node ended with {self.process.returncode}: {output}')
-        return time.monotonic() - begin
 
 
 def wait_for_handlers(process: subprocess.Popen[str]) -> None:
