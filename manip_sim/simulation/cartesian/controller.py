@@ -12,16 +12,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import product
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.simulation.cartesian.commands import CartesianCommand
+from manip_sim.simulation.cartesian.commands import CartesianCommand, CartesianPose
 from manip_sim.simulation.cartesian.goals import target_of
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
 from manip_sim.simulation.cartesian.operational_space_controller import (
     OperationalSpaceController)
+from manip_sim.simulation.cartesian.pose_stream import PoseStream
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
@@ -122,12 +124,35 @@ class CartesianController:
         :param data: after ``mj_forward``
         :param now_s: simulation time [s]
         """
-        before = self._targets.get(command.arm)
+        before, streamed = (self._targets.get(command.arm),) * 2
         if before is not None and (before.twist is None or now_s > before.until_s + 1e-9):
             before = None
-        self._targets[command.arm] = target_of(
+        target = self._targets[command.arm] = target_of(
             command, self._hands[command.arm], self._model, data, before,
             now_s + self.settings[command.arm].twist_timeout)
+        if isinstance(command, CartesianPose):
+            self._continue_stream(command, target, streamed, data)
+
+    def _continue_stream(self, command: CartesianPose, target: Target, before: Target | None,
+                         data: mujoco.MjData) -> None:
+        """Let a pose continue the stream of the target before, if it is one in that frame."""
+        if before is None or before.stream is None or before.anchor != target.anchor:
+            target.stream = PoseStream()
+        else:
+            target.stream = before.stream
+        twist = np.zeros(6)
+        if not target.stream.moving:
+            dofs = self._servos.dofs[command.indices]
+            gives = self._servos.gives_effort(command.indices)
+            velocity = np.where(gives, data.qvel[dofs],
+                                self._setpoints.velocity[command.indices])
+            moved = product(self._hands[command.arm].tip.jacobian(self._model, data, dofs),
+                            velocity)
+            _, axes = target.anchor.pose(data)
+            twist = np.concatenate([product(axes.T, moved[:3]), product(axes.T, moved[3:])])
+        settings = self.settings[command.arm]
+        target.stream.take(target.position, target.rotation, self.period_s, twist, np.array(
+            [settings.linear_velocity, settings.angular_velocity]))
 
     # ------------------------------------------------------------------ in the control loop
 
@@ -189,6 +214,7 @@ class CartesianController:
         mujoco.mj_comPos(self._model, scratch)
         tip = self._hands[command.arm].tip
         jacobian = tip.jacobian(self._model, scratch, self._servos.dofs[indices])
+        still = True
         if target.until_s == -math.inf:
             velocity = stop(joints, interval_s)
         elif target.twist is not None:
@@ -198,16 +224,20 @@ class CartesianController:
             target.stay_at(tip.pose(scratch), scratch)
             velocity = solution.velocity
         else:
-            error = pose_error(target.goal(scratch), tip.pose(scratch))
-            solution = approach(jacobian, error, joints, interval_s,
-                                settings.linear_velocity, settings.angular_velocity)
+            still = target.ends_stream(now_s)
+            _, before, _ = target.reference(scratch, now_s)
+            goal, twist, _ = target.reference(scratch, now_s + interval_s)
+            error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
+            solution = approach(jacobian, error, joints, interval_s, settings.linear_velocity,
+                                settings.angular_velocity, before, twist)
             self._see(command, 'the way to the target', solution.held, solution.singular)
-            near = (np.abs(error) <= _REACHED).all() and solution.pace < _SLOW_PACE
+            near = (still and (np.abs(error) <= _REACHED).all()
+                    and solution.pace < _SLOW_PACE)
             self._look(command, target, data, now_s, error, bool(near), solution.progress)
             velocity = solution.velocity
         self._setpoints.ramp_to(indices, velocity, interval_s)
         if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
-                target.twist is None):
+                target.twist is None and still):
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
             target.settled_in = self._place(command, target, data)
 
@@ -238,7 +268,7 @@ class CartesianController:
                 duration_s: float) -> FloatArray:
         streams = target.twist is not None
         solution = self._operational.follow(
-            self._hands[command.arm].tip, target, command.indices, data, duration_s,
+            self._hands[command.arm].tip, target, command.indices, data, now_s, duration_s,
             self.settings[command.arm])
         self._see(command, 'the twist' if streams else 'the way to the target', solution.held,
                   solution.singular, streams and solution.slowed)

@@ -9,7 +9,7 @@ How fast to go along the displacements of :mod:`displacements`. Nothing here kno
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -32,6 +32,7 @@ _MAX_RATE = 40.0
 _POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
 #: A twist is slowed down so that no joint comes to its limit sooner than this [s].
 _HORIZON_S = 0.1
+_STILL = np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ class Solution:
 
 
 def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interval_s: float,
-             linear_velocity: float, angular_velocity: float) -> Solution:
+             linear_velocity: float, angular_velocity: float, before: FloatArray = _STILL,
+             twist: FloatArray = _STILL) -> Solution:
     """
     Return the velocities that bring the hand to a pose and let it rest there.
 
@@ -92,16 +94,26 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     :param interval_s: interval that the velocities are for [s]
     :param linear_velocity: limit for the hand [m/s]
     :param angular_velocity: limit for the hand [rad/s]
+    :param before: velocity of the pose now [m/s, rad/s], shape (6,)
+    :param twist: velocity of the pose at the end of the interval, with which the hand shall go
+        along [m/s, rad/s], shape (6,)
     """
+    along, relative = np.zeros(len(joints.velocity)), joints
+    if before.any() or twist.any():
+        along, own = (displace(
+            jacobian, _HORIZON_S * motion, *_room(joints), np.zeros(len(along))).step / _HORIZON_S
+            for motion in (twist, before))
+        relative = replace(joints, velocity=joints.velocity - own)
     part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
                _LARGEST_TURN / max(length(error[3:]), 1e-12))
     found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position)
     moved = product(jacobian, found.step)
-    rate = min(_rate(found.step, joints, interval_s),
-               linear_velocity / max(length(moved[:3]), 1e-12),
-               angular_velocity / max(length(moved[3:]), 1e-12))
-    velocity = rate * found.step
+    rate = min(_rate(found.step, relative, interval_s),
+               max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
+               max(angular_velocity - length(twist[3:]), 0.0) / max(length(moved[3:]), 1e-12))
+    velocity = along + rate * found.step
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
+    velocity = velocity / max(1.0, pace)
     return Solution(_evenly(_with_drift(velocity, found.drift, joints), joints, interval_s), pace,
                     _progress(moved, part * error), found.held, found.singular)
 

@@ -68,20 +68,24 @@ class OperationalSpaceController:
         self._accelerations, self._forces = np.zeros(model.nv), np.zeros(model.nv)
 
     def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
-               duration_s: float, settings: CartesianSettings) -> EffortSolution:
+               now_s: float, duration_s: float, settings: CartesianSettings) -> EffortSolution:
         """
         Return the efforts for the next interval; a twist moves the goal of its target.
 
         :param tip: of the hand
         :param indices: of the joints of the arm, shape (n,)
         :param data: after ``mj_forward``
+        :param now_s: simulation time [s]
         :param duration_s: length of the interval [s]
         """
         dofs, position = self._servos.dofs[indices], data.qpos[self._servos.qpos[indices]]
         twist = target.twist_in_world(data)
         if target.twist is not None:
             target.move(data, tip, twist, duration_s)
-        error = pose_error(target.goal(data), tip.pose(data))
+        still = target.ends_stream(now_s)
+        goal, along, acceleration = target.reference(data, now_s)
+        twist = twist + along + acceleration / settings.damping
+        error = pose_error(goal, tip.pose(data))
         jacobian, velocity = tip.jacobian(self._model, data, dofs), data.qvel[dofs]
         wanted = wanted_motion(
             jacobian, error, twist, settings, self._servos.velocity_limit[indices],
@@ -95,7 +99,8 @@ class OperationalSpaceController:
         given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
         given += self._servos.passive_damping[indices] * velocity
         moved, goes = product(jacobian, velocity), settings.stiffness / settings.damping * error
-        rests = bool((np.abs(error) <= _REACHED).all() and (np.abs(moved) < _SLOW_TWIST).all())
+        rests = still and bool((np.abs(error) <= _REACHED).all()
+                               and (np.abs(moved) < _SLOW_TWIST).all())
         return EffortSolution(
             np.clip(given, *self._torque[indices].T), error, rests,
             dot(moved, goes) / max(dot(goes, goes), 1e-12), wanted.held & (not rests),

@@ -14,6 +14,7 @@ import numpy as np
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
+from manip_sim.simulation.cartesian.pose_stream import PoseStream
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
@@ -32,6 +33,7 @@ class Target:
     :ivar until_s: simulation time when the twist ends [s]
     :ivar solve_s: simulation time of the next solution [s]
     :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
+    :ivar stream: of poses in the anchor, of which the goal is the last one, or None
     """
 
     anchor: Frame
@@ -42,6 +44,7 @@ class Target:
     until_s: float = math.inf
     solve_s: float = -math.inf
     settled_in: FloatArray | None = None
+    stream: PoseStream | None = None
 
     @classmethod
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
@@ -70,6 +73,30 @@ class Target:
         """Return position [m] and rotation matrix of the goal in the world."""
         origin, turned = self.anchor.pose(data)
         return origin + product(turned, self.position), product(turned, self.rotation)
+
+    def ends_stream(self, now_s: float) -> bool:
+        """Tell whether the goal rests now, if need be because the stream has ended."""
+        if self.stream is not None:
+            self.stream.update(now_s)
+        return self.stream is None or not self.stream.moving
+
+    def reference(self, data: mujoco.MjData, now_s: float
+                  ) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray]:
+        """
+        Return where the hand shall be now, and how that moves, in the world.
+
+        :param now_s: simulation time [s]
+        :returns: position [m] and rotation matrix, velocity and acceleration, each of shape (6,)
+        """
+        if self.stream is None or not self.stream.moving:
+            return self.goal(data), np.zeros(6), np.zeros(6)
+        origin, turned = self.anchor.pose(data)
+        position, rotation = self.stream.pose(now_s)
+        twist, acceleration = (
+            np.concatenate([product(turned, half) for half in (motion[:3], motion[3:])])
+            for motion in (self.stream.twist(now_s), self.stream.acceleration(now_s)))
+        return ((origin + product(turned, position), product(turned, rotation)), twist,
+                acceleration)
 
     def twist_in_world(self, data: mujoco.MjData) -> FloatArray:
         """Return the twist in the axes of the world [m/s, rad/s], shape (6,)."""

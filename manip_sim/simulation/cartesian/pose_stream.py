@@ -1,0 +1,112 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How a hand follows poses that come regularly: one and a half intervals late, without stops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manip_sim.algebra import length, product
+from manip_sim.arrays import FloatArray
+from manip_sim.simulation.cartesian.frames import rotation_of_vector, rotation_vector
+from manip_sim.simulation.streams import StreamEstimator
+
+_ALL = np.arange(6)
+#: A pose that needs more than the velocity limits in this time is a jump [s].
+_SPEED_UP_S = 0.1
+#: For so many intervals after a pose was due the reference goes on.
+_HOLD_INTERVALS = 2.0
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """What :meth:`PoseStream.take` is given."""
+
+    position: FloatArray
+    rotation: FloatArray
+    period_s: float
+    twist: FloatArray
+    limits: FloatArray
+
+
+class PoseStream:
+    """
+    The poses of a stream of targets, all in the same frame.
+
+    The velocity of the reference ramps to that of the poses within one message interval, so that
+    it follows them with a delay of one and a half.
+
+    :ivar moving: whether poses have come regularly, so that the reference moves
+    """
+
+    def __init__(self) -> None:
+        self._estimator = StreamEstimator(6)
+        #: Sums of the translations and of the rotation vectors from pose to pose.
+        self._sum = np.zeros(6)
+        self._position, self._rotation = np.zeros(3), np.eye(3)
+        #: Velocity that the reference comes to, how fast, and until when.
+        self._velocity, self._slope = np.zeros(6), np.zeros(6)
+        self._came_s, self._interval_s = -np.inf, 0.0
+        self._waiting: _Pose | None = None
+        self.moving = False
+
+    def take(self, position: FloatArray, rotation: FloatArray, period_s: float, twist: FloatArray,
+             limits: FloatArray) -> None:
+        """
+        Take in the pose of a message; of several at one instant the newest counts.
+
+        :param position: [m], shape (3,)
+        :param rotation: rotation matrix, shape (3, 3)
+        :param period_s: length of a control period [s]
+        :param twist: of the hand now, if the stream begins [m/s, rad/s], shape (6,)
+        :param limits: of linear and angular velocity [m/s, rad/s], shape (2,)
+        """
+        self._waiting = _Pose(position, rotation, period_s, twist, limits)
+
+    def update(self, now_s: float) -> None:
+        """
+        Follow the pose that came at this instant, or let the reference rest if none comes.
+
+        :param now_s: simulation time [s]
+        """
+        if self._waiting is not None:
+            self._follow(self._waiting, now_s)
+            self._waiting = None
+        elif now_s > self._came_s + (1.0 + _HOLD_INTERVALS) * self._interval_s + 1e-9:
+            self.moving = False
+
+    def _follow(self, pose: _Pose, now_s: float) -> None:
+        estimator, limits = self._estimator, np.repeat(pose.limits, 3)
+        streams = bool(estimator.streams(_ALL, now_s).all())
+        if streams:
+            self._sum = self._sum + np.concatenate([
+                pose.position - self._position,
+                rotation_vector(product(pose.rotation, self._rotation.T))])
+        before = self.twist(now_s) if self.moving and streams else pose.twist
+        self._position, self._rotation = pose.position, pose.rotation
+        estimator.take(_ALL, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S)
+        velocity, self._interval_s = estimator.velocity.copy(), float(estimator.interval_s.max())
+        for half, limit in zip((velocity[:3], velocity[3:]), pose.limits):
+            half *= min(1.0, limit / max(length(half), 1e-12))
+        self._velocity, self._slope = velocity, (velocity - before) / self._interval_s
+        self._came_s, self.moving = now_s, streams
+
+    def twist(self, now_s: float) -> FloatArray:
+        """Return the velocity of the reference [m/s, rad/s], shape (6,)."""
+        return self._velocity - self._slope * max(self._came_s + self._interval_s - now_s, 0.0)
+
+    def acceleration(self, now_s: float) -> FloatArray:
+        """Return the acceleration of the reference [m/s^2, rad/s^2], shape (6,)."""
+        return self._slope * (now_s < self._came_s + self._interval_s - 1e-9)
+
+    def pose(self, now_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return position [m] and rotation matrix of the reference."""
+        if not self.moving:
+            return self._position, self._rotation
+        left_s = max(self._came_s + self._interval_s - now_s, 0.0)
+        age_s = now_s - self._came_s - 1.5 * self._interval_s
+        way = self._velocity * age_s + self._slope * left_s**2 / 2.0
+        return self._position + way[:3], product(rotation_of_vector(way[3:]), self._rotation)

@@ -1,0 +1,113 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Target poses that come regularly are followed without stops, and within all limits."""
+
+from hands import distance, hand_of, turned
+import numpy as np
+import pytest
+
+from manip_sim.simulation.commands import Status
+
+STEP_S = 0.002
+
+
+def sine(times, values, frequency_hz):
+    """Return amplitude and delay [s] of what follows sin(2 pi f t)."""
+    rate = 2.0 * np.pi * frequency_hz
+    waves = np.stack([np.sin(rate * times), np.cos(rate * times), np.ones(len(times))], axis=1)
+    along, across, _ = np.linalg.lstsq(waves, values, rcond=None)[0]
+    return np.hypot(along, across), np.arctan2(-across, along) / rate
+
+
+@pytest.mark.parametrize(('name', 'mode', 'rate', 'frequency_hz', 'radius'), [
+    ('Panda', 'position', 100, 1.0, 0.05), ('Panda', 'position', 50, 1.0, 0.05),
+    ('Panda', 'position', 100, 2.0, 0.02), ('Panda', 'effort', 100, 1.0, 0.05),
+    ('Panda', 'effort', 50, 2.0, 0.02), ('UR5e', 'position', 100, 2.0, 0.01),
+    ('Kinova3', 'velocity', 50, 1.0, 0.03), ('Baxter', 'position', 100, 1.0, 0.02)])
+def test_a_circle_is_followed_one_and_a_half_intervals_late(
+        name, mode, rate, frequency_hz, radius):
+    op = hand_of(name, mode=mode, period_s=1.0 / rate)
+    start, rotation = op.pose
+    times, places, turns = [], [], []
+    for period in range(round(2.2 * rate)):
+        time_s = period / rate
+        angle, size = 2.0 * np.pi * frequency_hz * time_s, radius * min(1.0, time_s)
+        op.go_to((start + size * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0]),
+                  turned([0.0, 0.0, 1.0], 2.0 * size * np.sin(angle)) @ rotation))
+        op.run(1.0 / rate)
+        if time_s >= 1.2:
+            times.append(time_s + 1.0 / rate)
+            places.append(op.pose[0])
+            turn = op.pose[1] @ rotation.T
+            turns.append(np.arctan2(turn[1, 0], turn[0, 0]))
+    for values, whole in ((np.array(places)[:, 1], radius), (turns, 2.0 * radius)):
+        amplitude, lag_s = sine(np.array(times), values, frequency_hz)
+        assert 0.98 < amplitude / whole < 1.02
+        assert lag_s == pytest.approx(1.5 / rate, abs=0.0015)
+    assert np.ptp(np.array(places)[:, 2]) < 1e-3
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_whatever_comes_late_or_not_at_all_the_limits_hold_and_the_last_pose_is_reached(seed):
+    op, random = hand_of('Panda', period_s=STEP_S), np.random.default_rng(seed)
+    joints = op.robot.joints
+    indices = joints.indices_of('right')
+    limit, top = joints.acceleration_limits(indices), joints.ranges(indices)[:, 1]
+    joints.set_mode('right', 'velocity', op.simulation.data)
+    top = joints.ranges(indices)[:, 1]
+    joints.set_mode('right', 'position', op.simulation.data)
+    start, rotation = op.pose
+    interval_s = random.choice([0.01, 0.02, 0.05])
+    sent_s = np.arange(0.0, 1.5, interval_s)
+    sent_s = sent_s[random.uniform(size=len(sent_s)) > 0.15]
+    arrivals_s = sent_s + np.abs(random.normal(0.0, 0.3 * interval_s, len(sent_s)))
+    speeds, hand = [], []
+    for step in range(round(3.5 / STEP_S)):
+        came = np.flatnonzero((arrivals_s >= step * STEP_S) & (arrivals_s < (step + 1) * STEP_S))
+        for message in came:
+            angle = 2.0 * np.pi * 0.8 * sent_s[message]
+            last = (start + 0.05 * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0]), rotation)
+            handle = op.go_to(last)
+        op.run(STEP_S)
+        speeds.append(op.reference.velocity)
+        hand.append(np.linalg.norm(op.twist[:3]))
+    assert np.abs(speeds).max() > 0.2
+    assert (np.abs(speeds) <= 1.0001 * top).all()
+    assert (np.abs(np.diff(speeds, axis=0)) <= 1.0001 * limit * STEP_S).all()
+    assert max(hand) < 0.8
+    assert handle.status is Status.DONE
+    assert max(distance(op.pose, last)) < 1e-3
+
+
+@pytest.mark.parametrize('mode', ['position', 'effort'])
+def test_a_stream_that_stops_goes_on_for_two_intervals_and_ends_at_the_last_pose(mode):
+    op = hand_of('Panda', mode=mode)
+    start, rotation = op.pose
+    for period in range(40):
+        last = start + [0.0, 0.003 * period, 0.0]
+        op.go_to((last, rotation))
+        op.run(op.period_s)
+    assert op.twist[1] == pytest.approx(0.3, abs=0.01)
+    farthest = []
+    # The next message was due now.
+    op.run(2.0 * op.period_s, lambda: farthest.append(op.twist[1]))
+    assert min(farthest) > 0.28
+    op.run(2.0, lambda: farthest.append(op.pose[0][1]))
+    assert distance(op.pose, (last, rotation))[0] < 1e-3
+    assert np.abs(op.twist).max() < 2e-3
+
+
+def test_a_stream_faster_than_the_limit_of_the_hand_is_followed_at_the_limit():
+    op = hand_of('Panda')
+    op.robot.joints.cartesian.set('right', 'linear_velocity', 0.2)
+    start, rotation = op.pose
+    speeds = []
+    for period in range(60):
+        op.go_to((start + [0.0, 0.005 * period, 0.0], rotation))
+        op.run(op.period_s)
+        speeds.append(np.linalg.norm(op.twist[:3]))
+    assert max(speeds) < 0.21
+    assert speeds[-1] == pytest.approx(0.2, abs=0.01)
+    op.run(3.0)
+    assert distance(op.pose, (start + [0.0, 0.295, 0.0], rotation))[0] < 1e-3
