@@ -19,8 +19,8 @@ from manip_sim.interface.given_parameters import check_names, GivenParameters  #
 from manip_sim.interface.parameter_files import read_parameters  # noqa: E402
 from manip_sim.interface.parameters import (  # noqa: E402
     cartesian_parameters, composition_parameters, mode_parameters, node_parameters,
-    periods_per_message, place_parameters, steps_per_period, timeout_parameters,
-    wrench_parameters)
+    periods_per_message, place_parameters, steps_per_period, stream_parameters,
+    timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope  # noqa: E402
 from manip_sim.models.cameras import create_camera  # noqa: E402
 from manip_sim.models.composing import read_gripper  # noqa: E402
@@ -30,7 +30,7 @@ from manip_sim.models.strict_yaml import parse_yaml  # noqa: E402
 SCOPE = Scope()
 SPECS = [*node_parameters(), *composition_parameters(SCOPE),
          *place_parameters(SCOPE, [0.0, 0.0, 0.0]), *mode_parameters(SCOPE, ['arm', 'base']),
-         *timeout_parameters(SCOPE, ['arm', 'base']),
+         *timeout_parameters(SCOPE, ['arm', 'base']), *stream_parameters(SCOPE, ['arm', 'base']),
          *cartesian_parameters(SCOPE, ['right']), *wrench_parameters(SCOPE, ['right'])]
 
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6) | (

@@ -8,7 +8,8 @@ import re
 
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, composition_parameters, MODEL_PATH,
-    node_parameters, mode_parameters, place_parameters, timeout_parameters, wrench_parameters)
+    node_parameters, mode_parameters, place_parameters, stream_parameters, timeout_parameters,
+    wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 
@@ -41,6 +42,7 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
              *composition_parameters(scope),
              *place_parameters(scope, place), *mode_parameters(scope, ['arm', 'base']),
              *timeout_parameters(scope, ['arm', 'base']),
+             *stream_parameters(scope, ['arm', 'base']),
              *camera_parameters('<camera>', ImageSettings()),
              *cartesian_parameters(scope, ['right']), *wrench_parameters(scope, ['right'])]
     rows = {row[0].strip('`'): row for row in table_rows('parameters.md')}

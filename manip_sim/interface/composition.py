@@ -17,7 +17,8 @@ from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
-    place_parameters, steps_per_period, timeout_parameters, wrench_parameters)
+    place_parameters, steps_per_period, stream_parameters, timeout_parameters,
+    wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
@@ -35,7 +36,8 @@ _SPACING_M = 1.0
 #: What a namespace, a parameter and the names of joints may all begin with.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: What else is in the node's namespace or begins names of parameters.
-_RESERVED = ('arena', 'camera', 'control_mode', 'command_timeout', 'objects', 'qos_overrides')
+_RESERVED = ('arena', 'camera', 'control_mode', 'command_timeout', 'objects', 'qos_overrides',
+             'stream_hold', 'stream_interval')
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ def declare_parts(parameters: ParameterSource,
         modes = {part: parameters.value(scope.parameter(f'control_mode.{part}'))
                  for part in commanded}
         parameters.declare(timeout_parameters(scope, commanded, modes.__getitem__))
+        parameters.declare(stream_parameters(scope, commanded))
         arms = [arm for arm in commanded if f'{arm}/gripper' in parts]
         parameters.declare(cartesian_parameters(scope, arms))
         parameters.declare(wrench_parameters(scope, arms))

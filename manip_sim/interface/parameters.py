@@ -21,6 +21,7 @@ from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.commands import default_mode, MODES
+from manip_sim.simulation.streams import STREAM_INTERVAL_S
 
 STEPPING = ('realtime', 'free', 'lockstep')
 
@@ -170,6 +171,27 @@ def timeout_parameters(scope: Scope, parts: Sequence[str],
         'velocity goes to zero, effort to gravity compensation; 0 is never. Unless it is set, a '
         'change of the control mode changes it.', 's', live=True, minimum=0.0,
         maximum=3600.0).within(scope) for part in parts]
+
+
+def stream_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters that say what messages for a part are a stream, and how it ends.
+
+    :param parts: the parts with driven joints, see :func:`commanded_parts`
+    """
+    specs = []
+    for part in parts:
+        specs += [
+            ParameterSpec(f'stream_interval.{part}', STREAM_INTERVAL_S,
+                          f'Messages for the {part} that come at least as often as this are a '
+                          'stream, which is followed smoothly, 1.5 intervals late; rarer ones are '
+                          'steps.', 's', live=True, minimum=0.001, maximum=5.0),
+            ParameterSpec(f'stream_hold.{part}', 0.0,
+                          f'How long the {part} goes on at the velocity of a stream of positions '
+                          'after a message was due, before it brakes and comes to the last goal; '
+                          '0 is two message intervals.', 's', live=True, minimum=0.0,
+                          maximum=10.0)]
+    return [spec.within(scope) for spec in specs]
 
 
 def camera_parameters(camera: str, default: ImageSettings) -> list[ParameterSpec]:

@@ -23,7 +23,7 @@ from manip_sim.rclpy_internals import parameter_overrides
 from manip_sim.simulation.parts import Part
 
 #: Groups of parameters whose values for a part are those of the parts that it consists of.
-_COUPLED = ('control_mode', 'command_timeout')
+_COUPLED = ('control_mode', 'command_timeout', 'stream_interval', 'stream_hold')
 
 
 class Parameters:

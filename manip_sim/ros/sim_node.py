@@ -142,6 +142,8 @@ class SimNode(Node):
             if part.gripper is None and part.actuators and part.atomic == (name,):
                 robot.set_control_mode(name, value(scope.parameter(f'control_mode.{name}')))
                 self._set_timeout(scope, robot, name)
+                for group, change in _stream_changes(robot).items():
+                    change(name, value(scope.parameter(f'{group}.{name}')))
         for arm in robot.end_effectors:
             name = scope.parameter(f'wrench_cutoff.{arm}')
             self._cutoffs[name] = partial(robot.set_wrench_cutoff, arm)
@@ -194,6 +196,8 @@ class SimNode(Node):
         robot = self._robots[scope]
         if group == 'control_mode':
             self.thread.call(lambda: robot.set_control_mode(part, value))
+        elif group in _stream_changes(robot):
+            self.thread.call(lambda: _stream_changes(robot)[group](part, value))
         else:
             self.thread.call(lambda: self._set_timeout(scope, robot, part))
 
@@ -257,3 +261,8 @@ class SimNode(Node):
             self._command_thread.stop()
         self.thread.stop()
         self.cameras.stop()
+
+
+def _stream_changes(robot: SimulatedRobot) -> dict[str, Callable[[str, float], None]]:
+    """Return what sets the parameters of streams of a part, by their first word."""
+    return {'stream_interval': robot.set_stream_interval, 'stream_hold': robot.set_stream_hold}

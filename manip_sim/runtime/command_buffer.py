@@ -6,9 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
 
 from manip_sim.simulation.commands import (
-    Command, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
+    Command, GripperCommand, JointSetpoint, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 
 class CommandBuffer:
@@ -35,6 +38,7 @@ class CommandBuffer:
         for older in self._waiting:
             rest = older.without(command.indices) if _rivals(older, command) else older
             if rest is None:
+                command = _counting(older, command)
                 older.handle.end(*(STOPPED if stop else (Status.REPLACED,)))
             else:
                 kept.append(rest)
@@ -74,6 +78,14 @@ class CommandBuffer:
         """
         for command in self.take():
             command.handle.end(Status.ABORTED, reason)
+
+
+def _counting(older: Command, newer: Command) -> Command:
+    """Return a command that knows of the message of the same stream that it replaces."""
+    if isinstance(older, JointSetpoint) and isinstance(newer, JointSetpoint) and np.array_equal(
+            older.indices, newer.indices) and not np.array_equal(older.values, newer.values):
+        return replace(newer, messages=newer.messages + older.messages)
+    return newer
 
 
 def _rivals(older: Command, newer: Command) -> bool:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 import threading
 
 from manip_sim.errors import CommandError, UnknownNameError
@@ -56,7 +57,8 @@ class PendingCommands:
         Keep validated commands.
 
         :param commands: of one robot
-        :param stamp_ns: in lock-step, stamp of the state that they answer [ns]; 0: not given
+        :param stamp_ns: in lock-step, stamp of the state that they answer, else when they were
+            sent, by any clock [ns]; 0: not given
         :param robot: its name; None: the only robot
         :returns: the handle of each command
         :raises CommandError: if a command was made for another robot; in lock-step, if that is not
@@ -75,6 +77,8 @@ class PendingCommands:
                                    f'{stamp_ns / 1e9:.9f} s, {self._present()}')
             handles = []
             for command in commands:
+                if stamp_ns and not self._lockstep:
+                    command = replace(command, sent_ns=stamp_ns)
                 buffer.add(command)
                 handles.append(command.handle)
         return handles

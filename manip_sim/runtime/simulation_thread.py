@@ -164,7 +164,8 @@ class SimulationThread:
         Hand over validated commands; the next control period uses them.
 
         :param commands: validated, for one robot
-        :param stamp_ns: in lock-step, stamp of the state that they answer [ns]; 0: not given
+        :param stamp_ns: in lock-step, stamp of the state that they answer, else when they were
+            sent, by any clock [ns]; 0: not given
         :param robot: its name; None: the only robot
         :returns: the handle of each command
         :raises CommandError: if a command was made for another robot; in lock-step, if that is not

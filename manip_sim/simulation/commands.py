@@ -78,6 +78,8 @@ class Command:
     :ivar robot: the robot that it was made for; others have other joints at the same indices
     :ivar parts: the parts that it is for, atomic ones
     :ivar indices: of the robot's controlled joints, or of the gripper's actuators
+    :ivar sent_ns: when it was sent, by the sender's clock [ns]; 0: unknown
+    :ivar messages: how many messages it stands for: itself and those that it replaced unused
     :ivar clamped: how many numbers were clamped to their range
     :ivar clamped_example: the first of them in words, such as ``joint1 from 9 to 2.8973``
     :ivar handle: what becomes of the command
@@ -86,6 +88,8 @@ class Command:
     robot: RobotModel
     parts: frozenset[str]
     indices: IntArray
+    sent_ns: int = 0
+    messages: int = 1
     clamped: int = 0
     clamped_example: str = ''
     handle: CommandHandle = field(default_factory=CommandHandle, compare=False)

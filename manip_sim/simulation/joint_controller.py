@@ -28,6 +28,8 @@ from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
 
 C = TypeVar('C', bound=Command)
+#: Stamps are told apart modulo this, so that seconds of any clock keep their nanoseconds [ns].
+_STAMPS_NS = 10**15
 
 
 class JointController(ControlledJoints):
@@ -104,6 +106,24 @@ class JointController(ControlledJoints):
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
             (self._targets_end.add if ends_targets else self._targets_end.discard)(name)
+
+    def set_stream_hold(self, part: str, hold_s: float) -> None:
+        """
+        Change how long a part goes on at the velocity of a stream of goals after one was due.
+
+        :param hold_s: simulation time [s]; 0 for two message intervals
+        :raises UnknownNameError: if there is no such part
+        """
+        self._setpoints.set_stream(self.indices_of(part), hold_s=hold_s)
+
+    def set_stream_interval(self, part: str, longest_s: float) -> None:
+        """
+        Change up to which interval messages for a part are a stream.
+
+        :param longest_s: simulation time [s]
+        :raises UnknownNameError: if there is no such part
+        """
+        self._setpoints.set_stream(self.indices_of(part), longest_s=longest_s)
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
@@ -192,13 +212,14 @@ class JointController(ControlledJoints):
         return command.without(np.array(changed, dtype=np.int64))
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
+        sent_s = command.sent_ns % _STAMPS_NS * 1e-9
         for mode in set(command.modes):
             chosen = np.array([own == mode for own in command.modes])
             indices, values = command.indices[chosen], command.values[chosen]
             if mode == 'position':
-                self._setpoints.go_to(indices, values, period_s)
+                self._setpoints.go_to(indices, values, period_s, command.messages, sent_s)
             elif mode == 'velocity':
-                self._setpoints.go_at(indices, values, period_s)
+                self._setpoints.go_at(indices, values, period_s, command.messages, sent_s)
             else:
                 self._effort[indices] = values
                 self._servos.give_effort(indices, True)

@@ -220,6 +220,35 @@ class SimulatedRobot:
         self._check_no_gripper(part)
         self.joints.set_timeout(part, timeout_s, ends_targets)
 
+    def set_stream_hold(self, part: str, hold_s: float) -> None:
+        """
+        Change how long joints go on at the velocity of a stream of positions that stops coming.
+
+        It counts from when the next message was due. Then they brake within their acceleration
+        limits, and come to the last goal.
+
+        :param part: such as ``arm``
+        :param hold_s: simulation time [s]; 0 for two message intervals
+        :raises CommandError: if the part is a gripper
+        :raises UnknownNameError: if there is no such part
+        """
+        self._check_no_gripper(part)
+        self.joints.set_stream_hold(part, hold_s)
+
+    def set_stream_interval(self, part: str, longest_s: float) -> None:
+        """
+        Change up to which interval the commands of a part are a stream, and followed smoothly.
+
+        Goals that come more slowly are steps, each with its own start and stop.
+
+        :param part: such as ``arm``
+        :param longest_s: simulation time [s], above 0
+        :raises CommandError: if the part is a gripper
+        :raises UnknownNameError: if there is no such part
+        """
+        self._check_no_gripper(part)
+        self.joints.set_stream_interval(part, longest_s)
+
     def _check_no_gripper(self, part: str) -> None:
         if part in self.grippers:
             raise CommandError(f'{part} is a gripper: it has no control mode and no timeout')

@@ -5,32 +5,34 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.streams import RampEstimator, StreamEstimator
 
-#: Time constant of each of the two low-pass stages that smooth a step [s].
+#: Time constant of each of the two low-pass stages that smooth what is caught up [s].
 _SMOOTHING_S = 0.02
-#: Message intervals in which the lag behind a stream that jitters is caught up.
-_SOFT_INTERVALS = 5.0
-#: Multiple of the acceleration limit that a stream may use: its sender plans the motion.
-_STREAM_ACCELERATION = 4.0
+#: That of moving streams, in message intervals, and in measures of their jitter, at least.
+_SMOOTHING_INTERVALS, _SMOOTHING_JITTERS = 1.0, 20.0
+#: Multiple of a stream's own acceleration that its setpoint may use.
+_STREAM_ACCELERATION = 1.5
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
 _ARRIVED = 1e-10
 
 
 class SetpointGenerator:
     """
-    A generator of joint setpoints that are continuous in position and velocity.
+    A generator of setpoints that are continuous in position and velocity and keep to limits.
 
-    The velocity of a setpoint is the sum of two parts. The *stream* part follows goals that come
-    regularly: it ramps to their velocity within one message interval, so that setpoints follow a
-    stream with a delay of one and a half intervals. The *catch-up* part covers the rest: a
-    time-optimal profile with limited velocity and acceleration, and after it two low-pass stages,
-    which average and so never overshoot. All is in closed form for time steps of any length.
+    A setpoint has a *reference*, a velocity that ramps to that of the goals within one message
+    interval: on schedule it takes the setpoint along a stream one and a half intervals late. What
+    is then still missing of the way is *caught up*: by a time-optimal profile with limited
+    velocity and acceleration, and after it two low-pass stages, which average and so never
+    overshoot. The way to a single goal is caught up as a whole. Last, the sum is limited: it never
+    exceeds the velocity limit, nor accelerates or brakes harder than the acceleration limit or
+    twice as hard as the stream itself. All is in closed form for time steps of any length.
+
+    Its coordinates are joints, or any others with such limits.
 
     :param position_range: lowest and highest setpoint [rad or m], shape (n, 2)
     :param velocity_limit: [rad/s or m/s], shape (n,)
@@ -48,6 +50,8 @@ class SetpointGenerator:
         count = len(velocity_limit)
         self._low, self._high = position_range.T.copy()
         self._velocity_limit = velocity_limit
+        #: Nearer than this to an end of the range, velocities may have to be limited.
+        self._ends = velocity_limit**2 / acceleration_limit + 0.1 * velocity_limit
         self._acceleration_limit = acceleration_limit
 
         def zeros() -> FloatArray:
@@ -56,25 +60,43 @@ class SetpointGenerator:
         self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
         self.limited = np.zeros(count, dtype=np.int64)
         self.moving = False
-        # Whether the catch-up part has something to do.
+        # Whether there is something to catch up.
         self._catches = False
         self._seeks, self._brakes = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        self._goal = zeros()
-        # The catch-up part: velocity before and after each low-pass stage.
+        # Goals that have come at the present instant, how many, when they were sent.
+        self._waits, self._waiting_goal = np.zeros(count, dtype=bool), zeros()
+        self._waiting, self._stamp_s, self._period_s = zeros(), zeros(), 0.0
+        # What is caught up: velocity before and after each low-pass stage.
         self._raw, self._stage1, self._stage2 = zeros(), zeros(), zeros()
-        # The stream part: its velocity, what it ramps to and how fast, and until when.
-        self._stream, self._stream_goal = zeros(), zeros()
-        self._ramp = acceleration_limit.copy()
+        # The reference: its velocity, what it ramps to and how fast, and until when.
+        self._reference, self._reference_goal = zeros(), zeros()
+        self._ramp, self._bound = acceleration_limit.copy(), acceleration_limit.copy()
         self._until_s = np.full(count, np.inf)
+        self._goal = zeros()
         self._estimator = StreamEstimator(count)
         self._ramp_estimator = RampEstimator(count)
         self.now_s = 0.0
+
+    def set_stream(self, indices: IntArray, longest_s: float | None = None,
+                   hold_s: float | None = None) -> None:
+        """
+        Change what counts as a stream, and what happens when one stops.
+
+        :param longest_s: longest interval between messages of a stream [s]; None: no change
+        :param hold_s: how long setpoints go on at the velocity of a stream after a message was
+            due [s]; 0: two message intervals; None: no change
+        """
+        if longest_s is not None:
+            for clock in (self._estimator.clock, self._ramp_estimator.clock):
+                clock.longest_s[indices] = longest_s
+        if hold_s is not None:
+            self._estimator.hold_s[indices] = hold_s
 
     def at_rest(self, indices: IntArray) -> bool:
         """Tell whether all of the given setpoints rest at their goals."""
         if not self.moving:
             return True
-        if self._stream[indices].any():
+        if self._waits[indices].any() or self._reference[indices].any():
             return False
         return bool(self._resting()[indices].all())
 
@@ -98,18 +120,24 @@ class SetpointGenerator:
         self.velocity[indices], self.acceleration[indices] = velocity, 0.0
         self.set_velocity(indices, np.zeros(len(indices)))
 
-    def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float) -> None:
+    def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float,
+              messages: int = 1, stamp_s: float = 0.0) -> None:
         """
         Let setpoints come to a velocity; velocities that come regularly are followed as a stream.
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         :param period_s: length of a control period [s]
+        :param messages: how many messages came since the last call, of which this is the last
+        :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        ramp = self._ramp_estimator.take(
-            indices, velocity, self.velocity[indices], self.now_s, period_s,
-            self._acceleration_limit[indices])
+        limit = self._acceleration_limit[indices]
+        ramp, own = self._ramp_estimator.take(
+            indices, velocity, self.velocity[indices], self.now_s, period_s, limit, messages,
+            stamp_s)
         self._come_to(indices, velocity)
-        self._ramp[indices] = ramp
+        bound = np.maximum(limit, _STREAM_ACCELERATION * own)
+        self._bound[indices] = np.maximum(bound, self._bound[indices])
+        self._ramp[indices] = np.clip(ramp, 1e-9, bound)
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
         """
@@ -128,7 +156,7 @@ class SetpointGenerator:
         :param duration_s: the time [s]
         """
         self.set_velocity(indices, velocity)
-        change = np.abs(velocity - self._stream[indices])
+        change = np.abs(velocity - self._reference[indices])
         self._ramp[indices] = np.clip(change / duration_s, 1e-9, self._ramp[indices])
 
     def brake(self, indices: IntArray) -> None:
@@ -143,46 +171,65 @@ class SetpointGenerator:
         self.set_velocity(indices, np.zeros(len(indices)))
         self._ramp[indices] = np.maximum(
             self._ramp[indices], velocity**2 / (2.0 * np.maximum(ahead, 1e-6)))
+        self._bound[indices] = np.maximum(self._bound[indices], self._ramp[indices])
         self.acceleration[indices] = -np.sign(velocity) * self._ramp[indices]
 
     def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
-        # Only one part moves: both together could exceed the acceleration limit.
-        self._stream[indices] = self.velocity[indices]
+        self._reference[indices] = self.velocity[indices]
         for stage in (self._raw, self._stage1, self._stage2):
             stage[indices] = 0.0
-        self._seeks[indices] = self._brakes[indices] = False
-        self._stream_goal[indices] = velocity
+        self._seeks[indices] = self._brakes[indices] = self._waits[indices] = False
+        self._reference_goal[indices] = velocity
         self._ramp[indices] = self._acceleration_limit[indices]
         self._until_s[indices] = np.inf
         self._estimator.forget(indices)
         self.moving = self._catches = True
 
-    def go_to(self, indices: IntArray, goal: FloatArray, period_s: float) -> None:
+    def go_to(self, indices: IntArray, goal: FloatArray, period_s: float, messages: int = 1,
+              stamp_s: float = 0.0) -> None:
         """
         Let setpoints come to a position; goals that come regularly are followed as a stream.
 
+        Of several goals at one instant the newest counts.
+
         :param goal: [rad or m], shape of ``indices``
         :param period_s: length of a control period [s]
+        :param messages: how many messages came since the last call, of which this is the last
+        :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        estimator = self._estimator
+        repeated = self._waits[indices] & (self._waiting_goal[indices] == goal)
+        self._waiting[indices] = np.where(self._waits[indices], self._waiting[indices], 0.0) + (
+            0.0 if repeated.all() else messages)
+        self._waits[indices], self._waiting_goal[indices] = True, goal
+        self._stamp_s[indices], self._period_s = stamp_s, period_s
+        self.moving = self._catches = True
+
+    def _take_goals(self) -> None:
+        """Take in the goals that came at this instant."""
+        estimator, indices = self._estimator, np.flatnonzero(self._waits)
+        self._waits[indices], self._brakes[indices], self._seeks[indices] = False, False, True
+        # What the reference of a setpoint does that is no stream becomes a way to its goal.
         first = indices[~estimator.streams(indices, self.now_s)]
         for stage in (self._raw, self._stage1, self._stage2):
-            stage[first] += self._stream[first]
-        self._stream[first], self._brakes[indices] = 0.0, False
-        self._goal[indices], self._seeks[indices] = goal, True
-        self.moving = self._catches = True
-        indices = estimator.take(indices, goal, self.now_s, period_s,
-                                 self._acceleration_limit[indices])
-        top, interval_s = self._velocity_limit[indices], estimator.interval_s[indices]
-        wanted = estimator.velocity[indices]
+            stage[first] += self._reference[first]
+        self._reference[first] = 0.0
+        goal, limit = self._waiting_goal[indices], self._acceleration_limit[indices]
+        estimator.take(indices, goal, self.now_s, self._period_s, limit, self._waiting[indices],
+                       self._stamp_s[indices])
+        top, wanted = self._velocity_limit[indices], estimator.velocity[indices]
         velocity = _within(wanted, -top, top)
         self.limited[indices] += velocity != wanted
-        self._stream_goal[indices] = velocity
-        stream = self._stream[indices]
-        highest = np.where(np.abs(velocity) > np.abs(stream),
-                           _STREAM_ACCELERATION * self._acceleration_limit[indices], np.inf)
-        self._ramp[indices] = np.clip(np.abs(velocity - stream) / interval_s, 1e-9, highest)
-        self._until_s[indices] = self.now_s + interval_s
+        # A message that is early or late has more or less of its interval left.
+        clock, interval_s = estimator.clock, estimator.interval_s[indices]
+        left_s = clock.sent_s[indices] + interval_s - self.now_s
+        bound = np.maximum(limit, _STREAM_ACCELERATION * estimator.acceleration[indices])
+        self._bound[indices] = np.maximum(bound, self._bound[indices])
+        change = np.abs(velocity - self._reference[indices])
+        self._goal[indices], self._reference_goal[indices] = goal, velocity
+        self._ramp[indices] = np.clip(
+            change / (_within(left_s, 0.5 * interval_s, 1.5 * interval_s)
+                      + clock.slack_s[indices]), 1e-9, bound)
+        self._until_s[indices] = estimator.until_s[indices]
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -200,21 +247,52 @@ class SetpointGenerator:
 
         :param duration_s: length of the interval [s]
         """
+        if self._waits.any():
+            self._take_goals()
         self._end_streams()
+        begin, low_pass = self.velocity, self._stage2
         # What is missing is computed before anything moves.
         missing = self._missing() if self._catches else None
-        travel = self._advance_stream(duration_s)
-        if missing is not None:
-            travel += self._advance_catch_up(missing, duration_s)
+        velocity, travel = self._advance_reference(duration_s)
+        room = np.minimum(self._high - self.position, self.position - self._low)
+        if missing is not None or (room < self._ends).any():
+            if missing is not None:
+                self._catch_up(missing, duration_s)
+            velocity, travel = self._limit(velocity, travel, low_pass, duration_s)
+        else:
+            self._reference = velocity.copy()
         self.position = _within(self.position + travel, self._low, self._high)
-        self.velocity = self._stream + self._stage2
+        self.velocity, self.acceleration = velocity, (velocity - begin) / duration_s
         self.now_s += duration_s
-        if not (self._catches or self._stream.any() or self._stream_goal.any()):
+        if not (self._catches or velocity.any() or self._reference_goal.any()):
             self._arrive()
+
+    def _limit(self, reference: FloatArray, travel: FloatArray, low_pass: FloatArray,
+               duration_s: float) -> tuple[FloatArray, FloatArray]:
+        """
+        Return the velocity after an interval, with all that is caught up, and the way in it.
+
+        :param reference: velocity of the references after it, and ``travel`` their way in it
+        :param low_pass: what was caught up before it, as velocity
+        """
+        begin, plain = self.velocity, reference + self._stage2
+        # A velocity that was commanded has been limited before.
+        top = np.where(self._seeks, self._velocity_limit, np.inf)
+        velocity = self._before_the_range_ends(_within(plain, -top, top), duration_s)
+        change = self._bound * duration_s
+        velocity = _within(velocity, begin - change, begin + change)
+        # What the limits take away is not caught up at once.
+        held = velocity != plain
+        self._catches |= bool(held.any())
+        self._reference = np.where(held & ~self._seeks, velocity, reference)
+        self._stage2 = np.where(held & self._seeks, velocity - reference, self._stage2)
+        even = held | (low_pass != 0.0) | (self._stage2 != 0.0)
+        return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel)
 
     def _arrive(self) -> None:
         if self._resting().all():
             self.moving = False
+            self._bound = self._acceleration_limit.copy()
             self.position[self._seeks] = self._goal[self._seeks]
             for part in (self._raw, self._stage1, self._stage2, self.velocity, self.acceleration):
                 part[:] = 0.0
@@ -244,98 +322,79 @@ class SetpointGenerator:
         held = near != self.position
         if held.any():
             self.position, self._catches = near, True
-            for part in (self._raw, self._stage1, self._stage2, self._stream, self.velocity,
+            for part in (self._raw, self._stage1, self._stage2, self._reference, self.velocity,
                          self.acceleration):
                 part[held] = 0.0
 
     def _resting(self) -> BoolArray:
         pace = np.maximum.reduce([
-            np.abs(self._raw), np.abs(self._stage1), np.abs(self._stage2), np.abs(self._stream),
-            np.abs(self._stream_goal)])
+            np.abs(self._raw), np.abs(self._stage1), np.abs(self._stage2),
+            np.abs(self._reference), np.abs(self._reference_goal)])
         away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
         return np.maximum(pace, away) < _ARRIVED
 
     def _end_streams(self) -> None:
         ended = self._until_s <= self.now_s + 1e-9
         if ended.any():
-            self._stream_goal[ended] = 0.0
-            self._ramp[ended] = np.maximum(
-                np.abs(self._stream[ended]) / self._estimator.interval_s[ended], 1e-9)
+            self._reference_goal[ended] = 0.0
+            self._ramp[ended] = self._acceleration_limit[ended]
             self._until_s[ended] = np.inf
 
-    def _still_to_come(self) -> FloatArray:
-        """Return how far the setpoints go by themselves if no further command comes."""
-        left_s = self._until_s - self.now_s
-        streaming = np.isfinite(left_s)
-        left_s = np.where(streaming, left_s, 0.0)
-        change = self._stream_goal - self._stream
-        ramp_s = np.abs(change) / self._ramp
-        ramp_s = np.where(streaming, np.minimum(ramp_s, left_s), ramp_s)
-        reached = self._stream + np.sign(change) * self._ramp * ramp_s
-        stream = (self._stream + reached) / 2.0 * ramp_s + reached * (left_s - ramp_s) * streaming
-        # After the message interval the stream ramps down to zero within another one.
-        stream += np.where(streaming, reached * self._estimator.interval_s / 2.0, 0.0)
-        return np.asarray(stream + _SMOOTHING_S * (self._stage1 + self._stage2))
+    def _smoothing_s(self) -> FloatArray:
+        """Return the time constants with which ways are caught up, shape (n,)."""
+        estimator = self._estimator
+        stream_s = np.maximum(_SMOOTHING_INTERVALS * estimator.interval_s,
+                              _SMOOTHING_JITTERS * estimator.clock.jitter_s)
+        return np.where(np.isfinite(self._until_s) & (self._reference_goal != 0.0),
+                        np.maximum(stream_s, _SMOOTHING_S), _SMOOTHING_S)
 
     def _missing(self) -> FloatArray:
-        self._brakes &= self._stream != 0.0
+        """Return how far setpoints will be behind where they follow, or rest, of themselves."""
+        self._brakes &= self._reference != 0.0
+        estimator, goal = self._estimator, self._reference_goal
+        age_s = np.where(np.isfinite(self._until_s),
+                         self.now_s - estimator.clock.sent_s - 1.5 * estimator.interval_s, 0.0)
+        change = goal - self._reference
+        ramp = -change * np.abs(change) / (2.0 * self._ramp)
+        low_pass = self._smoothing_s() * (self._stage1 + self._stage2)
         return np.where(self._seeks & ~self._brakes,
-                        self._goal - self.position - self._still_to_come(), 0.0)
+                        self._goal + goal * age_s - self.position - ramp - low_pass, 0.0)
 
-    def _advance_catch_up(self, missing: FloatArray, duration_s: float) -> FloatArray:
+    def _catch_up(self, missing: FloatArray, duration_s: float) -> None:
         limit, top = self._acceleration_limit, self._velocity_limit
-        if self._estimator.jitter.any():
-            soft = self._soft(missing)
-            raw = braking_velocity(missing - soft, limit, duration_s) + soft / np.maximum(
-                _SOFT_INTERVALS * self._estimator.interval_s, duration_s)
-        else:
-            raw = braking_velocity(missing, limit, duration_s)
+        raw = braking_velocity(missing, limit, duration_s)
         change = limit * duration_s
         raw = _within(raw, self._raw - change, self._raw + change)
-        self._raw = _within(raw, -top - self._stream_goal, top - self._stream_goal)
-        # Two first-order stages whose input is constant during the interval.
-        ratio = duration_s / _SMOOTHING_S
-        decay = math.exp(-ratio)
-        raw, stage1, stage2 = self._raw, self._stage1, self._stage2
-        off1, off2 = (stage1 - raw) * decay, (stage2 - raw) * decay
-        self._stage1, self._stage2 = raw + off1, raw + off2 + off1 * ratio
-        self.acceleration += (self._stage1 - self._stage2) / _SMOOTHING_S
+        raw = _within(raw, -top - self._reference_goal, top - self._reference_goal)
+        # Two first-order stages, each of which averages what goes into it over the interval.
+        share = duration_s / (self._smoothing_s() + duration_s / 2.0)
+        stage1 = self._stage1 + share * (raw - self._stage1)
+        stage2 = self._stage2 + share * ((self._stage1 + stage1) / 2.0 - self._stage2)
         pace = np.maximum(np.maximum(np.abs(missing), np.abs(raw)),
-                          np.maximum(np.abs(self._stage1), np.abs(self._stage2)))
+                          np.maximum(np.abs(stage1), np.abs(stage2)))
         self._catches = bool(pace.max(initial=0.0) >= _ARRIVED or self._brakes.any())
         if not self._catches:
-            for part in (self._raw, self._stage1, self._stage2):
-                part[:] = 0.0
-        return np.asarray(raw * duration_s + _SMOOTHING_S * (
-            stage1 + stage2 - self._stage1 - self._stage2))
+            raw, stage1, stage2 = np.zeros_like(raw), np.zeros_like(raw), np.zeros_like(raw)
+        self._raw, self._stage1, self._stage2 = raw, stage1, stage2
 
-    def _soft(self, missing: FloatArray) -> FloatArray:
-        """Return how much of a lag may be caught up slowly because messages jitter."""
-        band = np.where(np.isfinite(self._until_s), self._estimator.jitter * self._stream_goal
-                        * self._estimator.interval_s, 0.0)
-        return _within(missing, np.minimum(band, 0.0), np.maximum(band, 0.0))
-
-    def _advance_stream(self, duration_s: float) -> FloatArray:
-        begin, goal = self._stream, self._stream_goal
-        free = ~self._seeks & (goal != 0.0)
-        if free.any():
-            goal = self._before_the_range_ends(goal, duration_s)
-        change = goal - begin
+    def _advance_reference(self, duration_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the velocity of the references after an interval, and their way in it."""
+        begin = self._reference
+        change = self._reference_goal - begin
         ramp_s = np.minimum(np.abs(change) / self._ramp, duration_s)
         end = begin + np.copysign(self._ramp * ramp_s, change)
-        self._stream = end
-        self.acceleration = (end - begin) / duration_s
-        return np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
+        return end, np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
 
     def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:
         """Return velocities, at the end of an interval, that allow braking within the range."""
-        change = self._acceleration_limit * duration_s / 2.0
+        change = self._bound * duration_s / 2.0
         highest, lowest = (
-            np.sqrt(np.maximum(change**2 + 2.0 * self._acceleration_limit * np.maximum(
+            np.sqrt(np.maximum(change**2 + 2.0 * self._bound * np.maximum(
                 distance - towards * duration_s / 2.0, 0.0), 0.0)) - change
-            for distance, towards in ((np.minimum(self._high - self.position, 1e6), self._stream),
-                                      (np.minimum(self.position - self._low, 1e6), -self._stream)))
-        return np.where(self._seeks, velocity, np.clip(velocity, -lowest, highest))
+            for distance, towards in (
+                (np.minimum(self._high - self.position, 1e6), self.velocity),
+                (np.minimum(self.position - self._low, 1e6), -self.velocity)))
+        return _within(velocity, -lowest, highest)
 
 
 def _within(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

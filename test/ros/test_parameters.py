@@ -98,7 +98,8 @@ def test_every_parameter_is_described(serve, client):
     response = client.call(DescribeParameters, 'manip_sim/describe_parameters',
                            DescribeParameters.Request(names=ours))
     live = {'real_time_factor', 'control_mode.arm', 'command_timeout.arm', 'control_mode.right',
-            'command_timeout.right', 'wrench_cutoff.right',
+            'command_timeout.right', 'wrench_cutoff.right', 'stream_interval.arm',
+            'stream_interval.right', 'stream_hold.arm', 'stream_hold.right',
             *(f'cartesian.right.{name}' for name in (
                 'stiffness', 'damping_ratio', 'linear_velocity', 'angular_velocity',
                 'twist_timeout'))}

@@ -166,13 +166,28 @@ def test_streamed_sine_passes_in_full_with_one_and_a_half_intervals_of_delay(fre
     np.testing.assert_allclose(position, basis @ [sine, cosine, middle], atol=1e-4)
 
 
-@pytest.mark.parametrize('ends', ['repeated', 'silent'])
-def test_stream_that_stops_lands_on_its_last_goal_without_going_past(ends):
-    course = streamed(lambda t: 0.5 * min(t, 1.0) if t <= 1.0 or ends == 'repeated' else None, 2.5)
+def test_stream_that_stops_lands_on_its_last_goal_without_going_past():
+    course = streamed(lambda t: 0.5 * min(t, 1.0), 2.5)
     assert course.position.max() <= 0.5 + 1e-9
     assert course.position[-1] == pytest.approx(0.5, abs=1e-9)
     arrival = course.time[np.argmax(course.position > 0.5 - 1e-4)]
     assert arrival < 1.1
+
+
+@pytest.mark.parametrize(('hold_s', 'goes_on_s'), [(0.0, 0.02), (0.1, 0.1), (0.004, 0.004)])
+def test_stream_that_falls_silent_goes_on_brakes_and_comes_back(hold_s, goes_on_s):
+    setpoints = generator()
+    setpoints.set_stream(ONE, hold_s=hold_s)
+    course = streamed(lambda t: 0.5 * t if t <= 1.0 else None, 2.5, setpoints=setpoints)
+    # The next message was due 10 ms after the last one.
+    holds = (course.time > 0.5) & (course.time < 1.01 + goes_on_s)
+    np.testing.assert_allclose(course.velocity[holds], 0.5, rtol=1e-6)
+    assert course.velocity[np.argmax(course.time > 1.01 + goes_on_s + 0.0101)] < 0.47
+    assert np.abs(course.acceleration[course.time > 0.5]).max() <= A * (1.0 + 1e-9)
+    furthest = 0.5 + 0.5 * (goes_on_s - 0.005) + 0.5**2 / (2.0 * A)
+    assert furthest - 1e-3 < course.position.max() < furthest + 0.5 * 0.004
+    assert course.position[-1] == 0.5
+    assert not setpoints.moving
 
 
 def test_jump_inside_a_stream_is_a_step_and_not_a_velocity():
@@ -226,12 +241,13 @@ def jittered(kind, goal_at, seconds, seed, until_s=np.inf):
     setpoints = generator()
     course, next_one = Course(setpoints), 0
     for k in range(round(seconds / PERIOD_S)):
-        newest = None
+        newest, messages = None, 0
         while arrival[next_one] <= k * PERIOD_S + 1e-9:
-            newest = sent[next_one] if sent[next_one] <= until_s else newest
+            if sent[next_one] <= until_s:
+                newest, messages = sent[next_one], messages + 1
             next_one += 1
         if newest is not None:
-            setpoints.go_to(ONE, np.array([goal_at(newest)]), PERIOD_S)
+            setpoints.go_to(ONE, np.array([goal_at(newest)]), PERIOD_S, messages)
         course.advance(*INTERVALS_S)
     return course
 
@@ -253,7 +269,9 @@ def test_stream_whose_messages_jitter_lands_on_its_last_goal(kind):
         course = jittered(kind, lambda t: 0.5 * t, 4.0, seed, until_s=2.0)
         last = course.position[-1]
         assert 1.0 - 0.5 * PERIOD_S / 0.9 <= last <= 1.0
-        assert course.position.max() < last + 0.005
+        # It goes on while messages may only be late, and brakes within the limit.
+        assert course.position.max() < last + 0.5**2 / (2.0 * A) + 0.5 * 4.0 * PERIOD_S
+        assert np.abs(course.acceleration).max() <= A * (1.0 + 1e-9)
         assert not course._setpoints.moving
 
 

@@ -33,5 +33,5 @@ def test_the_second_goal_of_a_stream_may_be_as_far_as_the_joint_can_accelerate()
 def test_a_stream_of_constant_velocity_has_that_velocity():
     goals = [0.0015 * n for n in range(12)]
     assert taken(*goals).velocity == pytest.approx(0.15)
-    assert taken(*goals).jitter == 0.0
+    assert taken(*goals).clock.jitter_s == pytest.approx(0.0, abs=1e-15)
     assert taken(*goals).interval_s == pytest.approx(PERIOD_S)
