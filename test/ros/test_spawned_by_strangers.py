@@ -22,9 +22,12 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError
+from manip_sim.interface.composition import spawn_files
 from manip_sim.models import held_models, trial
 from manip_sim.models.regular_files import FilesBelow
-from manip_sim.ros import spawning_services
+from manip_sim.resources import asset_path, share_directory
+from manip_sim.ros import main, spawning_services
+from manip_sim.ros.background import in_background
 from manip_sim.ros.spawning_services import SpawningServices
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))
@@ -121,6 +124,32 @@ def test_an_object_that_is_made_in_the_background_comes(serve, client, tmp_path)
     assert node.simulation.plan.object_names == ['cube', 'o', 'ball']
     client.spin_until(lambda: client.node.count_publishers('objects/o/pose') > 0)
     assert not [t for t in threading.enumerate() if t.name == 'background']
+
+
+def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
+    node, going, ended = Plain(executor=None), threading.Event(), []
+    monkeypatch.setattr(main.os, '_exit', ended.append)
+    waiting = in_background(node, lambda: going.wait(60.0))
+    waiting.send(None)
+    assert main._leave(3) == 3 and ended == [3]
+    going.set()
+    with pytest.raises(StopIteration):
+        while True:
+            waiting.send(None)
+
+
+@pytest.mark.parametrize('folders', [[], ['']])
+def test_nothing_but_our_own_assets_may_be_read_unless_the_operator_says_so(folders):
+    files = spawn_files(folders)
+    assert files.read(asset_path('robots', 'panda'), 'MJCF file', 10**6).startswith(b'<')
+    for path in ('package.xml', 'assets/../package.xml'):
+        with pytest.raises(ManipSimError, match='only files below spawn_roots may be: .*assets$'):
+            files.read(share_directory() / path, 'MJCF file', 10**6)
+
+
+def test_a_node_with_a_root_that_is_missing_does_not_start(serve):
+    with pytest.raises(ManipSimError, match='^no such folder in spawn_roots: /nowhere$'):
+        serve(spawn_roots=['/nowhere'])
 
 
 # ---------------------------------------------------------------------- random requests
@@ -229,6 +258,16 @@ def test_no_text_and_no_file_reads_what_is_private(hostile, tried_here, text):
     for name in ('try.xml', 'try.yaml'):
         (roots / name).write_bytes(text.encode(errors='replace'))
         door(FilesBelow([roots], 'spawn_roots'), uri=name)
+    assert opened.take() == set()
+
+
+def test_materials_that_a_mesh_names_are_not_read(hostile, tried_here):
+    roots, private, opened = hostile
+    (roots / 'm.obj').write_text(
+        f'mtllib {private}/key\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl key\n'
+        'f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n')
+    (roots / 'try.xml').write_text(MESH.replace('m.stl', 'm.obj'))
+    assert door(FilesBelow([roots], 'spawn_roots'), uri='try.xml').mass_kg > 1.0
     assert opened.take() == set()
 
 
