@@ -9,11 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from manip_sim.viewer.page.cameras import CameraPanel
-from manip_sim.viewer.page.commands import Events
-from manip_sim.viewer.page.hand_target import HandTarget
-from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
-from manip_sim.viewer.page.robots import Joint, Part, Robot
+pytest.importorskip('hypothesis', reason='needs hypothesis')
+
+from hypothesis import given, strategies as st  # noqa: E402
+
+from manip_sim.viewer.page.cameras import CameraPanel  # noqa: E402
+from manip_sim.viewer.page.commands import Events  # noqa: E402
+from manip_sim.viewer.page.hand_target import HandTarget  # noqa: E402
+from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_inward  # noqa: E402
+from manip_sim.viewer.page.robots import Joint, Part, Robot  # noqa: E402
 
 RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}
 ARM = Part('arm', (Joint('robot0_a', 'a', False, RANGES), Joint('robot0_b', 'b', False, RANGES)))
@@ -223,3 +227,38 @@ def test_images_are_asked_for_only_while_they_are_shown(rig):
     rig.events.run()
     assert rig.sent.taken() == [('watch', 'front', False)]
     assert rig.gui.found['image'].removed
+
+
+@pytest.mark.parametrize(('limits', 'expected'), [
+    ((-1.0, 2.0), (-1.0, 2.0)), ((-2.89725, 2.89725), (-2.8972, 2.8972)),
+    ((0.00001, 0.0399999), (0.0001, 0.0399)), ((0.00012, 0.00018), (0.00012, 0.00018)),
+    ((0.0, 0.0), (0.0, 0.0)), ((-0.00005, 0.00012), (0.0, 0.0001)),
+    ((0.00005, 0.00012), (0.00005, 0.00012))])
+def test_what_a_slider_sends_is_within_the_limits_of_its_joint(limits, expected):
+    assert rounded_inward(*limits) == pytest.approx(expected, abs=1e-12)
+    low, high = rounded_inward(*limits)
+    assert limits[0] <= low <= high <= limits[1]
+
+
+@pytest.mark.parametrize('measured', [-9.0, -0.99, -0.503, 0.5, 1.2345, 1.9999, 2.0, 9.0])
+def test_a_slider_shows_the_nearest_of_its_steps_within_its_range(rig, measured):
+    panel, slider = joint_panel(rig, 'position'), rig.gui.found['a']
+    panel.show(0.0, {'robot0_a': measured}, {}, paused=False)
+    assert slider.min <= slider.value <= slider.max
+    nearest = min(max(measured, slider.min), slider.max)
+    assert abs(slider.value - nearest) <= 0.5 * slider.step + 1e-9
+    steps = (slider.value - slider.min) / slider.step
+    assert steps == pytest.approx(round(steps), abs=1e-6)
+
+
+@given(st.floats(-1e3, 1e3), st.floats(0.0, 1e3))
+def test_any_range_gives_a_slider(low, width):
+    ranges = {**RANGES, 'position': (low, low + width)}
+    rig = SimpleNamespace(gui=Gui(), sent=Sent(), events=Events())
+    part = Part('arm', (Joint('robot0_a', 'a', False, ranges),))
+    panel = JointPanel(rig.gui, ROBOT, part, 'position', rig.sent, rig.events)
+    slider = rig.gui.found['a']
+    assert low <= slider.min <= slider.value <= slider.max <= low + width
+    assert slider.step > 0.0
+    panel.show(0.0, {'robot0_a': low + 0.7 * width}, {}, paused=False)
+    assert slider.min <= slider.value <= slider.max

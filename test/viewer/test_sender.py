@@ -12,6 +12,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
+from manip_sim.viewer.page.diagnosis import Status  # noqa: E402
 from manip_sim.viewer.ros.commands import CommandSender  # noqa: E402
 
 
@@ -32,3 +33,61 @@ def test_the_last_goal_waits_for_the_node_unless_it_is_gone(node, forgotten):
         executor.spin_once(timeout_sec=0.02)
     executor.shutdown()
     assert [list(message.position) for message in taken] == ([] if forgotten else [[0.2]])
+
+
+def test_a_command_for_a_topic_that_is_gone_is_told_and_not_kept(node):
+    told = []
+    sender = CommandSender(node, 'sim', {}, told.append)
+    sender.prepare({'/arm/joint_command': JointState, '/left/joint_command': JointState})
+    sender.move_joints('/', 'arm', 'position', {'joint1': 0.1})
+    sender.prepare({'/left/joint_command': JointState})
+    # What was waiting is told once when it cannot be sent any more.
+    sender.send_waiting()
+    sender.send_waiting()
+    assert told == ['/arm/joint_command: the node no longer subscribes to this topic']
+    assert node.count_publishers('/arm/joint_command') == 0
+
+
+def test_an_action_is_sent_for_as_many_fingers_as_the_diagnostics_say(node):
+    told, sent = [], []
+    sender = CommandSender(node, 'sim', {}, told.append)
+    sender._publish = lambda topic, message: sent.append((topic, list(message.data)))
+    for size, expected in (('2', 2), ('100', 100), ('0', None), ('101', None), ('-1', None),
+                           ('abc', None), ('nan', None), ('9' * 30, None)):
+        told.clear()
+        sent.clear()
+        sender.notice('/', [Status(0, 'right/gripper', '', {'action_size': size}),
+                            Status(0, 'arm', '', {})])
+        sender.act('/', 'right/gripper', 1.0)
+        if expected is None:
+            assert (sent, told) == (
+                [], ['right/gripper: the length of an action is not known yet'])
+        else:
+            assert sent == [('/right/gripper/command', [1.0] * expected)]
+
+
+def test_a_goal_that_waited_does_not_come_after_a_newer_one(node):
+    sender, taken = CommandSender(node, 'sim', {}, pytest.fail), []
+    sender.prepare({'/arm/joint_command': JointState})
+    sender.move_joints('/', 'arm', 'position', {'joint1': 0.1})
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    node.create_subscription(JointState, '/arm/joint_command', taken.append, 10)
+    end = time.monotonic() + 30.0
+    while not node.count_subscribers('/arm/joint_command') and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.02)
+    goals = iter(range(1, 1000))
+    while not taken and time.monotonic() < end:
+        sender.move_joints('/', 'arm', 'position', {'joint1': float(next(goals))})
+        executor.spin_once(timeout_sec=0.02)
+    # Whatever has come, the next goal is not followed by a former one.
+    taken.clear()
+    sender.send_waiting()
+    sender.move_joints('/', 'arm', 'position', {'joint1': -1.0})
+    while not any(list(message.position) == [-1.0] for message in taken):
+        assert time.monotonic() < end
+        executor.spin_once(timeout_sec=0.02)
+    executor.shutdown()
+    values = [message.position[0] for message in taken]
+    assert 0.1 not in values
+    assert values[:-1] == sorted(values[:-1])
