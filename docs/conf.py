@@ -52,7 +52,8 @@ nitpick_ignore_regex = [
     # Classes and functions that the documented ones use.
     ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
                         r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera'
-                        r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts)'),
+                        r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
+                        r'|ControlledJoints|TakenNames)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
