@@ -8,8 +8,8 @@ import re
 
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, composition_parameters, MODEL_PATH,
-    node_parameters, mode_parameters, place_parameters, stream_parameters, timeout_parameters,
-    wrench_parameters)
+    mode_parameters, node_parameters, place_parameters, reflex_parameters, stream_parameters,
+    timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 
@@ -44,12 +44,16 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
              *timeout_parameters(scope, ['arm', 'base']),
              *stream_parameters(scope, ['arm', 'base']),
              *camera_parameters('<camera>', ImageSettings()),
-             *cartesian_parameters(scope, ['right']), *wrench_parameters(scope, ['right'])]
+             *cartesian_parameters(scope, ['right']),
+             *reflex_parameters(scope, ['right', 'base'], ['right']),
+             *wrench_parameters(scope, ['right'])]
     rows = {row[0].strip('`'): row for row in table_rows('parameters.md')}
     expected = set()
     for spec in specs:
         name = re.sub(r'\.(arm|base)$', '.<part>', spec.name)
         name = name.replace('cartesian.right.', 'cartesian.<arm>.')
+        name = re.sub(r'^reflex\.\w+\.(velocity|effort)', r'reflex.<part>.\1', name)
+        name = name.replace('reflex.right.', 'reflex.<arm>.')
         name = name.replace('wrench_cutoff.right', 'wrench_cutoff.<arm>')
         expected.add(name)
         _, kind, default, unit, live, meaning = rows[name]

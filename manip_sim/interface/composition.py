@@ -17,8 +17,8 @@ from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
-    place_parameters, steps_per_period, stream_parameters, timeout_parameters,
-    wrench_parameters)
+    place_parameters, reflex_parameters, steps_per_period, stream_parameters,
+    timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import PartLike
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
@@ -117,6 +117,7 @@ def declare_parts(parameters: ParameterSource,
         arms = [arm for arm in commanded if f'{arm}/gripper' in parts]
         parameters.declare(cartesian_parameters(scope, arms))
         parameters.declare(wrench_parameters(scope, arms))
+        parameters.declare(reflex_parameters(scope, commanded, arms))
 
 
 def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjModel

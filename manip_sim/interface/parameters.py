@@ -265,6 +265,34 @@ def wrench_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
         'Hz', live=True, minimum=0.0, maximum=10000.0).within(scope) for arm in arms]
 
 
+def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]
+                      ) -> list[ParameterSpec]:
+    """
+    Return the parameters of what stops a part until ``~/reset_reflex``.
+
+    :param parts: the parts with driven joints, see :func:`commanded_parts`
+    :param arms: those with a gripper, and so with an external wrench
+    """
+    end = '; the part then refuses commands until ~/reset_reflex. 0 is never.'
+    specs = []
+    for part in parts:
+        specs += [
+            ParameterSpec(f'reflex.{part}.velocity', 0.0, 'Stop if a joint is faster than this '
+                          f'multiple of its velocity limit{end}', live=True, minimum=0.0,
+                          maximum=100.0),
+            ParameterSpec(f'reflex.{part}.effort', 0.0, 'Stop if a joint exerts more than this '
+                          f'multiple of its effort limit{end}', live=True, minimum=0.0,
+                          maximum=1.0)]
+        if part in arms or (part == 'arm' and len(arms) == 1):
+            specs += [
+                ParameterSpec(f'reflex.{part}.force', 0.0, 'Stop if the external force on the '
+                              f'tool is larger{end}', 'N', live=True, minimum=0.0, maximum=1e5),
+                ParameterSpec(f'reflex.{part}.torque', 0.0, 'Stop if the external torque on the '
+                              f'tool is larger{end}', 'N m', live=True, minimum=0.0,
+                              maximum=1e5)]
+    return [spec.within(scope) for spec in specs]
+
+
 def steps_per_period(publish_rate: float, timestep: float) -> int:
     """
     Return how many physics steps a control period has.

@@ -164,6 +164,8 @@ SERVICES = (
     Service('~/pause', 'std_srvs/SetBool', 'pause or go on'),
     Service('~/step', 'std_srvs/Trigger', 'when paused: one control period'),
     Service('~/reset', 'std_srvs/Trigger', 'back to the start; simulation time goes on'),
+    Service('~/reset_reflex', 'std_srvs/Trigger',
+            'let parts that a reflex has stopped take commands again'),
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
 )
 

@@ -118,7 +118,14 @@ class CommandSubscribers:
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
                            if isinstance(message, _ANSWERS) else 0)
+                refusal = next(filter(None, map(self.robot.refusal, commands)), None)
+                if refusal is not None:
+                    # In lock-step it is an answer nevertheless: the robot has to come to rest.
+                    commands = [NoCommand(robot=c.robot, parts=c.parts, indices=c.indices[:0])
+                                for c in commands]
                 self._thread.submit(commands, answers, self.robot.name)
+                if refusal is not None:
+                    raise CommandError(refusal)
             except CommandError as error:
                 self.statistics[entry].rejected += 1
                 self._log.warn(topic, kind_of(error), f'rejected a message on {topic}: {error}')

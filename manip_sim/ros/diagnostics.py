@@ -198,9 +198,17 @@ class Diagnostics:
             values['timeouts'] = sum(
                 joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
             values['limited'] = joints.limited(part)
+            values['reflexes'] = sum(
+                robot.reflexes.counts[atomic] for atomic in robot.parts[part].atomic)
         reports = reports_of(commands, part)
         values.update(counts_of(reports))
         status = _status(name, 'commands', values)
+        for stopped in robot.reflexes.tripped:
+            if part in robot.parts and stopped in robot.parts[part].atomic:
+                status.level = DiagnosticStatus.ERROR
+                status.message = (f'stopped by a reflex: {robot.reflexes.tripped[stopped]}; '
+                                  'call ~/reset_reflex')
+                self._node.rejections.warn(name, 'reflex', f'{name}: {status.message}')
         if part in robot.grippers:
             self._tell_faults(status, robot.grippers[part])
         for report in reports:

@@ -18,7 +18,7 @@ from manip_sim.simulation import Simulation
 
 class SimulationServices:
     """
-    The services ``~/pause``, ``~/step``, ``~/reset`` and ``~/tare_wrench``.
+    The services ``~/pause``, ``~/step``, ``~/reset``, ``~/reset_reflex`` and ``~/tare_wrench``.
 
     :param node: the node
     :param simulation: what is controlled
@@ -32,6 +32,7 @@ class SimulationServices:
         for name, function, done in (
                 ('~/step', thread.step, 'advanced by one control period'),
                 ('~/reset', thread.reset, 'back at the start'),
+                ('~/reset_reflex', self._reset_reflex, 'all parts take commands again'),
                 ('~/tare_wrench', self._tare, 'external wrenches read zero now')):
             node.create_service(Trigger, name, self._trigger(function, done))
 
@@ -45,6 +46,12 @@ class SimulationServices:
             for robot in self._simulation.robots.values():
                 robot.tare_wrench()
         self._thread.call(tare)
+
+    def _reset_reflex(self) -> None:
+        def reset() -> None:
+            for robot in self._simulation.robots.values():
+                robot.reset_reflexes()
+        self._thread.call(reset)
 
     def _trigger(self, function: Callable[[], None], done: str) -> Callable[[Any, Any], Any]:
         return lambda _, response: _answer(response, function, done)

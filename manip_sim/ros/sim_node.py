@@ -20,6 +20,7 @@ from rclpy.publisher import Publisher
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
+from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.rclpy_internals import RCLError
@@ -110,8 +111,8 @@ class SimNode(Node):
     def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
         self._cartesian = []
-        #: What uses the value of a parameter ``wrench_cutoff.<arm>``.
-        self._cutoffs: dict[str, Callable[[float], None]] = {}
+        #: What uses the value of a live parameter, by its name.
+        self._uses: dict[str, Callable[[float], None]] = {}
         for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
@@ -146,8 +147,13 @@ class SimNode(Node):
                     change(name, value(scope.parameter(f'{group}.{name}')))
         for arm in robot.end_effectors:
             name = scope.parameter(f'wrench_cutoff.{arm}')
-            self._cutoffs[name] = partial(robot.set_wrench_cutoff, arm)
-            self._cutoffs[name](value(name))
+            self._uses[name] = partial(robot.set_wrench_cutoff, arm)
+            self._uses[name](value(name))
+        for spec in reflex_parameters(scope, commanded_parts(robot.parts), [*robot.end_effectors]):
+            name, quantity = spec.name.split('.')[-2:]
+            self._uses[spec.name] = partial(robot.set_reflex, name, quantity)
+            if value(spec.name):
+                self._uses[spec.name](value(spec.name))
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
@@ -171,8 +177,8 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
                     self.thread.set_real_time_factor(parameter.value)
-                if parameter.name in self._cutoffs:
-                    change = partial(self._cutoffs[parameter.name], parameter.value)
+                if parameter.name in self._uses:
+                    change = partial(self._uses[parameter.name], parameter.value)
                     self.thread.call(change)
                 for cartesian in self._cartesian:
                     cartesian.parameter_changed(parameter)

@@ -142,6 +142,26 @@ class JointController(ControlledJoints):
             self._timeouts.forget(self.parts_of(changed))
             self._hold(changed, data)
 
+    def stop(self, part: str, reason: str, data: mujoco.MjData) -> None:
+        """
+        Abort the commands of a part; its joints come to rest as after a change of mode.
+
+        :param part: an atomic one
+        :param reason: why, for the handles of the commands
+        """
+        indices = self.indices_of(part)
+        self.commands.release(indices, Status.ABORTED, reason)
+        self._timeouts.forget([part])
+        self._hold(indices, data)
+
+    def efforts_allowed(self, indices: IntArray) -> FloatArray:
+        """Return the greatest efforts of joints [N m or N], shape (n,)."""
+        return np.asarray(np.abs(self._servos.ranges['effort'][indices]).max(axis=1))
+
+    def dofs(self, indices: IntArray) -> IntArray:
+        """Return the addresses of joints in ``qvel``, shape (n,)."""
+        return np.asarray(self._servos.dofs[indices])
+
     def _hold(self, indices: IntArray, data: mujoco.MjData) -> None:
         """Let joints come to rest as soon as their acceleration limits allow."""
         gives = self._servos.gives_effort(indices)

@@ -22,6 +22,7 @@ from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.parts import find_parts, Part
+from manip_sim.simulation.reflexes import Reflexes
 from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
 
@@ -43,6 +44,7 @@ class SimulatedRobot:
     :ivar joints: controller of the joints
     :ivar grippers: controllers of the grippers, by part
     :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
+    :ivar reflexes: what stops a part, and which parts were stopped
     :ivar parse: parser of commands
     :ivar parse_cartesian: parser of Cartesian commands
     :ivar joint_names: all scalar joints, in the order of the states
@@ -68,6 +70,8 @@ class SimulatedRobot:
             find_hands(model, robot, self.parts, self.end_effectors))
         self.grippers = {part.name: GripperController(model, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
+        self.reflexes = Reflexes(
+            part.name for part in atomic if part.gripper is None and part.actuators)
         self.parse = CommandParser(robot, self.joints, self.grippers)
         self.parse_cartesian = CartesianParser(
             robot, self.joints, find_frames(model, robot, self.end_effectors))
@@ -127,7 +131,8 @@ class SimulatedRobot:
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
-        return self.joints.resting and not any(g.moving for g in self.grippers.values())
+        return (self.joints.resting and not self.reflexes.armed
+                and not any(g.moving for g in self.grippers.values()))
 
     # ------------------------------------------------------------------ commands
 
@@ -145,7 +150,10 @@ class SimulatedRobot:
             self._period_s = period_s
         now_s = self._now_ns() * 1e-9
         for command in commands:
-            if isinstance(command, NoCommand):
+            refusal = self.refusal(command)
+            if refusal is not None:
+                command.handle.end(Status.ABORTED, refusal)
+            elif isinstance(command, NoCommand):
                 command.handle.end(Status.DONE)
             elif isinstance(command, GripperCommand):
                 (part,) = command.parts
@@ -314,7 +322,49 @@ class SimulatedRobot:
         :param period_s: length of the control period [s]
         """
         self._period_s = period_s
+        for part in self.reflexes.armed:
+            if part not in self.reflexes.tripped:
+                self._check_reflex(part)
         self.joints.begin_period(self._data, self._now_ns() * 1e-9, period_s)
+
+    def _check_reflex(self, part: str) -> None:
+        indices, data, joints = self.joints.indices_of(part), self._data, self.joints
+        dofs = joints.dofs(indices)
+        shares = {'velocity': np.abs(data.qvel[dofs]) / joints.velocity_limits(indices),
+                  'effort': np.abs(self._efforts.values[dofs]) / joints.efforts_allowed(indices)}
+        wrench = next((reader.external_wrench(data) for arm, reader in self.end_effectors.items()
+                       if self.parts[arm].atomic == (part,)), None)
+        reason = self.reflexes.excess(part, shares, [joints.names[i] for i in indices], wrench)
+        if reason is not None:
+            self.reflexes.trip(part, reason)
+            joints.stop(part, f'stopped by a reflex: {reason}', data)
+
+    def set_reflex(self, part: str, quantity: str, limit: float) -> None:
+        """
+        Change what stops a part; it then refuses commands until :meth:`reset_reflexes`.
+
+        :param part: such as ``arm``
+        :param quantity: ``velocity`` or ``effort``, as multiples of the limits of the joints, or
+            ``force`` [N] or ``torque`` [N m], of the external wrench on the tool of an arm
+        :param limit: 0 for none
+        :raises CommandError: if the part is a gripper
+        :raises UnknownNameError: if there is no such part or quantity
+        """
+        self._check_no_gripper(part)
+        for name in self.joints.parts_of(self.joints.indices_of(part)):
+            self.reflexes.set(name, quantity, limit)
+
+    def reset_reflexes(self) -> None:
+        """Let parts that a reflex has stopped take commands again."""
+        self.reflexes.reset()
+
+    def refusal(self, command: Command) -> str | None:
+        """Return why a command is refused at present, or None."""
+        stopped = [part for part in self.reflexes.tripped if part in command.parts]
+        if not stopped or isinstance(command, NoCommand):
+            return None
+        return (f'{stopped[0]} was stopped by a reflex: {self.reflexes.tripped[stopped[0]]}; '
+                'call reset_reflex')
 
     def tick(self, duration_s: float) -> None:
         """
@@ -329,6 +379,7 @@ class SimulatedRobot:
 
     def reset(self) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
+        self.reflexes.reset()
         self.joints.reset(self._data)
         for gripper in self.grippers.values():
             gripper.reset(self._data)

@@ -6,6 +6,7 @@
 import subprocess
 import sys
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
@@ -193,3 +194,35 @@ def test_a_call_to_a_simulation_that_has_ended_is_rejected(serve, client):
     client.state()
     node.stop()
     assert trigger(client, 'reset').message == 'the simulation has ended'
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'lockstep'])
+def test_a_reflex_stops_an_arm_which_refuses_commands_until_it_is_reset(stepping, serve, client):
+    log = client.log()
+    node = serve(stepping=stepping, reflex__arm__velocity=0.05)
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    statistics, robot = node.commands[0].statistics['arm'], node.simulation.robot
+
+    def go():
+        client.publish('arm/joint_command', JointState(name=[ARM[0]], position=[1.0]))
+
+    def send_until(condition):
+        def cycle():
+            go()
+            return condition()
+        client.spin_until(cycle)
+    send_until(lambda: bool(robot.reflexes.tripped))
+    send_until(lambda: statistics.rejected > 20)
+    assert 0.0 < robot.state().position[0] < 0.2
+    assert np.abs(robot.state().velocity).max() < 0.01
+    client.spin_until(lambda: any('was stopped by a reflex: the velocity' in line for line in log))
+    client.spin_until(lambda: any(
+        status.level == DiagnosticStatus.ERROR and 'call ~/reset_reflex' in status.message
+        for array in arrays for status in array.status))
+    assert trigger(client, 'reset_reflex').success
+    before = statistics.rejected
+    set_parameter = Parameter('reflex.arm.velocity', value=0.0)
+    (result,) = node.set_parameters([set_parameter])
+    assert result.successful
+    assert statistics.rejected == before
+    send_until(lambda: robot.state().position[0] > 0.5)
