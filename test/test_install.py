@@ -99,7 +99,7 @@ def test_the_node_runs_from_the_place_that_ros2_run_looks_at(install):
         assert client.stdout.split()[-1:] == ['robot0_joint1'], client.stderr
     finally:
         node.send_signal(signal.SIGINT)
-        errors = node.communicate(timeout=10.0)[1]
+        errors = node.communicate(timeout=300.0)[1]
         os.close(lock)
     assert node.returncode == 0, errors
 

@@ -74,7 +74,7 @@ def process() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     for started in running:
         if started.poll() is None:
             started.send_signal(signal.SIGKILL)
-        started.communicate(timeout=10.0)
+        started.communicate(timeout=300.0)
 
 
 @pytest.fixture

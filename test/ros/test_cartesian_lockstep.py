@@ -87,7 +87,7 @@ def policy():
     process = subprocess.Popen([sys.executable, '-c', script])
     yield process
     process.terminate()
-    process.wait(timeout=10.0)
+    process.wait(timeout=300.0)
 
 
 def test_the_policy_of_the_document_lifts_the_hand(serve, client, request):

@@ -243,6 +243,7 @@ def test_a_gripper_whose_own_code_fails_is_told(serve, client):
 def test_the_combined_topic_counts_what_it_accepts(serve, client):
     serve()
     arrays = client.listen(DiagnosticArray, '/diagnostics')
+    sent_s = time.monotonic()
     client.publish('joint_command', JointState(name=['robot0_joint1'], position=[100.0]))
 
     def counts(name):
@@ -250,7 +251,7 @@ def test_the_combined_topic_counts_what_it_accepts(serve, client):
     once = {'accepted': '1', 'clamped': '1'}
     client.spin_until(lambda: bool(arrays) and counts('joint_command') == once)
     assert counts('arm') == once
-    assert float(part(arrays[-1], 'joint_command')['age']) < 5.0
+    assert float(part(arrays[-1], 'joint_command')['age']) < time.monotonic() - sent_s
 
 
 def test_a_machine_that_cannot_keep_up_is_told(serve, client):

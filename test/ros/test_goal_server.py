@@ -169,7 +169,7 @@ def test_clients_are_told_when_the_node_ends(served, swinger):
     future = handle.get_result_async()
     swinger.client.spin_until(lambda: len(swinger.told) > 2)
     served.end_goals()
-    swinger.client.spin_until(future.done, timeout_s=5.0)
+    swinger.client.spin_until(future.done)
     assert (future.result().status, list(future.result().result.sequence)) == ABORTED
     served.end_goals()
 
@@ -194,4 +194,4 @@ def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
     passing = Served({})
     client.spin_until(lambda: nodes() == before + 1)
     passing.close()
-    client.spin_until(lambda: nodes() == before, timeout_s=10.0)
+    client.spin_until(lambda: nodes() == before)

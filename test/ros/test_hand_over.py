@@ -64,7 +64,7 @@ def place_cube(node, position, yaw=0.0):
 
 def finish(client, controller):
     client.spin_until(lambda: controller.poll() is not None)
-    return controller.communicate(timeout=10.0)
+    return controller.communicate(timeout=300.0)
 
 
 def distance_from_goal(poses):

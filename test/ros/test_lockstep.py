@@ -65,7 +65,7 @@ def run(sim_process, client_factory):
     finally:
         client.close()
         node.terminate()
-        node.wait(timeout=10.0)
+        node.wait(timeout=300.0)
 
 
 @pytest.mark.timeout(300)

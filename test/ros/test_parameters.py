@@ -63,13 +63,13 @@ def test_a_wrong_parameter_ends_the_start_with_one_line(parameter, what, hint, r
 def test_a_process_of_its_own_ends_as_those_that_are_started_together(sim_process, rejected):
     parameter = REJECTED[0][0]
     node = sim_process(parameter)
-    output, errors = node.communicate(timeout=20.0)
+    output, errors = node.communicate(timeout=300.0)
     assert (node.returncode, output, errors) == rejected[parameter]
 
 
 def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
     node = process('--ros-args', '--nonsense')
-    _, errors = node.communicate(timeout=20.0)
+    _, errors = node.communicate(timeout=300.0)
     assert node.returncode == 1
     assert 'nonsense' in errors.splitlines()[-1]
     assert 'Traceback' not in errors
@@ -77,10 +77,10 @@ def test_ros_arguments_that_make_no_sense_end_the_start_with_one_line(process):
 
 def test_other_arguments_are_rejected_and_help_is_given(process):
     node = process('Panda')
-    assert "unknown argument 'Panda': parameters such as" in node.communicate(timeout=20.0)[1]
+    assert "unknown argument 'Panda': parameters such as" in node.communicate(timeout=300.0)[1]
     assert node.returncode == 2
     node = process('--help')
-    assert '--ros-args' in node.communicate(timeout=20.0)[0]
+    assert '--ros-args' in node.communicate(timeout=300.0)[0]
     assert node.returncode == 0
 
 
@@ -145,7 +145,7 @@ def test_a_dump_of_all_parameters_starts_an_equal_node(sim_process, process, cli
     file = tmp_path / 'dump.yaml'
     file.write_text(yaml.safe_dump({'/manip_sim': {'ros__parameters': tree}}))
     first.send_signal(signal.SIGTERM)
-    first.wait(timeout=10.0)
+    first.wait(timeout=300.0)
     client.spin_until(lambda: not client.node.count_publishers('joint_states'))
     process('--ros-args', '--params-file', str(file))
     client.state()

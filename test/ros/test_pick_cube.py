@@ -31,7 +31,7 @@ def test_a_controller_in_another_process_picks_the_cube_up(sim_process, process,
     fingers = client.listen(JointState, 'right/gripper/joint_states')
     controller = process(module='manip_sim.examples.pick_cube')
     client.spin_until(lambda: controller.poll() is not None, timeout_s=60.0)
-    output, errors = controller.communicate(timeout=10.0)
+    output, errors = controller.communicate(timeout=300.0)
     assert controller.returncode == 0, output + errors
     force = np.array([[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for m in wrenches])
     held = force[-100:].mean(axis=0)

@@ -106,4 +106,4 @@ def test_the_pasted_controller_moves_the_robot(serve, client):
         client.spin_until(lambda: abs(client.state().position[0]) > 0.1)
     finally:
         controller.terminate()
-        controller.wait(timeout=10.0)
+        controller.wait(timeout=300.0)

@@ -225,7 +225,7 @@ def test_the_node_ends_while_it_makes_many_steps(sim_process, client):
     stepper.call_async(StepSimulation.Request(steps=2**63))
     client.spin_until(lambda: len(clocks) > 100)
     started.terminate()
-    assert started.wait(timeout=10.0) == 0
+    assert started.wait(timeout=300.0) == 0
     assert 'Traceback' not in started.stderr.read()
 
 

@@ -3,10 +3,10 @@
 
 """When control periods come: after a pause, while nothing moves, as fast as possible."""
 
-import statistics
 import time
 
 from builtin_interfaces.msg import Duration
+from harness import START_S
 import numpy as np
 import pytest
 from rclpy.duration import Duration as WaitDuration
@@ -63,30 +63,27 @@ def test_the_state_after_a_reset_lasts_a_whole_period(serve, client):
 
 @pytest.mark.parametrize('how', [{'start_paused': True}, {'stepping': 'lockstep'}])
 def test_a_state_is_repeated_ten_times_a_second(how, serve, client):
-    serve(**how)
-    ticks = listen_with_times(client)
-    client.spin_until(lambda: len(ticks) > 12)
+    node = serve(**how)
+    ticks, shown, waits = listen_with_times(client), [], []
+    sleep = node.thread._inbox.wait
+    node.thread._inbox.wait = lambda timeout_s: (waits.append(timeout_s), sleep(timeout_s))
+    node.thread.observe(lambda _: shown.append(time.monotonic()))
+    client.spin_until(lambda: len(ticks) > 12 and len(shown) > 12)
     assert len({time_ns for _, time_ns in ticks}) == 1
-    between = [after - before for (before, _), (after, _) in zip(ticks[1:], ticks[2:])]
-    # A busy machine delays some, and hastens none for long.
-    assert 0.09 < statistics.median(between) < 0.2
+    # A busy machine may be late, but neither is early nor waits for longer.
+    assert min(after - before for before, after in zip(shown[1:], shown[2:])) > 0.09
+    assert 0.05 < max(waits) <= 0.1
 
 
 def test_free_stepping_waits_for_nothing(serve, client):
     node = serve(stepping='free')
     client.listen(JointState, 'joint_states')
     client.state()
-    advance, calls = node.simulation.advance, []
-
-    def timed(count):
-        begin = time.perf_counter()
-        advance(count)
-        calls.append((begin, time.perf_counter()))
-    node.simulation.advance = timed
+    advance, calls, waits = node.simulation.advance, [], []
+    node.simulation.advance = lambda steps: (calls.append(steps), advance(steps))
+    node.thread._inbox.wait = waits.append
     client.spin_until(lambda: len(calls) > 300)
-    idle = [begin - end for (_, end), (begin, _) in zip(calls, calls[1:])]
-    # Publishing costs about 0.2 ms; a busy machine may interrupt now and then.
-    assert statistics.median(idle) < 2e-3
+    assert not waits
 
 
 def test_ten_commands_at_once_are_all_taken(serve, client):
@@ -106,7 +103,7 @@ def test_ten_commands_at_once_are_all_taken(serve, client):
 
 
 def until(condition):
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + START_S
     while not condition():
         assert time.monotonic() < end, 'timed out'
         time.sleep(0.001)

@@ -40,7 +40,7 @@ class TrackedThread:
         return goal
 
     def next_end(self):
-        return self.ended.get(timeout=20.0)
+        return self.ended.get(timeout=300.0)
 
 
 @pytest.fixture
