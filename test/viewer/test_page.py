@@ -24,6 +24,7 @@ from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
 from manip_sim.viewer.page.posture import Posture  # noqa: E402
 from manip_sim.viewer.page.robots import (  # noqa: E402
     commanded_joints, declared_limits, short_labels)
+from manip_sim.viewer.page.scene import first_view  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.ros.layout import layout_of, RobotTopics  # noqa: E402
 
@@ -214,6 +215,46 @@ def test_cameras_that_people_have_moved_stay(arm_posture):
     other.position = np.zeros(3)
     aiming.update(arm_posture)
     assert np.linalg.norm(other.position) > 0.5
+
+
+def test_other_robots_are_framed_in_the_browsers_that_are_open(arm_posture):
+    browsers = Browsers()
+    aiming = Aiming(browsers)
+    camera = browsers.come(1)
+    aiming.begin(arm_posture)
+    aiming.update(arm_posture)
+    moved = np.array([9.0, 9.0, 9.0])
+    camera.position = moved
+    # The same robot with another object.
+    aiming.begin(Posture(compose('Panda', arena='bins').compile()))
+    aiming.update(arm_posture)
+    np.testing.assert_array_equal(camera.position, moved)
+    other = Posture(compose('GR1').compile())
+    aiming.begin(other)
+    aiming.update(other)
+    assert np.linalg.norm(camera.position - moved) > 1.0
+    framed = first_view(other.model, other.data, 2.0, 340 / 800)
+    np.testing.assert_allclose([camera.position, camera.look_at], framed)
+
+
+def test_a_view_is_chosen_in_one_browser(arm_posture):
+    browsers = Browsers()
+    aiming = Aiming(browsers)
+    aiming.begin(arm_posture)
+    mine, other = browsers.come(1), browsers.come(2)
+    aiming.update(arm_posture)
+    before = other.position.copy()
+    for view, axis in (('Front', 0), ('Left', 1), ('Top', 2)):
+        aiming.look(1, view, arm_posture)
+        way = mine.position - mine.look_at
+        assert way[axis] > 0.9 * np.linalg.norm(way)
+    last = mine.position.copy()
+    for number, view in ((3, 'Top'), (None, 'Front'), (1, 'nowhere')):
+        aiming.look(number, view, arm_posture)
+    np.testing.assert_array_equal(mine.position, last)
+    np.testing.assert_array_equal(other.position, before)
+    aiming.look(1, 'Home', arm_posture)
+    np.testing.assert_array_equal(mine.position, before)
 
 
 def test_events_run_in_their_order_and_those_that_they_add_later():

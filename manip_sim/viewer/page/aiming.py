@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.viewer.page.posture import Posture
-from manip_sim.viewer.page.scene import FIELD_OF_VIEW, first_view
+from manip_sim.viewer.page.scene import FIELD_OF_VIEW, FIRST, first_view
 
 #: Width of the panel, and of the widest window that has it below.
 _PANEL_PIXELS, _PHONE_PIXELS = 340, 576
@@ -18,6 +18,9 @@ _PANEL_PIXELS, _PHONE_PIXELS = 340, 576
 _SHEET = 0.55
 #: Aspect ratio of the first view until a browser has sent the size of its window.
 _ASPECT = 1.4
+#: Where to look from, by what people choose; x is forward, y to the left.
+VIEWS = {'Home': FIRST, 'Front': (1.0, 0.0, 0.2), 'Left': (0.0, 1.0, 0.2),
+         'Top': (-0.02, 0.0, 1.0)}
 #: Cameras that are nearer to one another are the same [m].
 _SAME_M = 0.01
 
@@ -36,13 +39,18 @@ class Aiming:
     def __init__(self, server: Any) -> None:
         self._server = server
         self._aimed: set[int] = set()
+        self._robots: set[str] = set()
 
     def begin(self, posture: Posture) -> None:
         """
-        Set the first view of browsers that come.
+        Set the first view of browsers that come; with other robots, that of all browsers.
 
         :param posture: what is seen
         """
+        robots = set(posture.scalar_joints)
+        if robots != self._robots:
+            self._robots = robots
+            self._aimed.clear()
         camera = self._server.initial_camera
         camera.fov = FIELD_OF_VIEW
         camera.position, camera.look_at = first_view(posture.model, posture.data, _ASPECT)
@@ -60,19 +68,32 @@ class Aiming:
                 self._aimed.add(number)
                 _aim(client.camera, posture)
 
+    def look(self, number: int | None, view: str, posture: Posture) -> None:
+        """
+        Aim the camera of one browser.
+
+        :param number: of the browser; one that is gone is ignored
+        :param view: one of :data:`VIEWS`
+        :param posture: what is seen
+        """
+        client = self._server.get_clients().get(number)
+        if client is not None and view in VIEWS:
+            _aim(client.camera, posture, VIEWS[view])
+
     def _is_at_first_view(self, camera: Any) -> bool:
         first = self._server.initial_camera
         return bool(np.abs(camera.position - first.position).max() < _SAME_M
                     and np.abs(camera.look_at - first.look_at).max() < _SAME_M)
 
 
-def _aim(camera: Any, posture: Posture) -> None:
+def _aim(camera: Any, posture: Posture, direction: tuple[float, float, float] = FIRST) -> None:
     width, height = camera.image_width, max(1, camera.image_height)
     # On a phone the panel is below the picture.
     phone = width <= _PHONE_PIXELS
     position, target = first_view(
         posture.model, posture.data, width / height,
-        0.0 if phone else min(0.5, _PANEL_PIXELS / width), _SHEET if phone else 0.0)
+        0.0 if phone else min(0.5, _PANEL_PIXELS / width), _SHEET if phone else 0.0,
+        direction)
     camera.fov = FIELD_OF_VIEW
     camera.position = position
     camera.look_at = target

@@ -89,13 +89,17 @@ class Page:
             self._view = ViewPanel(gui, self._dark, {
                 robot.titled(arm): self._targets[robot.space, arm]
                 for robot in robots for arm in robot.hands
-                if self._commands is not None}, self._set_dark, self.events)
+                if self._commands is not None}, self._set_dark, self._look, self.events)
         with tabs.add_tab('Plots'):
             self._plots = PlotPanel(gui, robots)
         with tabs.add_tab('Health'):
             self._health = PlainText(gui, in_words([]))
         with tabs.add_tab('Cameras'):
             self._cameras = CameraPanel(gui, cameras, self._watch, self.events)
+
+    def _look(self, number: int | None, view: str) -> None:
+        if self._posture is not None:
+            self._aiming.look(number, view, self._posture)
 
     def _set_dark(self, dark: bool) -> None:
         self._dark = dark

@@ -37,6 +37,11 @@ class Posture:
         self.compute()
 
     @property
+    def scalar_joints(self) -> list[str]:
+        """The joints that :meth:`set_joints` takes."""
+        return list(self._scalar)
+
+    @property
     def free_bodies(self) -> list[str]:
         """The bodies that :meth:`place` takes."""
         return list(self._free)

@@ -26,7 +26,7 @@ _FADE_M = 12.0
 #: Vertical field of view at first [rad].
 FIELD_OF_VIEW = math.radians(40.0)
 #: First view: from the front right of the robot; factor on the least distance that fits.
-_FROM = np.array([0.78, -0.82, 0.42])
+FIRST = (0.78, -0.82, 0.42)
 _ROOM = 1.4
 #: What is shown of a model without shapes: a sphere around the origin [m].
 _EMPTY_M = 1.0
@@ -163,13 +163,15 @@ def local_poses(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[FloatArray,
 
 
 def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covered: float = 0.0,
-               below: float = 0.0) -> tuple[FloatArray, FloatArray]:
+               below: float = 0.0, direction: tuple[float, float, float] = FIRST
+               ) -> tuple[FloatArray, FloatArray]:
     """
     Return where to look from and to, so that robots and objects are seen.
 
     :param aspect: aspect ratio of the picture, width / height
     :param covered: how much of its width something covers on the right, from 0 to 1
     :param below: how much of its height something covers below, from 0 to 1
+    :param direction: from which to look, in ``world``; not along z
     :returns: two positions in ``world`` [m]
     """
     moving = np.flatnonzero(model.body_weldid[model.geom_bodyid] > 0)
@@ -179,15 +181,15 @@ def first_view(model: mujoco.MjModel, data: mujoco.MjData, aspect: float, covere
     if not moving.size:
         at, reach = np.zeros((1, 3)), np.array([_EMPTY_M])
     center = ((at - reach[:, None]).min(axis=0) + (at + reach[:, None]).max(axis=0)) / 2.0
-    direction = _FROM / np.linalg.norm(_FROM)
-    right = np.cross([0.0, 0.0, 1.0], direction)
+    back = np.array(direction) / np.linalg.norm(direction)
+    right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
-    up = np.cross(direction, right)
+    up = np.cross(back, right)
     tangent = math.tan(FIELD_OF_VIEW / 2.0)
     # Each sphere around a shape is to be between the four planes that bound the view.
     distance = _ROOM * max(float((
-        (np.abs((at - center) @ axis) + reach) / slope + (at - center) @ direction).max())
+        (np.abs((at - center) @ axis) + reach) / slope + (at - center) @ back).max())
         for axis, slope in ((right, tangent * aspect * (1.0 - covered)),
                             (up, tangent * (1.0 - below))))
     center = center + distance * tangent * (aspect * covered * right - below * up)
-    return center + distance * direction, center
+    return center + distance * back, center

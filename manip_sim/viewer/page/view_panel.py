@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.viewer.page.aiming import VIEWS
 from manip_sim.viewer.page.commands import Events
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.latest import Latest
@@ -28,12 +29,16 @@ class ViewPanel:
     :param dark: whether the page is dark
     :param targets: those of the hands, by title
     :param set_dark: makes the page dark or light
+    :param look: aims the camera of a browser, by its number and the name of a view
     :param events: queue to the thread that updates the page
     """
 
     def __init__(self, gui: Any, dark: bool, targets: Mapping[str, HandTarget],
-                 set_dark: Callable[[bool], None], events: Events) -> None:
+                 set_dark: Callable[[bool], None], look: Callable[[int | None, str], None],
+                 events: Events) -> None:
         self._scene: Scene | None = None
+        gui.add_button_group('Camera', tuple(VIEWS), hint='look at the robot from there').on_click(
+            lambda event: events.add(lambda: look(event.client_id, event.target.value)))
         for title, target in targets.items():
             box = gui.add_checkbox(f'Target {title}', False,
                                    hint='drag the hand: arrows move it, arcs turn it')

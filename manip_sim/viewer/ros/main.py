@@ -76,7 +76,7 @@ def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecut
         session = Session(node, readers, simulation, server, options.dark,
                           commands=not options.no_commands)
         address = page_address(server, options.listen, access)
-        print(f'sim_view: {address} shows /{simulation}', flush=True)
+        print(f'sim_view: {address} is the page for the node /{simulation}', flush=True)
         due_s = time.monotonic()
         while not ended.wait(due_s - time.monotonic()):
             executor.run_ready()
