@@ -23,7 +23,7 @@ from manip_sim.models.objects import check_object_names, create_objects, Descrip
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 
-#: Ratio of frictional to normal constraint impedance, so that grasped objects do not creep
+#: Ratio of frictional to normal constraint impedance: grasped objects creep less, but still creep
 #: (mujoco.readthedocs.io, modeling, "Preventing slip").
 _IMPRATIO = 10.0
 #: MuJoCo 3.17; versions up to 3.15 do not compile a composed world without visual shapes.
