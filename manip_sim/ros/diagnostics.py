@@ -197,7 +197,7 @@ class Diagnostics:
             values['control_mode'] = ' and '.join(modes)
             values['timeouts'] = sum(
                 joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
-            values['limited'] = joints.limited(part)
+            values['limited'], values['lost'] = joints.limited(part), joints.lost(part)
             values['reflexes'] = sum(
                 robot.reflexes.counts[atomic] for atomic in robot.parts[part].atomic)
         reports = reports_of(commands, part)

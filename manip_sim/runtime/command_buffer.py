@@ -82,10 +82,11 @@ class CommandBuffer:
 
 def _counting(older: Command, newer: Command) -> Command:
     """Return a command that knows of the message of the same stream that it replaces."""
-    if isinstance(older, JointSetpoint) and isinstance(newer, JointSetpoint) and np.array_equal(
-            older.indices, newer.indices) and not np.array_equal(older.values, newer.values):
-        return replace(newer, messages=newer.messages + older.messages)
-    return newer
+    if not (isinstance(older, JointSetpoint) and isinstance(newer, JointSetpoint)
+            and np.array_equal(older.indices, newer.indices)):
+        return newer
+    copied = np.array_equal(older.values, newer.values)
+    return replace(newer, messages=older.messages + (0 if copied else newer.messages))
 
 
 def _rivals(older: Command, newer: Command) -> bool:

@@ -157,6 +157,14 @@ class ControlledJoints:
         """
         return int(self._setpoints.limited[self.indices_of(part)].sum())
 
+    def lost(self, part: str) -> int:
+        """
+        Return how many messages of a part's streams seem to have been lost before they came.
+
+        :raises UnknownNameError: if there is no such part
+        """
+        return int(self._setpoints.lost[self.indices_of(part)].max(initial=0))
+
     def controller_state(self, part: str, data: mujoco.MjData, efforts: FloatArray
                          ) -> ControllerState:
         """

@@ -259,7 +259,8 @@ class SimulatedRobot:
 
     def _check_no_gripper(self, part: str) -> None:
         if part in self.grippers:
-            raise CommandError(f'{part} is a gripper: it has no control mode and no timeout')
+            raise CommandError(f'{part} is a gripper: it has no control mode, no timeout and '
+                               'no streams')
 
     def tare_wrench(self) -> None:
         """Let the present external wrench of every arm read zero."""

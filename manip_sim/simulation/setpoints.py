@@ -92,6 +92,11 @@ class SetpointGenerator:
         if hold_s is not None:
             self._estimator.hold_s[indices] = hold_s
 
+    @property
+    def lost(self) -> IntArray:
+        """How many messages of streams seem to have been lost, shape (n,)."""
+        return np.asarray(self._estimator.clock.lost + self._ramp_estimator.clock.lost)
+
     def at_rest(self, indices: IntArray) -> bool:
         """Tell whether all of the given setpoints rest at their goals."""
         if not self.moving:

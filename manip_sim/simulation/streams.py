@@ -23,6 +23,8 @@ _HOLD_INTERVALS = 2.0
 _MEMORY = 40.0
 #: Share of what is known of the speed of the stamps' clock that is kept from message to message.
 _RATE_KEPT = 0.98
+#: It is taken to run like simulation time as if so much time had told so [s].
+_SAME_S = 1.0
 #: Shares of a rise and of a fall of the jitter that its measure follows with each message.
 _ATTACK, _DECAY = 0.3, 0.03
 #: A deviation from the schedule below this share of the interval is none.
@@ -76,7 +78,7 @@ class MessageClock:
         self._stamp_s, self._stamp_interval_s = zeros(), zeros()
         self._messages, self._astray, self._skipped = zeros(), zeros(), zeros()
         self._together, self._even = zeros(), zeros()
-        self._stamped, self._sums_s = np.zeros(count, dtype=bool), np.ones((2, count))
+        self._stamped, self._sums_s = np.zeros(count, dtype=bool), np.full((2, count), _SAME_S)
 
     def forget(self, indices: IntArray) -> None:
         """Let the next messages be the first of a stream."""
@@ -166,8 +168,8 @@ class MessageClock:
         stamped_s = np.where(streams, stamp_s - self._stamp_s[i], 0.0)
         stamped = (stamp_s > 0.0) & (self._stamp_s[i] > 0.0) & (stamped_s > 0.0)
         self._stamp_s[i] = stamp_s
-        # How fast simulation time runs by the sender's clock: as fast, until a second tells more.
-        sums = np.where(streams, self._sums_s[:, i], 1.0)
+        # How fast simulation time runs by the sender's clock: as fast, until messages tell more.
+        sums = np.where(streams, self._sums_s[:, i], _SAME_S)
         sums = np.where(stamped, _RATE_KEPT * sums + (since_s, stamped_s), sums)
         self._sums_s[:, i] = sums
         unit_s = np.where(streams & (self._stamp_interval_s[i] > 0.0), self._stamp_interval_s[i],

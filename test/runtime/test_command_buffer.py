@@ -138,7 +138,8 @@ def test_command_that_begins_at_once_replaces_those_of_every_kind(newer):
         buffer = CommandBuffer()
         buffer.add(older)
         buffer.add(newer)
-        assert buffer.take() == [newer]
+        (kept,) = buffer.take()
+        assert kept.handle is newer.handle
         assert statuses(older) == [Status.REPLACED]
 
 
@@ -218,3 +219,20 @@ def test_cleared_commands_are_aborted_with_the_reason():
     assert buffer.take() == []
     assert (command.handle.status, command.handle.reason) == (
         Status.ABORTED, 'the simulation was reset')
+
+
+def test_goals_that_replace_others_unused_tell_of_how_many_messages_they_stand_for():
+    buffer = CommandBuffer()
+    for value in (0.1, 0.2, 0.2, 0.3):
+        buffer.add(setpoint({0: value, 1: 0.5}))
+    (command,) = buffer.take()
+    # A copy of a message is none.
+    assert command.messages == 3
+    np.testing.assert_allclose(command.values, [0.3, 0.5])
+
+
+def test_goals_count_messages_for_the_joints_that_they_name():
+    buffer = CommandBuffer()
+    for value in ({0: 0.1, 1: 0.5}, {0: 0.2}, {1: 0.4}):
+        buffer.add(setpoint(value))
+    assert [command.messages for command in buffer.take()] == [1, 2]

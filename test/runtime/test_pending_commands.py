@@ -73,3 +73,15 @@ def test_a_reset_aborts_what_waits(pending, answer):
     pending.clear('the simulation was reset')
     assert (handle.status, handle.reason) == (Status.ABORTED, 'the simulation was reset')
     assert not pending.complete
+
+
+@pytest.mark.parametrize(('lockstep_parts', 'sent_ns'), [(None, 123_456_789), ({}, 0)])
+def test_a_stamp_tells_when_a_command_was_sent_outside_lock_step_only(panda_sim, lockstep_parts,
+                                                                      sent_ns):
+    pending = PendingCommands(panda_sim, lockstep_parts)
+    stamp_ns = 123_456_789 if lockstep_parts is None else panda_sim.time_ns
+    command = panda_sim.robot.parse.action('arm', [0.1] * 7)
+    (handle,) = pending.add([command], stamp_ns, None)
+    ((_, taken),) = pending.take()
+    assert taken.sent_ns == sent_ns
+    assert taken.handle is handle is command.handle

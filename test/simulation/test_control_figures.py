@@ -267,3 +267,25 @@ def test_streamed_sine_of_velocities_is_followed_in_full_and_on_time(name, frequ
         gain, delay_s = transfer(times, goals[:, moved], velocities[:, moved], frequency_hz)
         assert ((gain > 0.98) & (gain < 1.02)).all(), (joints, gain)
         assert ((delay_s > 0.0) & (delay_s < 0.02)).all(), (joints, delay_s)
+
+
+@pytest.mark.parametrize('name', ROBOTS)
+def test_a_lost_message_keeps_the_acceleration_limit(name):
+    simulation = whole_robot(name)
+    arm, rate = Driven(simulation, 'right'), 100
+    start = arm.position
+    joint = int(np.argmax(np.minimum(arm.high - start, 2.0)))
+    speed = min(0.8, 0.6 * arm.velocity_limit[joint])
+    limit = simulation.robot.joints.acceleration_limits(
+        simulation.robot.joints.find([arm.names[joint]]))[0]
+    with sampled(arm) as samples:
+        for message in range(110):
+            # It speeds up evenly in half a second; then one message is lost.
+            time_s = message / rate
+            way = speed * (time_s**2 if time_s < 0.5 else time_s - 0.25)
+            if message != 80:
+                arm.command('position', [start[joint] + way], [arm.names[joint]])
+            simulation.advance(5)
+    velocity = samples.velocity[:, joint]
+    assert np.abs(np.diff(velocity)).max() / 0.002 < limit
+    np.testing.assert_allclose(velocity[400:], speed, rtol=0.03)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sampling import whole_robot
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.parameters import commanded_parts, mode_parameters
 from manip_sim.interface.scope import Scope
 from manip_sim.models import compose
@@ -106,3 +106,18 @@ def test_each_part_starts_in_the_mode_in_which_it_starts_in_the_node(name):
         modes = set(robot.joints.modes_of(robot.joints.indices_of(part)))
         assert modes == {specs[f'control_mode.{part}']} == {
             'velocity' if part == 'base' else 'position'}
+
+
+def test_streams_of_a_robot_may_be_slow_and_go_on_for_longer():
+    robot = Simulation(compose('Baxter')).robot
+    left = robot.joints.indices_of('left')
+    robot.set_stream_interval('left', 0.5)
+    robot.set_stream_hold('left', 0.2)
+    estimator = robot.joints._setpoints._estimator
+    assert set(np.flatnonzero(estimator.clock.longest_s == 0.5)) == set(left)
+    assert set(np.flatnonzero(estimator.hold_s == 0.2)) == set(left)
+    for change in (robot.set_stream_interval, robot.set_stream_hold):
+        with pytest.raises(CommandError, match='^left/gripper is a gripper'):
+            change('left/gripper', 0.5)
+        with pytest.raises(UnknownNameError, match="unknown part 'legs'"):
+            change('legs', 0.5)

@@ -281,7 +281,7 @@ def test_unknown_part_tells_what_there_is(panda_sim):
 
 
 def test_mode_and_timeout_of_a_gripper_cannot_be_set(panda_sim):
-    message = r'^right/gripper is a gripper: it has no control mode and no timeout$'
+    message = r'^right/gripper is a gripper: it has no control mode, no timeout and no streams$'
     with pytest.raises(CommandError, match=message):
         panda_sim.robot.set_control_mode('right/gripper', 'effort')
     with pytest.raises(CommandError, match=message):

@@ -35,3 +35,46 @@ def test_a_stream_of_constant_velocity_has_that_velocity():
     assert taken(*goals).velocity == pytest.approx(0.15)
     assert taken(*goals).clock.jitter_s == pytest.approx(0.0, abs=1e-15)
     assert taken(*goals).interval_s == pytest.approx(PERIOD_S)
+
+
+def test_a_message_that_was_lost_does_not_change_the_velocity():
+    estimator = StreamEstimator(1)
+    for number in (*range(12), *range(14, 20)):
+        estimator.take(JOINT, np.array([0.0015 * number]), number * PERIOD_S, PERIOD_S, LIMIT)
+        assert estimator.velocity == pytest.approx(0.15 if number else 0.0)
+    assert estimator.clock.interval_s == pytest.approx(PERIOD_S)
+
+
+def test_a_message_that_was_late_does_not_change_the_velocity():
+    estimator = StreamEstimator(1)
+    for number in range(40):
+        late_s = 0.013 if number == 25 else 0.0
+        estimator.take(JOINT, np.array([0.0015 * number]), number * PERIOD_S + late_s, PERIOD_S,
+                       LIMIT, *((2.0,) if number == 26 else ()))
+        if number == 26:
+            continue
+        assert estimator.velocity == pytest.approx(0.15 if number else 0.0, rel=0.05)
+
+
+@pytest.mark.parametrize('speed', [0.05, 1.0, 30.0])
+def test_stamps_by_a_clock_of_any_speed_tell_the_velocity_in_simulation_time(speed):
+    random, estimator = np.random.default_rng(4), StreamEstimator(1)
+    velocities = []
+    for number in range(600):
+        sent_s = number * PERIOD_S
+        arrived_s = sent_s + random.uniform(0.0, 0.9 * PERIOD_S)
+        estimator.take(JOINT, np.array([0.15 * sent_s]), arrived_s, PERIOD_S, LIMIT,
+                       stamp_s=1e5 + speed * sent_s)
+        velocities.append(float(estimator.velocity[0]))
+    assert velocities[500:] == pytest.approx([0.15] * 100, rel=0.03)
+
+
+def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
+    estimator, sent_s = StreamEstimator(1), 0.0
+    random = np.random.default_rng(5)
+    for number in range(100):
+        sent_s += random.uniform(0.5, 1.5) * PERIOD_S
+        estimator.take(JOINT, np.array([0.15 * sent_s]), sent_s + 1e-3, PERIOD_S, LIMIT,
+                       stamp_s=1e5 + sent_s)
+        if number > 1:
+            assert estimator.velocity == pytest.approx(0.15, rel=1e-6)
