@@ -19,7 +19,7 @@ def test_felt_stays_on_a_table_and_slides_with_its_own_friction():
 
     def go(seconds, speed=0.0):
         forces = []
-        for period in range(round(seconds * 100)):
+        for _ in range(round(seconds * 100)):
             place[1] += 0.01 * speed
             robot.apply(robot.parse_cartesian.pose('right', place, pose.quat_xyzw),
                         period_s=0.01)
