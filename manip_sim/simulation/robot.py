@@ -360,7 +360,11 @@ class SimulatedRobot:
         self.reflexes.reset()
 
     def refusal(self, command: Command) -> str | None:
-        """Return why a command is refused at present, or None."""
+        """
+        Return why a command is rejected at present, or None.
+
+        :param command: for this robot
+        """
         stopped = [part for part in self.reflexes.tripped if part in command.parts]
         if not stopped or isinstance(command, NoCommand):
             return None
