@@ -189,11 +189,22 @@ def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> 
 
 
 def _evenly(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
-    """Limit changes of velocity: joints that speed up share one factor, others are clamped."""
+    """
+    Limit changes of velocity, if possible by one factor for all joints, so that the way is kept.
+
+    Otherwise joints that speed up share one factor for the change, and others are clamped.
+    """
+    change = joints.acceleration_limit * interval_s
+    moves = np.abs(velocity) > 1e-9
+    if (np.abs(joints.velocity[~moves]) <= change[~moves]).all():
+        middle, width = joints.velocity[moves] / velocity[moves], change[moves] / np.abs(
+            velocity[moves])
+        lowest, highest = (middle - width).max(initial=0.0), (middle + width).min(initial=np.inf)
+        if lowest <= highest:
+            return np.asarray(min(max(1.0, lowest), highest) * velocity)
     gains = np.abs(velocity) > np.abs(joints.velocity)
-    change = np.abs(velocity - joints.velocity)[gains]
-    possible = joints.acceleration_limit[gains] * interval_s
-    share = float((possible / np.maximum(change, 1e-12)).min(initial=1.0))
+    changes = np.abs(velocity - joints.velocity)[gains]
+    share = float((change[gains] / np.maximum(changes, 1e-12)).min(initial=1.0))
     return np.where(gains, joints.velocity + share * (velocity - joints.velocity),
                     _reached(velocity, joints, interval_s))
 
