@@ -519,3 +519,16 @@ def test_an_object_that_is_spawned_on_the_way_changes_nothing():
         finals.append(op.robot.state().position)
         assert max(distance(op.pose, goal)) < 1e-3
     np.testing.assert_allclose(*finals, atol=1e-9)
+
+
+def test_whoever_leaves_the_way_by_centimetres_says_so():
+    told = []
+    for seed in range(6):
+        op = hand_of('Panda')
+        goal, before = op.reachable(0.8, seed), op.report.aside
+        op.go_to(goal)
+        positions, _ = setpoint_way(op, 2.0)
+        told.append((aside(positions, goal[0] - positions[0]), op.report.aside - before))
+    assert max(told)[0] > 0.015
+    assert all(count >= 1 for distance, count in told if distance > 0.011)
+    assert all(count == 0 for distance, count in told if distance < 0.009)

@@ -35,9 +35,19 @@ def test_causes_are_counted_when_they_begin_and_told_with_the_target():
     report = CartesianReport('left')
     for held in (['j1'], ['j1', 'j2'], [], ['j2']):
         report.see_motion('the way', held, singular=True, slowed=False)
-    assert report.counts == {'unreachable': 0, 'joint_limit': 2, 'singular': 1, 'slowed': 0}
+    assert report.counts == {'unreachable': 0, 'joint_limit': 2, 'singular': 1, 'slowed': 0,
+                             'aside': 0}
     assert report.texts['joint_limit'] == 'left: the way is limited by the range of j2'
     for tenth in range(5):
         report.see_target(FAR, 0.0, tenth / 10.0)
     assert report.texts['unreachable'].endswith(
         'are left, a joint is at the end of its range, the arm is at a singularity')
+
+
+def test_a_hand_that_leaves_its_way_by_centimetres_is_told_when_it_begins():
+    report = CartesianReport('right')
+    for distance in (0.0, 0.009, 0.011, 0.05, 0.004, 0.02):
+        report.see_way(distance)
+    assert report.counts['aside'] == 2
+    assert report.texts['aside'] == (
+        'right: the hand is more than 0.01 m off the straight way to its target')

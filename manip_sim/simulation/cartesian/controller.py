@@ -261,6 +261,9 @@ class CartesianController:
             here = self._hands[command.arm].tip.pose(data)
             command.handle.end(Status.DONE, error=pose_error(target.goal(data), here))
         self.reports[command.arm].see_target(error, progress, now_s)
+        if target.stream is None or not target.stream.moving:
+            place = target.goal(data)[0] - error[:3]
+            self.reports[command.arm].see_way(target.off_the_way(place, data))
 
     # ------------------------------------------------------------------ by operational space
 

@@ -18,6 +18,8 @@ from manip_sim.arrays import FloatArray
 #: makes no more than this share of the wanted motion.
 _MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
 _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
+#: A hand has left its way if it is farther from it than this [m].
+_ASIDE = 0.01
 
 
 @dataclass
@@ -30,6 +32,7 @@ class CartesianReport:
     :ivar joint_limit: how often the range of a joint shortened a motion
     :ivar singular: how often the hand could hardly move in the wanted direction
     :ivar slowed: how often joint velocity limits slowed a twist down
+    :ivar aside: how often the hand left the straight way to a pose by more than 1 cm
     :ivar texts: what happened last, in words, by counter
     """
 
@@ -38,6 +41,7 @@ class CartesianReport:
     joint_limit: int = 0
     singular: int = 0
     slowed: int = 0
+    aside: int = 0
     texts: dict[str, str] = field(default_factory=dict)
     _active: set[str] = field(default_factory=set)
     #: When the hand was checked last, and since when it has come no nearer to its target.
@@ -46,9 +50,9 @@ class CartesianReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The four counts by name."""
+        """The five counts by name."""
         return {kind: getattr(self, kind)
-                for kind in ('unreachable', 'joint_limit', 'singular', 'slowed')}
+                for kind in ('unreachable', 'joint_limit', 'singular', 'slowed', 'aside')}
 
     def see_motion(self, what: str, held: Sequence[str], singular: bool, slowed: bool) -> None:
         """
@@ -84,6 +88,15 @@ class CartesianReport:
         self._note('unreachable', now_s - self._stalled_s >= _STALLED_S,
                    f'the target is not reached, {length(error[:3]):.3f} m and '
                    f'{length(error[3:]):.3f} rad are left{causes}')
+
+    def see_way(self, distance: float) -> None:
+        """
+        Record how far the hand is from the straight way to its target.
+
+        :param distance: [m]
+        """
+        self._note('aside', distance > _ASIDE,
+                   f'the hand is more than {_ASIDE:g} m off the straight way to its target')
 
     def _note(self, kind: str, active: bool, text: str) -> None:
         if not active:

@@ -11,7 +11,7 @@ import math
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import length, product
+from manip_sim.algebra import dot, length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
@@ -33,6 +33,7 @@ class Target:
     :ivar until_s: simulation time when the twist ends [s]
     :ivar solve_s: simulation time of the next solution [s]
     :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
+    :ivar start: where the way of the hand began, in the anchor [m], shape (3,), or None
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
     """
 
@@ -45,6 +46,7 @@ class Target:
     solve_s: float = -math.inf
     settled_in: FloatArray | None = None
     stream: PoseStream | None = None
+    start: FloatArray | None = None
 
     @classmethod
     def at(cls, anchor: Frame, position: FloatArray, rotation: FloatArray, data: mujoco.MjData
@@ -73,6 +75,20 @@ class Target:
         """Return position [m] and rotation matrix of the goal in the world."""
         origin, turned = self.anchor.pose(data)
         return origin + product(turned, self.position), product(turned, self.rotation)
+
+    def off_the_way(self, place: FloatArray, data: mujoco.MjData) -> float:
+        """
+        Return how far a hand is from the straight way to the goal; the first call begins the way.
+
+        :param place: of the hand in the world [m], shape (3,)
+        """
+        origin, turned = self.anchor.pose(data)
+        here = product(turned.T, place - origin)
+        if self.start is None:
+            self.start = here
+        offset, way = here - self.start, self.position - self.start
+        share = dot(offset, way) / max(dot(way, way), 1e-12)
+        return length(offset - share * way)
 
     def ends_stream(self, now_s: float) -> bool:
         """Tell whether the goal rests now, if need be because the stream has ended."""
