@@ -40,6 +40,8 @@ _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
 _SLOW_PACE = 0.005
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
+#: Stamps are told apart modulo this, so that seconds of any clock keep their nanoseconds [ns].
+_STAMPS_NS = 10**15
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
 
@@ -152,7 +154,8 @@ class CartesianController:
             twist = np.concatenate([product(axes.T, moved[:3]), product(axes.T, moved[3:])])
         settings = self.settings[command.arm]
         target.stream.take(target.position, target.rotation, self.period_s, twist, np.array(
-            [settings.linear_velocity, settings.angular_velocity]))
+            [settings.linear_velocity, settings.angular_velocity]), command.messages,
+            command.sent_ns % _STAMPS_NS * 1e-9)
 
     # ------------------------------------------------------------------ in the control loop
 

@@ -17,8 +17,6 @@ from manip_sim.simulation.streams import StreamEstimator
 _ALL = np.arange(6)
 #: A pose that needs more than the velocity limits in this time is a jump [s].
 _SPEED_UP_S = 0.1
-#: For so many intervals after a pose was due the reference goes on.
-_HOLD_INTERVALS = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +28,8 @@ class _Pose:
     period_s: float
     twist: FloatArray
     limits: FloatArray
+    messages: int
+    sent_s: float
 
 
 class PoseStream:
@@ -49,12 +49,12 @@ class PoseStream:
         self._position, self._rotation = np.zeros(3), np.eye(3)
         #: Velocity that the reference comes to, how fast, and until when.
         self._velocity, self._slope = np.zeros(6), np.zeros(6)
-        self._came_s, self._interval_s = -np.inf, 0.0
+        self._ramp_end_s = np.full(6, -np.inf)
         self._waiting: _Pose | None = None
         self.moving = False
 
     def take(self, position: FloatArray, rotation: FloatArray, period_s: float, twist: FloatArray,
-             limits: FloatArray) -> None:
+             limits: FloatArray, messages: int = 1, sent_s: float = 0.0) -> None:
         """
         Take in the pose of a message; of several at one instant the newest counts.
 
@@ -63,8 +63,12 @@ class PoseStream:
         :param period_s: length of a control period [s]
         :param twist: of the hand now, if the stream begins [m/s, rad/s], shape (6,)
         :param limits: of linear and angular velocity [m/s, rad/s], shape (2,)
+        :param messages: how many messages came since the last call, of which this is the last
+        :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
-        self._waiting = _Pose(position, rotation, period_s, twist, limits)
+        if self._waiting is not None:
+            messages += self._waiting.messages
+        self._waiting = _Pose(position, rotation, period_s, twist, limits, messages, sent_s)
 
     def update(self, now_s: float) -> None:
         """
@@ -75,7 +79,7 @@ class PoseStream:
         if self._waiting is not None:
             self._follow(self._waiting, now_s)
             self._waiting = None
-        elif now_s > self._came_s + (1.0 + _HOLD_INTERVALS) * self._interval_s + 1e-9:
+        elif now_s > self._estimator.until_s.max() + 1e-9:
             self.moving = False
 
     def _follow(self, pose: _Pose, now_s: float) -> None:
@@ -87,26 +91,29 @@ class PoseStream:
                 rotation_vector(product(pose.rotation, self._rotation.T))])
         before = self.twist(now_s) if self.moving and streams else pose.twist
         self._position, self._rotation = pose.position, pose.rotation
-        estimator.take(_ALL, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S)
-        velocity, self._interval_s = estimator.velocity.copy(), float(estimator.interval_s.max())
+        estimator.take(_ALL, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S, pose.messages,
+                       pose.sent_s)
+        velocity, interval_s = estimator.velocity.copy(), estimator.interval_s
         for half, limit in zip((velocity[:3], velocity[3:]), pose.limits):
             half *= min(1.0, limit / max(length(half), 1e-12))
-        self._velocity, self._slope = velocity, (velocity - before) / self._interval_s
-        self._came_s, self.moving = now_s, streams
+        left_s = np.clip(estimator.clock.sent_s + interval_s - now_s, 0.5 * interval_s,
+                         1.5 * interval_s) + estimator.clock.slack_s
+        self._velocity, self._slope = velocity, (velocity - before) / left_s
+        self._ramp_end_s, self.moving = now_s + left_s, streams
 
     def twist(self, now_s: float) -> FloatArray:
         """Return the velocity of the reference [m/s, rad/s], shape (6,)."""
-        return self._velocity - self._slope * max(self._came_s + self._interval_s - now_s, 0.0)
+        return self._velocity - self._slope * np.maximum(self._ramp_end_s - now_s, 0.0)
 
     def acceleration(self, now_s: float) -> FloatArray:
         """Return the acceleration of the reference [m/s^2, rad/s^2], shape (6,)."""
-        return self._slope * (now_s < self._came_s + self._interval_s - 1e-9)
+        return np.where(now_s < self._ramp_end_s - 1e-9, self._slope, 0.0)
 
     def pose(self, now_s: float) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation matrix of the reference."""
         if not self.moving:
             return self._position, self._rotation
-        left_s = max(self._came_s + self._interval_s - now_s, 0.0)
-        age_s = now_s - self._came_s - 1.5 * self._interval_s
+        estimator, left_s = self._estimator, np.maximum(self._ramp_end_s - now_s, 0.0)
+        age_s = now_s - estimator.clock.sent_s - 1.5 * estimator.interval_s
         way = self._velocity * age_s + self._slope * left_s**2 / 2.0
         return self._position + way[:3], product(rotation_of_vector(way[3:]), self._rotation)
