@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import copy
 from typing import Any
 
@@ -18,14 +18,15 @@ from manip_sim.models.cameras import Camera, create_camera
 from manip_sim.models.initialization_noise import InitializationNoise
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.naming import TakenNames
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 
-#: Ratio of frictional to normal constraint impedance: grasped objects creep less, but still creep
-#: (mujoco.readthedocs.io, modeling, "Preventing slip").
+#: Ratio of frictional to normal constraint impedance: friction gives less than the contact.
 _IMPRATIO = 10.0
+#: Iterations after the solver that take the rest of that out, so that grasped objects do not creep
+#: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner.
+_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-10
 #: MuJoCo 3.17; versions up to 3.15 do not compile a composed world without visual shapes.
 _DISCARDS_VISUALS = 3017000
 
@@ -101,6 +102,7 @@ class World:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = _IMPRATIO
+        self._prevent_slip(spec)
         for robot in self.robots:
             place = None if robot.is_placed else self.arena.robot_position(robot)
             robot.attach_to(spec, spec.worldbody.add_frame(), place)
@@ -115,10 +117,31 @@ class World:
             self._attach_objects(spec)
         return spec
 
+    def _prevent_slip(self, spec: mujoco.MjSpec) -> None:
+        """Let friction hold for good, unless the file of a part has its own options for that."""
+        option = max(
+            (part.spec.option for part in self._parts()), key=lambda own: own.noslip_iterations)
+        if option.noslip_iterations == 0:
+            spec.option.noslip_iterations = _NOSLIP_ITERATIONS
+            spec.option.noslip_tolerance = _NOSLIP_TOLERANCE
+        else:
+            spec.option.noslip_iterations = option.noslip_iterations
+            spec.option.noslip_tolerance = option.noslip_tolerance
+
+    def _parts(self) -> Iterator[Arena | MujocoXMLModel | ObjectModel]:
+        """Yield what the world is made of."""
+        yield self.arena
+        yield from self.objects
+        for robot in self.robots:
+            yield robot
+            if robot.base is not None:
+                yield robot.base
+            if isinstance(robot, ManipulatorModel):
+                yield from robot.grippers.values()
+
     def _attach_objects(self, spec: mujoco.MjSpec) -> None:
-        taken = TakenNames(spec)
         for item in self.objects:
-            item.attach(spec, taken)
+            item.attach(spec)
 
     def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
         # All that is mounted on a robot is below its root, also bodies that composing added.

@@ -43,7 +43,7 @@ def test_ball_that_rolls_through_a_bin_does_not_leave_it(x, y):
     mujoco.mj_step(model, data, 1500)
     half = np.array([0.2, 0.25] if y < 0.0 else [0.1, 0.125])
     assert (np.abs(data.body('ball').xpos[:2] - [x, y]) < half).all()
-    assert data.body('ball').xpos[2] == pytest.approx(0.84, abs=1e-3)
+    assert data.body('ball').xpos[2] == pytest.approx(0.84, abs=3e-3)
 
 
 @pytest.mark.parametrize(('robot', 'base'), [('Panda', 'RethinkMount'),

@@ -216,6 +216,16 @@ def test_composing_warns_of_nothing(one_joint_arm, caplog):
     assert model.opt.impratio == 10.0
 
 
+def test_a_part_keeps_its_own_options_against_slip(one_joint_arm, panda):
+    own = '<option noslip_iterations="{}" noslip_tolerance="{}"/>'
+    weak, strong = (one_joint_arm(sections=own.format(*values), idn=number)
+                    for number, values in ((1, (2, 1e-3)), (2, (30, 1e-5))))
+    for robots, wanted in (([panda], (10, 1e-10)), ([panda, weak], (2, 1e-3)),
+                           ([weak, strong], (30, 1e-5))):
+        option = World(robots).compile().opt
+        assert (option.noslip_iterations, option.noslip_tolerance) == wanted
+
+
 def test_physics_is_set_for_grasping(panda):
     option = World([panda], timestep_s=0.001).compile().opt
     assert option.timestep == 0.001

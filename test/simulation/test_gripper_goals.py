@@ -170,8 +170,8 @@ def test_fingers_let_go_no_faster_than_they_may_move(at_a_cube):
     while goal.outcome is None:
         at_a_cube.run(0.01)
         speeds.append(goal.view.velocity)
-    # From 25 to 40 mm at 50 mm/s, less the tolerance at the end.
-    assert len(speeds) * 0.01 == pytest.approx(0.29, abs=0.03)
+    # From 24.5 to 40 mm at 50 mm/s, as the pads give, less the tolerance at the end.
+    assert len(speeds) * 0.01 == pytest.approx(0.3, abs=0.03)
     assert max(speeds[5:]) < 0.0525
 
 
@@ -262,7 +262,7 @@ def test_cancelled_goal_stops_the_fingers(panda):
 
 def test_cancelled_goal_does_not_drop_what_the_fingers_press(at_a_cube):
     goal = at_a_cube.start(0.0)
-    at_a_cube.run(0.9)
+    at_a_cube.run(0.8)
     assert goal.outcome is None
     pressed = at_a_cube.effort()
     assert pressed < -60.0 and goal.cancel()
@@ -296,7 +296,7 @@ def action(panda):
     (action, 'a newer command has taken over'),
     (lambda panda: panda.simulation.reset(), 'the simulation was reset')],
     ids=['command', 'reset'])
-@pytest.mark.parametrize('seconds', [0.1, 1.0], ids=['on the way', 'pressing'])
+@pytest.mark.parametrize('seconds', [0.1, 0.8], ids=['on the way', 'pressing'])
 def test_what_interferes_ends_the_goal_and_is_told(at_a_cube, interfere, reason, seconds):
     goal = at_a_cube.start(0.0)
     at_a_cube.run(seconds)

@@ -1,0 +1,288 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What grippers feel and hold: press, drag, hold and shake, as a table.
+
+    python3 benchmark/contact.py [NAME ...]
+
+Each gripper is mounted on a Panda at a table, hands with five fingers on a GR1.
+
+- press: an admittance controller of 100 Hz lowers the hand at 20 mm/s until it touches, presses
+  with 10 N, and slides at 30 mm/s: the greatest force in one step at the touch, and the greatest
+  error of ``external_wrench`` from 1.5 s after touch and after the start of sliding on.
+- drag: in effort mode, the target so far below the table that the hand presses with 8 N, along x
+  and y, to and fro, at 5, 20 and 50 mm/s: the share of steps without contact at the worst, and
+  where; the friction at the most.
+- hold: a cube of 80 % of the payload: how far it creeps in the hand in a minute, from four
+  seconds. Hands that hold by closing around things hold a cylinder.
+- shake: 2 Hz by 5 mm for 2 s, so 0.8 m/s^2: how far it is from where it was in the hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import describe_choices
+from manip_sim.models import compose
+from manip_sim.models.arenas import TableArena
+from manip_sim.models.grippers import gripper_names
+from manip_sim.simulation import Simulation
+
+TIMESTEP_S, STEPS = 0.002, 5
+PERIOD_S = TIMESTEP_S * STEPS
+#: What each gripper may carry [kg], and the edge of the cube [m]; the load is 80 % of it.
+PAYLOADS = {
+    # Franka Emika, Panda data sheet: payload of the arm.
+    'PandaGripper': (3.0, 0.04),
+    # Rethink Robotics, electric parallel gripper: 5 lb.
+    'RethinkGripper': (2.3, 0.04),
+    # Robotiq, 2F-85 and 2F-140 manual: 5 kg and 2.5 kg; 3-Finger: 2.5 kg with the fingertips.
+    'Robotiq85Gripper': (5.0, 0.05), 'Robotiq140Gripper': (2.5, 0.05),
+    'RobotiqThreeFingerGripper': (2.5, 0.06), 'RobotiqThreeFingerDexterousGripper': (2.5, 0.06),
+    # Kinova, Jaco data sheet: payload of the arm, 1.6 kg.
+    'JacoThreeFingerGripper': (1.6, 0.05), 'JacoThreeFingerDexterousGripper': (1.6, 0.05)}
+DIRECTIONS = {'x': (1.0, 0.0), '-x': (-1.0, 0.0), 'y': (0.0, 1.0), '-y': (0.0, -1.0)}
+
+
+class Bench:
+    """
+    A gripper on a robot.
+
+    :param gripper: its name
+    :param arena: where
+    :param objects: descriptions of objects
+    """
+
+    def __init__(self, gripper, arena='table', objects=()):
+        five_fingers = gripper.startswith('Fourier')
+        self.arm = 'left' if gripper == 'FourierLeftHand' else 'right'
+        self.simulation = Simulation(compose(
+            'GR1' if five_fingers else 'Panda', gripper={self.arm: gripper},
+            arena=TableArena(table_height_m=1.04) if five_fingers else arena,
+            timestep_s=TIMESTEP_S, objects=objects))
+        self.robot = self.simulation.robot
+        self.model, self.data = self.simulation.model, self.simulation.data
+        self.reader = self.robot.end_effectors[self.arm]
+        self.site = self.data.site(self.reader.grip_site)
+        body = self.model.geom_bodyid
+        tool = range(self.model.nbody)[self.reader.external.bodies]
+        self.geoms = [geom for geom in range(self.model.ngeom)
+                      if body[geom] in tool and self.model.geom_contype[geom]]
+        pose = self.pose()
+        self.position, self.quat_xyzw = pose.position, pose.quat_xyzw
+
+    def pose(self):
+        """Return where the hand is."""
+        return self.robot.state().end_effectors[self.arm].pose
+
+    def actuate(self, action):
+        """Open (-1) or close (+1) the hand."""
+        part = f'{self.arm}/gripper'
+        gripper = self.robot.grippers.get(part)
+        if gripper is None or not gripper.part.gripper.dof:
+            return
+        self.robot.apply(self.robot.parse.action(part, np.full(gripper.part.gripper.dof, action)))
+        for _ in range(round(15.0 / PERIOD_S)):
+            self.simulation.advance(STEPS)
+            if not gripper.moving:
+                break
+        self.wait(0.5)
+
+    def wait(self, seconds):
+        """Let time go by."""
+        for _ in range(round(seconds / PERIOD_S)):
+            self.simulation.advance(STEPS)
+
+    def go(self, position):
+        """Command the position of the hand, as it is turned at the start."""
+        self.robot.apply(self.robot.parse_cartesian.pose(
+            self.arm, list(position), list(self.quat_xyzw)), period_s=PERIOD_S)
+
+    def gap(self):
+        """Return how far the hand is above the table [m]."""
+        table, points = self.model.geom('table_collision').id, np.zeros(6)
+        return min(mujoco.mj_geomDistance(self.model, self.data, geom, table, 1.0, points)
+                   for geom in self.geoms)
+
+    def approach(self, height_m):
+        """Close the hand and bring it above the table."""
+        self.actuate(1.0)
+        for _ in range(2):
+            self.position = self.position - [0.0, 0.0, self.gap() - height_m]
+            self.go(self.position)
+            self.wait(1.5)
+
+    def touch(self):
+        """Return normal force and friction on the table now [N]."""
+        table, force = self.model.geom('table_collision').id, np.zeros(6)
+        normal = friction = 0.0
+        for index, contact in enumerate(self.data.contact):
+            if table in (contact.geom1, contact.geom2):
+                mujoco.mj_contactForce(self.model, self.data, index, force)
+                normal, friction = normal + force[0], friction + math.hypot(*force[1:3])
+        return normal, friction
+
+    def pushed_up(self):
+        """Return the vertical component of the published external force [N]."""
+        frame = self.data.site(self.reader.ft_frame).xmat.reshape(3, 3)
+        return frame[2] @ self.reader.external_wrench(self.data)[:3]
+
+
+class Admittance:
+    """
+    Lets a hand move down as fast as the force that is missing says.
+
+    :param force_n: wanted [N]
+    :param period_s: of the controller [s]
+    :param damping: of its law [N s/m]
+    """
+
+    def __init__(self, force_n, period_s, damping=2500.0):
+        self._force_n, self._damping = force_n, damping
+        # The law of a mass of 10 kg, exactly for a force that holds for a period.
+        self._gain = -math.expm1(-damping / 10.0 * period_s)
+        self.speed, self.touched = 0.0, False
+
+    def velocity(self, measured_n):
+        """Return how fast the hand shall rise [m/s]."""
+        self.touched = self.touched or measured_n > 0.1
+        if self.touched:
+            wanted = (self._force_n - measured_n) / self._damping
+            self.speed += self._gain * (wanted - self.speed)
+        else:
+            self.speed = 0.02
+        self.speed = min(max(self.speed, -0.05), 0.02)
+        return -self.speed
+
+
+def press(gripper, force_n=10.0, rate_hz=100.0, slide=0.03, seconds=3.0, settle=1.5):
+    """Return peak at the touch, and the greatest errors still and sliding [N]."""
+    bench = Bench(gripper)
+    bench.approach(0.01)
+    steps = round(1.0 / rate_hz / TIMESTEP_S)
+    controller = Admittance(force_n, steps * TIMESTEP_S)
+    measured, peak = [], 0.0
+    touched_at = None
+    while touched_at is None or len(measured) - touched_at < 2 * seconds * rate_hz:
+        rise = controller.velocity(bench.pushed_up())
+        if controller.touched and touched_at is None:
+            touched_at = len(measured)
+        since = 0.0 if touched_at is None else (len(measured) - touched_at) / rate_hz
+        along = slide if since > seconds else 0.0
+        bench.robot.apply(bench.robot.parse_cartesian.twist(
+            bench.arm, [0.0, along, rise], [0.0, 0.0, 0.0]), period_s=steps * TIMESTEP_S)
+        bench.simulation.advance(steps)
+        measured.append(bench.pushed_up())
+        peak = max(peak, bench.touch()[0]) if since < 0.3 else peak
+        if len(measured) > 10 * rate_hz:
+            return peak, math.nan, math.nan
+    errors = np.abs(np.array(measured[touched_at:]) - force_n)
+    half, settle = round(seconds * rate_hz), round(settle * rate_hz)
+    return peak, errors[settle:half].max(), errors[half + settle:].max()
+
+
+def drag(gripper, speeds=(0.005, 0.02, 0.05), seconds=0.5):
+    """Return the greatest share of steps without contact, where that was, and the friction."""
+    bench = Bench(gripper)
+    bench.approach(0.003)
+    touching = bench.position - [0.0, 0.0, bench.gap()]
+    bench.robot.set_control_mode(bench.arm, 'effort')
+    bench.go(touching - [0.0, 0.0, 0.005])
+    bench.wait(1.0)
+    depth = min(0.005 * 8.0 / max(bench.touch()[0], 0.1), 0.04)
+    below = touching - [0.0, 0.0, depth]
+    rows = []
+    for name, direction in DIRECTIONS.items():
+        for speed in speeds:
+            for height in (depth + 0.003, 0.0):
+                bench.go(below + [0.0, 0.0, height])
+                bench.wait(0.5)
+            forces = []
+            for period in range(round((0.3 + seconds) / PERIOD_S)):
+                way = speed * PERIOD_S * period
+                bench.go(below + [way * direction[0], way * direction[1], 0.0])
+                for _ in range(STEPS):
+                    bench.simulation.advance(1)
+                    forces.append(bench.touch())
+            normal, friction = np.array(forces)[round(0.3 / TIMESTEP_S):].T
+            rows.append((np.mean(normal < 0.05), f'{speed * 1e3:g} mm/s {name}',
+                         friction.sum() / max(normal.sum(), 1e-9)))
+    lost, where, _ = max(rows, key=lambda row: row[0])
+    return lost, where, max(row[2] for row in rows)
+
+
+def hold(gripper, seconds=6.0):
+    """Return the load [kg], its creep [m/s], and how far it moves when shaken [m]."""
+    payload_kg, edge_m = PAYLOADS[gripper]
+    load_kg = 0.8 * payload_kg
+    bench = Bench(gripper, 'empty', [{'name': 'load', 'shape': 'box', 'size': [edge_m] * 3,
+                                      'mass': load_kg, 'position': [2.0, 0.0, 1.0]}])
+    bench.actuate(-1.0)
+    gravity = bench.model.opt.gravity.copy()
+    bench.model.opt.gravity[:] = 0.0
+    joint, quat = bench.data.joint('load_joint'), np.empty(4)
+    mujoco.mju_mat2Quat(quat, bench.site.xmat)
+    joint.qpos[:], joint.qvel[:] = [*bench.site.xpos, *quat], 0.0
+    bench.actuate(1.0)
+    bench.model.opt.gravity[:] = gravity
+    load = bench.data.body('load')
+
+    def in_hand():
+        return bench.site.xmat.reshape(3, 3).T @ (load.xpos - bench.site.xpos)
+    bench.wait(4.0)
+    begin = in_hand()
+    bench.wait(seconds)
+    creep = np.linalg.norm(in_hand() - begin) / seconds
+    if np.linalg.norm(in_hand()) > 0.1:
+        return load_kg, math.nan, math.nan
+    begin, there = in_hand(), bench.pose().position
+    for period in range(round(2.0 / PERIOD_S)):
+        bench.go(there + [0.0, 0.0, 0.005 * math.sin(4.0 * math.pi * PERIOD_S * period)])
+        bench.simulation.advance(STEPS)
+    return load_kg, creep, np.linalg.norm(in_hand() - begin)
+
+
+def row(gripper):
+    """Return a row of the table."""
+    peak, still, sliding = press(gripper)
+    lost, where, friction = drag(gripper)
+    cells = [f'`{gripper}`', f'{peak:.1f}', f'{still:.2f}', f'{sliding:.2f}',
+             f'{100.0 * lost:.1f}' + (f' ({where})' if lost else ''), f'{friction:.2f}']
+    if gripper in PAYLOADS:
+        load_kg, creep, shaken = hold(gripper)
+        cells += [f'{load_kg:.2f}', f'{creep * 60e3:.4f}', f'{shaken * 1e3:.3f}']
+    else:
+        cells += ['-', '-', '-']
+    return f'| {" | ".join(cells)} |'
+
+
+HEADER = """\
+| gripper | touch [N] | press, still [N] | press, sliding [N] | no contact [%] | friction | load [kg] | creep [mm/min] | shake [mm] |
+|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
+
+
+def main():
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    names = [name for name in gripper_names() if name != 'NullGripper']
+    parser.add_argument('name', nargs='*', metavar='NAME', help='grippers (default: all)')
+    chosen = parser.parse_args().name or names
+    for name in chosen:
+        if name not in names:
+            print(f"unknown gripper '{name}': {describe_choices(name, names)}", file=sys.stderr)
+            return 1
+    print(HEADER)
+    for name in chosen:
+        print(row(name), flush=True)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,88 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What ``benchmark/contact.py`` measures is what the documentation says, gripper by gripper."""
+
+from pathlib import Path
+import re
+import sys
+
+import pytest
+
+from manip_sim.models.grippers import gripper_names
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / 'docs' / 'explanation' / 'contact.md').read_text()
+COLUMNS = ('gripper', 'touch', 'still', 'sliding', 'lost', 'friction', 'load', 'creep', 'shake')
+
+
+@pytest.fixture
+def contact(monkeypatch):
+    """Return the module of the script."""
+    monkeypatch.syspath_prepend(str(ROOT / 'benchmark'))
+    import contact
+    return contact
+
+
+def read(line):
+    """Return a row of the table as numbers by column; what is not measured is left out."""
+    cells = dict(zip(COLUMNS, line.strip('| \n').split(' | ')))
+    return cells.pop('gripper').strip('`'), {
+        column: float(cell.split()[0]) for column, cell in cells.items() if cell != '-'}
+
+
+def check(figures):
+    """Check a row against what is wanted of every gripper."""
+    assert figures['touch'] < 3.0 * 10.0
+    assert figures['still'] < 0.5 and figures['sliding'] < 0.5
+    assert figures['lost'] < 5.0
+    if 'load' in figures:
+        assert figures['creep'] < 0.1
+        assert figures['shake'] < 1.0
+
+
+def test_the_script_measures_a_gripper_with_its_own_friction(contact, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['contact.py', 'WipingGripper'])
+    assert contact.main() == 0
+    *header, line = capsys.readouterr().out.splitlines()
+    name, figures = read(line)
+    assert '\n'.join(header) == contact.HEADER and name == 'WipingGripper'
+    # The table has 1.0; felt has its own.
+    assert 0.34 < figures['friction'] < 0.401
+    check(figures)
+
+
+def test_an_unknown_gripper_is_told_which_there_are(contact, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['contact.py', 'PandaGriper'])
+    assert contact.main() == 1
+    assert "did you mean 'PandaGripper'" in capsys.readouterr().err
+
+
+def test_the_page_has_the_figures_of_every_gripper(contact):
+    assert contact.HEADER in PAGE
+    rows = dict(map(read, re.findall(r'^\| `\w+` \| \d.*$', PAGE, re.MULTILINE)))
+    assert set(rows) == set(gripper_names()) - {'NullGripper'}
+    assert {name for name, figures in rows.items() if 'load' in figures} == set(contact.PAYLOADS)
+    for figures in rows.values():
+        check(figures)
+
+
+@pytest.mark.parametrize('name', ['PandaGripper', 'Robotiq85Gripper', 'JacoThreeFingerGripper'])
+def test_a_cube_of_most_of_the_payload_does_not_creep(contact, name):
+    load_kg, creep, shaken = contact.hold(name, seconds=1.5)
+    assert load_kg == pytest.approx(0.8 * contact.PAYLOADS[name][0])
+    assert creep * 60e3 < 0.1
+    assert shaken < 1e-3
+
+
+def test_a_hand_that_is_drawn_along_a_table_stays_on_it(contact):
+    lost, where, _ = contact.drag('JacoThreeFingerGripper', speeds=(0.05,), seconds=0.3)
+    assert lost < 0.05, where
+
+
+@pytest.mark.parametrize('force_n, rate_hz', [(5.0, 100.0), (20.0, 100.0), (10.0, 500.0)])
+def test_an_admittance_controller_holds_its_force_still_and_sliding(contact, force_n, rate_hz):
+    peak, still, sliding = contact.press(
+        'Robotiq85Gripper', force_n, rate_hz, seconds=1.0, settle=0.5)
+    assert peak < 3.0 * force_n
+    assert still < 0.5 and sliding < 0.5
