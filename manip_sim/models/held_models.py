@@ -105,9 +105,6 @@ def _hold(model: XmlModel, held: HeldModel, files: Files) -> str:
         held.is_light = held.is_light and element.tag in _LIGHT
         if element.tag == 'plugin':
             raise ModelError(f'{one_line(held.name)}: an object cannot have plugins')
-        if element.tag == 'model' and not element.get('file'):
-            # After it MuJoCo hangs when it attaches another spec.
-            raise ModelError(f'{one_line(held.name)}: <model> needs a file')
         for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
             element.attrib.pop(attribute, None)
         for attribute, name in element.items():

@@ -205,7 +205,10 @@ class XmlModel:
         file = attributes.get('file', '')
         if tag == 'include' and file:
             self._include(file)
-        elif tag == 'model' and file:
+        elif tag == 'model':
+            if not file:
+                # After it MuJoCo hangs when it attaches another spec.
+                raise ModelError(f'{self._place}: <model> needs a file')
             model = XmlModel(self._file.parent / file, self._budget, tuple(self._chain),
                              self._files, self._builder is not None)
             self._by_name[attributes.get('name', model.name)] = self.models[file] = model

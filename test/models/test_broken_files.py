@@ -127,6 +127,11 @@ BROKEN = {
          'b.xml': '<x><include file="../model/main.xml"/></x>'}),
     'model of itself': (with_asset('<model name="m" file="main.xml"/>'),
                         r'main\.xml is loaded into itself: main\.xml > main\.xml$', {}),
+    'model without a file': (with_asset('\n<model name="m"/>'),
+                             r'main\.xml, line 2: <model> needs a file$', {}),
+    'model of an empty file name': (
+        mjcf(before='<include file="a.xml"/>'), r'a\.xml, line 3: <model> needs a file$',
+        {'a.xml': '<x>\n<asset>\n<model name="m" file=""/></asset></x>'}),
     'models in a circle': (
         with_asset('<model name="m" file="a.xml"/>'),
         r'a\.xml is loaded into itself: a\.xml > b\.xml > a\.xml$',
