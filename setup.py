@@ -18,8 +18,8 @@ PROGRAMS = {
     'sim_node': f'{PACKAGE}.__main__:main',
     'sim_view': f'{PACKAGE}.viewer.__main__:main',
     'manip_sim': f'{PACKAGE}.cli.__main__:run',
-    'pick_cube': f'{PACKAGE}.examples.pick_cube:main',
-    'hand_over': f'{PACKAGE}.examples.hand_over:main'}
+    'pick_cube': f'{PACKAGE}.examples.__main__:pick_cube',
+    'hand_over': f'{PACKAGE}.examples.__main__:hand_over'}
 
 
 class WithData(Distribution):

@@ -83,7 +83,7 @@ def main() -> None:
             page.evaluate(CLOSE)
             page.add_style_tag(content=STYLE)
             page.wait_for_timeout(4000)
-            picker = subprocess.Popen([*run, 'manip_sim.examples.pick_cube'], text=True,
+            picker = subprocess.Popen([*run, 'manip_sim.examples', 'pick_cube'], text=True,
                                       stdout=subprocess.PIPE)
             assert picker.stdout is not None
             print(picker.stdout.readline(), end='')  # It has found the node.

@@ -78,14 +78,16 @@ def test_a_middleware_that_is_not_installed_is_rejected_with_those_that_are(
     check_ros_environment()
 
 
-@pytest.mark.parametrize('module', ['manip_sim', 'manip_sim.viewer'])
+@pytest.mark.parametrize('program', [
+    'manip_sim', 'manip_sim.viewer', 'manip_sim.examples pick_cube',
+    'manip_sim.examples hand_over'])
 @pytest.mark.parametrize('variable, value', [
     ('ROS_DOMAIN_ID', '300'), ('RMW_IMPLEMENTATION', 'rmw_nonsense_cpp')])
-def test_a_program_ends_with_one_line(module, variable, value, monkeypatch):
+def test_a_program_ends_with_one_line(program, variable, value, monkeypatch):
     pytest.importorskip('rclpy', reason='which middleware is installed is known to ROS')
     monkeypatch.setenv(variable, value)
-    done = subprocess.run([sys.executable, '-m', module], capture_output=True, text=True,
-                          timeout=60.0, check=False)
+    done = subprocess.run([sys.executable, '-m', *program.split()], capture_output=True,
+                          text=True, timeout=60.0, check=False)
     assert (done.returncode, done.stdout) == (1, '')
     assert done.stderr.count('\n') == 1
     assert variable in done.stderr and value in done.stderr

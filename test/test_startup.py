@@ -81,6 +81,7 @@ sys.exit(getattr(__import__(module, fromlist=[main]), main)())
 """
 NODE, PAGE, COMMAND = (('manip_sim.__main__', 'main'), ('manip_sim.viewer.__main__', 'main'),
                        ('manip_sim.cli.__main__', 'run'))
+PICK, HAND = (('manip_sim.examples.__main__', name) for name in ('pick_cube', 'hand_over'))
 
 
 @pytest.mark.parametrize(('program', 'module', 'number', 'code'), [
@@ -88,6 +89,8 @@ NODE, PAGE, COMMAND = (('manip_sim.__main__', 'main'), ('manip_sim.viewer.__main
     (NODE, 'manip_sim.ros.main', signal.SIGHUP, 0),
     (PAGE, 'argparse', signal.SIGINT, 0), (PAGE, 'manip_sim.errors', signal.SIGHUP, 0),
     (PAGE, 'numpy', signal.SIGTERM, 0),
+    (PICK, 'manip_sim.environment', signal.SIGINT, 0), (PICK, 'mujoco', signal.SIGHUP, 0),
+    (HAND, 'manip_sim.examples.hand_over', signal.SIGINT, 0), (HAND, 'numpy', signal.SIGTERM, 0),
     # Who calls a command learns that it was interrupted.
     (COMMAND, 'manip_sim.cli.main', signal.SIGINT, -signal.SIGINT),
     (COMMAND, 'numpy', signal.SIGINT, -signal.SIGINT)])

@@ -11,8 +11,7 @@ the cube's pose shows whether it moves with the hand.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import sys
+from collections.abc import Callable, Sequence
 
 from geometry_msgs.msg import PoseStamped
 import mujoco
@@ -171,14 +170,13 @@ def _in_words(position: FloatArray) -> str:
     return f'({", ".join(f"{value:.3f}" for value in position)}) m'
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None,
+         is_asked_to_end: Callable[[], bool] = lambda: False) -> int:
     """
     Hand the cube over.
 
+    :param arguments: the command line, with ROS arguments; None: that of the process
+    :param is_asked_to_end: is asked while the task waits
     :returns: the exit code: 1 if the task failed, 0 if it succeeded or was interrupted
     """
-    return run(HandOver, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+    return run(HandOver, arguments, is_asked_to_end)

@@ -10,8 +10,7 @@ joint states and the wrench.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import sys
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -96,14 +95,13 @@ def _pointing_down(rotation: FloatArray) -> FloatArray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None,
+         is_asked_to_end: Callable[[], bool] = lambda: False) -> int:
     """
     Pick the cube up.
 
+    :param arguments: the command line, with ROS arguments; None: that of the process
+    :param is_asked_to_end: is asked while the task waits
     :returns: the exit code: 1 if the task failed, 0 if the cube is held or it was interrupted
     """
-    return run(CubePicker, arguments)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+    return run(CubePicker, arguments, is_asked_to_end)

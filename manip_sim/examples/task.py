@@ -12,9 +12,9 @@ import time
 from builtin_interfaces.msg import Time
 import mujoco
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 _PATIENCE_S = 10.0
@@ -24,17 +24,23 @@ class TaskFailed(Exception):
     """The task could not be done; the message says why."""
 
 
+class TaskInterrupted(Exception):
+    """Somebody has asked the task to end."""
+
+
 class Task(Node):
     """
     A node that does one task and ends.
 
     :param name: of the node
     :param start: a command that starts the simulation that the task needs, for error messages
+    :ivar is_asked_to_end: is asked while the task waits
     """
 
     def __init__(self, name: str, start: str) -> None:
         super().__init__(name)
         self._start = start
+        self.is_asked_to_end: Callable[[], bool] = lambda: False
         self._mjcf: str | None = None
         self._times_s: dict[str, float] = {}
         latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -89,9 +95,12 @@ class Task(Node):
         Wait for a condition.
 
         :raises TaskFailed: with ``problem``, if it is not met within ten seconds of wall time
+        :raises TaskInterrupted: if the task is asked to end
         """
         end = time.monotonic() + _PATIENCE_S
         while not condition():
+            if self.is_asked_to_end():
+                raise TaskInterrupted
             rclpy.spin_once(self, timeout_sec=0.1)
             if time.monotonic() > end:
                 raise TaskFailed(problem)
@@ -117,22 +126,25 @@ class Task(Node):
         print(f'{self.now_s:8.2f} s  {text}', flush=True)
 
 
-def run(create: Callable[[], Task], arguments: Sequence[str] | None) -> int:
+def run(create: Callable[[], Task], arguments: Sequence[str] | None,
+        is_asked_to_end: Callable[[], bool]) -> int:
     """
     Run a task as a process.
 
     :param arguments: the command line, with ROS arguments; None: that of the process
+    :param is_asked_to_end: is asked while the task waits
     :returns: the exit code: 1 if the task failed, 0 if it is done or was interrupted
     """
-    rclpy.init(args=arguments)
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     task = create()
+    task.is_asked_to_end = is_asked_to_end
     try:
         task.perform()
         return 0
     except TaskFailed as error:
         print(f'{task.get_name()}: {error}', file=sys.stderr)
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except (KeyboardInterrupt, TaskInterrupted):
         return 0
     finally:
         task.destroy_node()

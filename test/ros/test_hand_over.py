@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from manip_sim.resources import share_directory
 from manip_sim.simulation.poses import Pose
 
-EXAMPLE = 'manip_sim.examples.hand_over'
+EXAMPLE = 'manip_sim.examples'
 CONFIG = share_directory() / 'config' / 'hand_over.yaml'
 GOAL = (-0.05, -0.5, 0.825)
 ARMS = ('left', 'middle', 'right')
@@ -76,7 +76,7 @@ def test_the_cube_gets_from_the_first_arm_to_the_third_and_none_lets_go_too_earl
         node, touches, process, client):
     poses = client.listen(PoseStamped, 'objects/cube/pose')
     place_cube(node, (0.05, 0.6, 0.826), yaw=0.4)
-    controller = process(module=EXAMPLE)
+    controller = process('hand_over', module=EXAMPLE)
     output, errors = finish(client, controller)
     assert controller.returncode == 0, output + errors
     assert 'done: the cube stands at' in output
@@ -95,8 +95,8 @@ def test_the_cube_gets_from_the_first_arm_to_the_third_and_none_lets_go_too_earl
 def test_a_gripper_that_does_not_close_is_told(node, process, client):
     # The example's commands for this gripper arrive here and nowhere else.
     client.node.create_subscription(Float64MultiArray, 'unplugged', lambda _: None, 1)
-    controller = process('--ros-args', '-r', 'middle/right/gripper/command:=unplugged',
-                         module=EXAMPLE)
+    controller = process('hand_over', '--ros-args', '-r',
+                         'middle/right/gripper/command:=unplugged', module=EXAMPLE)
     _, errors = finish(client, controller)
     assert controller.returncode == 1
     assert 'hand_over: the gripper of middle does not close' in errors
@@ -104,7 +104,7 @@ def test_a_gripper_that_does_not_close_is_told(node, process, client):
 
 def test_a_cube_that_is_lost_on_the_way_is_told(node, process, client):
     poses = client.listen(PoseStamped, 'objects/cube/pose')
-    controller = process(module=EXAMPLE)
+    controller = process('hand_over', module=EXAMPLE)
     client.spin_until(lambda: poses and poses[-1].pose.position.z > 1.0)
     place_cube(node, (-0.05, 0.5, 0.826))
     _, errors = finish(client, controller)
@@ -115,7 +115,7 @@ def test_a_cube_that_is_lost_on_the_way_is_told(node, process, client):
 def test_an_arm_that_does_not_move_is_told(node, process, client):
     robot = node.simulation.robots['left']
     node.thread.call(lambda: robot.set_control_mode('arm', 'velocity'))
-    controller = process(module=EXAMPLE)
+    controller = process('hand_over', module=EXAMPLE)
     _, errors = finish(client, controller)
     node.thread.call(lambda: robot.set_control_mode('arm', 'position'))
     assert controller.returncode == 1

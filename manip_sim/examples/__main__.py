@@ -1,0 +1,73 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Entry point of ``pick_cube`` and ``hand_over``, and of ``python3 -m manip_sim.examples NAME``.
+
+It imports little, so that a signal during the slow imports ends the process as cleanly as later.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from manip_sim.startup import (
+    EndSignals, exit_on_signals, ignore_end_signals, import_mujoco, open_standard_streams)
+
+_NAMES = ('pick_cube', 'hand_over')
+
+
+def pick_cube() -> int:
+    """
+    Pick a cube up.
+
+    :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP or when it is held, else 1
+    """
+    return _start('pick_cube')
+
+
+def hand_over() -> int:
+    """
+    Hand a cube over.
+
+    :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP or when it is done, else 1
+    """
+    return _start('hand_over')
+
+
+def _start(name: str) -> int:
+    exit_on_signals()
+    open_standard_streams()
+    try:
+        return _run(name)
+    finally:
+        ignore_end_signals()
+
+
+def _run(name: str) -> int:
+    from importlib import import_module
+
+    from manip_sim.environment import check_ros_environment, missing_module
+    from manip_sim.errors import ManipSimError
+    try:
+        check_ros_environment()
+        import_mujoco()
+        example = import_module(f'manip_sim.examples.{name}')
+    except ModuleNotFoundError as error:
+        problem = missing_module(error)
+    except ManipSimError as error:
+        problem = str(error)
+    else:
+        signals = EndSignals()
+        code: int = example.main(is_asked_to_end=lambda: signals.wait(0.0))
+        return code
+    print(f'{name}: {problem}', file=sys.stderr)
+    return 1
+
+
+if __name__ == '__main__':
+    if sys.argv[1:2] and sys.argv[1] in _NAMES:
+        sys.exit(_start(sys.argv[1]))
+    print(f'usage: python3 -m manip_sim.examples {"|".join(_NAMES)} [--ros-args ...]',
+          file=sys.stderr)
+    sys.exit(2)
