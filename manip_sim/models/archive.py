@@ -22,6 +22,9 @@ from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import MAX_ASSET_BYTES
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.regular_files import read_file
+from manip_sim.models.trial import try_to_compile
+from manip_sim.models.xml_check import check_xml
+from manip_sim.models.xml_limits import product
 from manip_sim.quoting import quoted
 
 #: Largest archive, and size of all that it unpacks to [bytes].
@@ -32,6 +35,15 @@ _MAX_RATIO = 200
 _MAX_FILES, _MAX_LIST_BYTES, _MAX_NAME = 1000, 2**18, 200
 #: Number of elements of a model, and how deep they may be nested.
 _MAX_ELEMENTS, _MAX_DEPTH = 200_000, 100
+#: CPU time that a model may take to compile [s]; robots with large meshes take seconds.
+_MAX_CPU_S = 10
+#: Elements, their number and pixels of a texture that compile within 0.1 s for sure.
+_LIGHT = frozenset((
+    'mujoco', 'compiler', 'option', 'flag', 'size', 'visual', 'global', 'headlight', 'default',
+    'asset', 'texture', 'material', 'worldbody', 'body', 'frame', 'geom', 'joint', 'freejoint',
+    'inertial', 'site', 'camera', 'light', 'contact', 'exclude', 'equality', 'actuator', 'general',
+    'motor', 'position', 'velocity', 'sensor', 'force', 'torque'))
+_MAX_LIGHT_ELEMENTS, _MAX_LIGHT_PIXELS = 5000, 2**20
 #: The record at the end of an archive: signature, list of files and length of the comment.
 _END = struct.Struct('<4s4H2LH')
 _LOCATOR_64 = b'PK\x06\x07'
@@ -120,19 +132,25 @@ def load_archive(data: bytes) -> mujoco.MjModel:
     """
     Return the compiled model of an archive from anywhere; it names no files but its own.
 
+    A model that may take long, or crash MuJoCo, is compiled in another process first.
+
     :param data: as :func:`pack` returns it
     :raises ModelError: if it is no such archive, is too large, names other files, or holds no
-        model that MuJoCo compiles
+        model that MuJoCo compiles, or takes too long or too much memory
     """
     contents = _unpacked(data)
     if _MODEL not in contents:
         raise ModelError(f'the archive has no {_MODEL}')
-    contents[_MODEL] = _checked_xml(contents[_MODEL], contents)
+    contents[_MODEL], is_light = _checked_xml(contents[_MODEL], contents)
     with tempfile.TemporaryDirectory(prefix='manip_sim_') as folder:
         for name, content in contents.items():
             file = Path(folder, name)
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
+        if not is_light:
+            check_xml(Path(folder, _MODEL))
+            xml = contents.pop(_MODEL).decode()
+            try_to_compile('the model of the archive', xml, {}, contents, _MAX_CPU_S)
         return compile_spec(load_spec(Path(folder, _MODEL)), 'the model of the archive')
 
 
@@ -194,20 +212,23 @@ def _check_files(files: list[zipfile.ZipInfo], size: int) -> None:
         seen.add(name)
 
 
-def _checked_xml(xml: bytes, files: Collection[str]) -> bytes:
+def _checked_xml(xml: bytes, files: Collection[str]) -> tuple[bytes, bool]:
     """
     Return a model's XML as it was understood here, so that MuJoCo reads what was checked.
 
+    :returns: the XML, and whether it compiles quickly for sure
+
     :raises ModelError: if it is none, is too large, or names files beside these
     """
-    parser = ElementTree.XMLParser(target=_CheckedTree(files))
+    tree = _CheckedTree(files)
+    parser = ElementTree.XMLParser(target=tree)
     try:
         root = ElementTree.fromstring(xml, parser)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         if isinstance(error, ModelError):
             raise
         raise ModelError(f'the model of the archive is not well-formed XML: {error}') from error
-    return ElementTree.tostring(root)
+    return ElementTree.tostring(root), tree.is_light
 
 
 class _CheckedTree(ElementTree.TreeBuilder):
@@ -217,6 +238,7 @@ class _CheckedTree(ElementTree.TreeBuilder):
         super().__init__()
         self._files = files
         self._count = self._depth = 0
+        self.is_light = True
 
     def doctype(self, *_: object) -> None:
         raise ModelError('the model of the archive has a document type; models have none')
@@ -239,8 +261,21 @@ class _CheckedTree(ElementTree.TreeBuilder):
             if attribute.startswith('file') and value and value not in self._files:
                 raise ModelError(f'the model of the archive names the file {quoted(value)}, which '
                                  'is not in the archive')
+        self.is_light = (self.is_light and self._count <= _MAX_LIGHT_ELEMENTS
+                         and _is_light(tag, attributes))
         return super().start(tag, attributes)
 
     def end(self, tag: str) -> ElementTree.Element:
         self._depth -= 1
         return super().end(tag)
+
+
+def _is_light(tag: str, attributes: Mapping[str, str]) -> bool:
+    """Tell whether an element compiles quickly for sure, if there are not too many of them."""
+    if tag == 'size':
+        return all(name.startswith('nuser_') for name in attributes)
+    if tag == 'texture':
+        width, height = product(attributes, 'width'), product(attributes, 'height')
+        return ('builtin' in attributes and not any(map(_NAMES_A_FILE.fullmatch, attributes))
+                and width * max(width, height) <= _MAX_LIGHT_PIXELS)
+    return tag in _LIGHT

@@ -30,7 +30,7 @@ _passed: dict[bytes, None] = {}
 
 
 def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
-                   assets: Mapping[str, bytes]) -> None:
+                   assets: Mapping[str, bytes], max_cpu_s: int | None = None) -> None:
     """
     Compile a model in another process; return if that can be done here, too.
 
@@ -40,13 +40,15 @@ def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
     :param xml: the model
     :param models: files of other models that it names
     :param assets: files of meshes and images that it names
+    :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
     :raises ModelError: if it does not compile, or not within the limits
     """
-    work = pickle.dumps((MAX_CPU_S, MAX_MEMORY_BYTES, xml, dict(models), dict(assets)))
+    cpu_s = max_cpu_s or MAX_CPU_S
+    work = pickle.dumps((cpu_s, MAX_MEMORY_BYTES, xml, dict(models), dict(assets)))
     digest = hashlib.sha256(work).digest()
     if digest in _passed:
         return
-    problem = _tried(work)
+    problem = _tried(work, cpu_s)
     if problem:
         raise ModelError(f'{one_line(name)} {problem}')
     if len(_passed) >= _REMEMBERED:
@@ -54,7 +56,7 @@ def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
     _passed[digest] = None
 
 
-def _tried(work: bytes) -> str:
+def _tried(work: bytes, cpu_s: int) -> str:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)),
                    'OPENBLAS_NUM_THREADS': '1'}
     program = f'from {__name__} import main; main()'
@@ -68,7 +70,7 @@ def _tried(work: bytes) -> str:
     if process.returncode == 0:
         return told.decode()
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f'takes more than {MAX_CPU_S} s to compile, and objects that do cannot be spawned'
+        return f'takes more than {cpu_s} s to compile, and may not'
     return (f'cannot be compiled: MuJoCo crashes, or needs more than '
             f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models import compose
+from manip_sim.models import archive as archives
+from manip_sim.models import compose, robots, trial
 from manip_sim.models.archive import load_archive
 
 XML = '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody></mujoco>'
@@ -42,6 +43,55 @@ def test_the_archive_of_a_world_is_its_model(robot):
     for field in ('body_mass', 'body_pos', 'jnt_range', 'actuator_gainprm', 'geom_size'):
         np.testing.assert_allclose(getattr(loaded, field), getattr(model, field), rtol=1e-5,
                                    atol=1e-6)
+
+
+def sphere(faces):
+    """Return an STL of random points on a sphere, all of them on its convex hull."""
+    points = np.random.default_rng(1).normal(size=(faces, 3, 3))
+    found = np.zeros(faces, [('normal', '<f4', 3), ('corners', '<f4', (3, 3)), ('end', '<u2')])
+    found['corners'] = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    return bytes(80) + struct.pack('<I', faces) + found.tobytes()
+
+
+def of_mesh(faces):
+    return archive({'assets/m.stl': sphere(faces), 'model.xml':
+                    '<mujoco><asset><mesh name="m" file="assets/m.stl"/></asset><worldbody>'
+                    '<body><geom type="mesh" mesh="m"/></body></worldbody></mujoco>'})
+
+
+def test_a_model_that_takes_too_long_is_rejected(monkeypatch):
+    monkeypatch.setattr(archives, '_MAX_CPU_S', 1)
+    rejected(of_mesh(100_000), '^the model of the archive takes more than 1 s to compile')
+    assert load_archive(of_mesh(50)).nmesh == 1
+
+
+def test_a_model_that_takes_too_much_memory_is_rejected(monkeypatch):
+    monkeypatch.setattr(trial, 'MAX_MEMORY_BYTES', 1_000_000_000)
+    rejected(of_xml(f'<mujoco><size memory="2G"/>{XML[8:]}'),
+             '^the model of the archive (does not compile|cannot be compiled)')
+
+
+@pytest.fixture
+def untried(monkeypatch):
+    monkeypatch.setattr(trial, '_passed', {})
+    monkeypatch.setattr(trial, '_tried', lambda *_: 'was tried')
+
+
+@pytest.mark.parametrize('robot', robots.robot_names())
+def test_a_robot_that_is_shipped_is_shown_without_a_trial(robot, untried):
+    load_archive(compose(robot, arena='bins').to_archive())
+
+
+@pytest.mark.parametrize('element', [
+    '<size memory="1M"/>', '<size nuserdata="9"/>', '<worldbody>' + 5001 * '<geom size="1"/>'
+    + '</worldbody>', '<asset><texture name="t" builtin="flat" type="cube" width="1100"/></asset>',
+    '<asset><texture name="t" builtin="flat" type="2d" width="9" height="200000"/></asset>',
+    '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>',
+    '<asset><hfield name="h" nrow="9" ncol="9" size="1 1 1 1"/></asset>',
+    '<worldbody><replicate count="9"><geom size="1"/></replicate></worldbody>',
+    '<worldbody><flexcomp name="f" type="grid" count="3 3 3"/></worldbody>'])
+def test_what_may_take_long_is_tried(element, untried):
+    rejected(of_xml(f'<mujoco>{element}</mujoco>'), '^the model of the archive was tried$')
 
 
 @pytest.mark.parametrize(('element', 'text'), [

@@ -431,7 +431,7 @@ def test_a_model_is_tried_once(below, monkeypatch):
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.2))
     (below[0] / 'o.xml').write_text(mjcf('<asset><mesh file="m.stl"/></asset>'))
     hold_model(below[0] / 'o.xml', below[1]).load()
-    monkeypatch.setattr(trial, '_tried', lambda work: 'was tried again')
+    monkeypatch.setattr(trial, '_tried', lambda *_: 'was tried again')
     hold_model(below[0] / 'o.xml', below[1]).load()
     (below[0] / 'm.stl').write_bytes(tetrahedron(0.3))
     with pytest.raises(ModelError, match='o.xml was tried again'):
