@@ -85,9 +85,10 @@ class Bench:
         """Open (-1) or close (+1) the hand."""
         part = f'{self.arm}/gripper'
         gripper = self.robot.grippers.get(part)
-        if gripper is None or not gripper.part.gripper.dof:
+        if gripper is None or gripper.part.gripper is None or not gripper.part.gripper.dof:
             return
-        self.robot.apply(self.robot.parse.action(part, np.full(gripper.part.gripper.dof, action)))
+        dof = gripper.part.gripper.dof
+        self.robot.apply(self.robot.parse.action(part, np.full(dof, action)))
         for _ in range(round(15.0 / PERIOD_S)):
             self.simulation.advance(STEPS)
             if not gripper.moving:
@@ -167,7 +168,8 @@ def press(gripper, force_n=10.0, rate_hz=100.0, slide=0.03, seconds=3.0, settle=
     bench.approach(0.01)
     steps = round(1.0 / rate_hz / TIMESTEP_S)
     controller = Admittance(force_n, steps * TIMESTEP_S)
-    measured, peak = [], 0.0
+    measured: list[float] = []
+    peak = 0.0
     touched_at = None
     while touched_at is None or len(measured) - touched_at < 2 * seconds * rate_hz:
         rise = controller.velocity(bench.pushed_up())

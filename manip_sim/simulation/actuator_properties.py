@@ -79,11 +79,10 @@ def stiffness_and_damping(model: mujoco.MjModel, ids: IntArray, dofs: IntArray
 
 class DryFriction:
     """
-    The dry friction of joints at a velocity and an acceleration.
+    The dry friction of joints at a velocity.
 
-    MuJoCo's dry friction is a soft constraint: the force of a slow or light joint is the
-    constraint's damping times its velocity over the regularization, up to the ``frictionloss``
-    (MuJoCo documentation, Computation: constraint model).
+    MuJoCo's noslip solver, which all worlds have, lets friction act in full at any velocity. Here
+    it sets in over a small velocity, so that joints at rest are not pushed to and fro.
 
     :param model: the compiled ``mujoco.MjModel``
     :param dofs: of the joints, shape (n,)
@@ -91,21 +90,10 @@ class DryFriction:
 
     def __init__(self, model: mujoco.MjModel, dofs: IntArray) -> None:
         self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
-        impedance = np.clip(model.dof_solimp[dofs, :2], 1e-4, 0.9999)
-        reference = model.dof_solref[dofs]
-        time = np.maximum(reference[:, 0], 2.0 * model.opt.timestep)
-        rate = np.where(reference[:, 0] > 0.0, 2.0 / time, -reference[:, 1]) / impedance[:, 1]
-        regularization = np.maximum(
-            (1.0 - impedance[:, 0]) / impedance[:, 0] * model.dof_invweight0[dofs], 1e-15)
-        # A heavy joint, whose friction sets in at once, must not be pushed to and fro.
-        share = np.minimum(1.0, self._largest * regularization / (_SLIDING * rate))
-        self._inertia = share / regularization
-        self._damping = rate * self._inertia
 
-    def at(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Return the effort that overcomes it [N m or N], shape (n,) like both arguments."""
-        force = self._damping * velocity + self._inertia * acceleration
-        return np.asarray(np.clip(force, -self._largest, self._largest))
+    def at(self, velocity: FloatArray) -> FloatArray:
+        """Return the effort that overcomes it [N m or N], shape of ``velocity``."""
+        return np.asarray(self._largest * np.clip(velocity / _SLIDING, -1.0, 1.0))
 
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:

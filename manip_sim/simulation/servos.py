@@ -252,7 +252,7 @@ class Servos:
         self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
         mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
-        force += self._friction.at(velocity, acceleration)
+        force += self._friction.at(velocity)
         # The bias force minus the weight, which the actuators carry already.
         force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
         return np.asarray((position + force / self._stiffness) * self._gear)

@@ -144,8 +144,9 @@ def test_lockstep_gives_the_same_end_in_every_run(tracked_thread):
 
 
 def test_goal_of_one_robot_does_not_answer_for_another(tracked_thread):
-    world = World([Panda(idn=0), UR5e(idn=1)])
-    running = tracked_thread(world, stepping='lockstep',
+    beside = UR5e(idn=1)
+    beside.set_base_xpos([0.0, 2.0, 0.0])
+    running = tracked_thread(World([Panda(idn=0), beside]), stepping='lockstep',
                              lockstep_parts={'robot0': ['arm'], 'robot1': ['arm']})
     first, second = running.simulation.robots.values()
     goal = running.start(robot=first)

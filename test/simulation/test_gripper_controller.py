@@ -172,7 +172,6 @@ def test_action_that_does_not_fit_is_rejected(panda_sim, action, message):
 
 
 @pytest.mark.parametrize(('names', 'fields', 'message'), [
-    ([], ([], [], []), r'^right/gripper: no joint is named$'),
     (['robot0_joint1'], ([0], [], []), r"^right/gripper has no joint 'robot0_joint1' that can be "
      r'commanded: .*available: gripper0_right_finger_joint1, gripper0_right_finger_joint2$'),
     ([LEFT], ([0, 0], [], []), r'^right/gripper: position must have 1 number, got 2: one for '),
