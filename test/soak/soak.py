@@ -22,9 +22,9 @@ import traceback
 _TEST = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(_TEST), str(_TEST / 'ros'), str(_TEST / 'soak')]
 
+from handler_loads import actions, spawns  # noqa: E402
 import loads  # noqa: E402
 from request_loads import requests  # noqa: E402
-from target import SoakError  # noqa: E402
 from viewer_load import viewer  # noqa: E402
 
 COLUMNS = ('load', 'amount', 'result', 'growth')
@@ -48,8 +48,10 @@ def main() -> int:
                         help='random requests to services, and as many of parameters')
     parser.add_argument('--viewer', type=int, default=10_000,
                         help='malformed messages to the viewer')
+    parser.add_argument('--spawns', type=int, default=5_000, help='random requests to spawn')
+    parser.add_argument('--goals', type=int, default=20_000, help='random goals of actions')
     parser.add_argument('--only', nargs='*', help='malformed, floods, clients, stops, starts, '
-                        'time, requests, viewer')
+                        'time, requests, viewer, spawns, actions')
     options = parser.parse_args()
     parts = {
         'malformed': lambda: [loads.malformed(options.messages, options.seed)],
@@ -59,7 +61,9 @@ def main() -> int:
         'starts': lambda: [loads.starts(options.starts, options.seed)],
         'time': lambda: [loads.simulated_time(options.hours, options.seed)],
         'requests': lambda: requests(options.requests, options.seed),
-        'viewer': lambda: [viewer(options.viewer, options.seed)]}
+        'viewer': lambda: [viewer(options.viewer, options.seed)],
+        'spawns': lambda: [spawns(options.spawns, options.seed)],
+        'actions': lambda: [actions(options.goals, options.seed)]}
     lost = 0
     rows = []
     for name, part in parts.items():
@@ -68,7 +72,7 @@ def main() -> int:
         begin = time.monotonic()
         try:
             rows += part()
-        except (SoakError, AssertionError) as error:
+        except Exception as error:
             lost += 1
             traceback.print_exc()
             rows.append({'load': name, 'amount': '', 'growth': '',
