@@ -37,6 +37,13 @@ _TRUSTED = 8.0
 _RESUMES = 6.0
 #: After so many messages in a row of which others before seem lost, the stream goes slower.
 _SKIPPED = 8.0
+#: Two predictions of a goal are as good if both are within this share of its step.
+_ALIKE = 0.01
+#: Share of a message's word in the average on whether goals follow the arrivals: 0.5 for unknown,
+#: 1 for yes. They do from the second value on, and no longer below the first.
+_SAYS, _FOLLOWS = 0.1, (0.55, 0.7)
+#: By this share of the interval such an arrival may be later before another seems lost.
+_PAUSE_LATER = 0.3
 #: Uncertainty of the count of messages by their times, at least, and by their goals [intervals].
 _TIME_SPREAD, _GOAL_SPREAD = 0.15, 0.05
 #: Share of the acceleration by which it may change, and share of it learnt from a message.
@@ -52,16 +59,17 @@ class MessageClock:
     When the messages of streams were sent: arrival times without jitter, lost messages counted.
 
     A stream is taken to be sent at even intervals, whose length and phase are a line through the
-    arrival times, by least squares with a fading memory. Where messages carry stamps, the
-    differences of the stamps are the intervals.
+    arrival times, by least squares with a fading memory. Where the values follow the arrival times
+    instead, as those of a sender whose own timer jitters, these are the times of sending. Where
+    messages carry stamps, the differences of the stamps are the intervals.
 
     :param count: number of coordinates
     :ivar longest_s: intervals up to this are a stream [s], shape (n,); may be changed
     :ivar interval_s: from message to message [s], shape (n,)
-    :ivar sent_s: when the last message would have come without jitter [s], shape (n,)
+    :ivar sent_s: when the last message would have come without jitter on its way [s], shape (n,)
     :ivar elapsed_s: how long before it the last but one was sent [s], shape (n,)
-    :ivar slack_s: how far the last ones were off the schedule, lost ones included [s], shape (n,)
-    :ivar jitter_s: how far arrivals are off the schedule [s], shape (n,); zero for none
+    :ivar slack_s: how far the last ones came off these times, lost ones included [s], shape (n,)
+    :ivar jitter_s: how far arrivals are off the times of sending [s], shape (n,); zero for none
     :ivar on_time: whether the last message was on the schedule, as others before it, shape (n,)
     :ivar lost: how many messages seem to have been lost, shape (n,)
     """
@@ -78,6 +86,12 @@ class MessageClock:
         self._stamp_s, self._stamp_interval_s = zeros(), zeros()
         self._messages, self._astray, self._skipped = zeros(), zeros(), zeros()
         self._together, self._even = zeros(), zeros()
+        # The even schedule: when the last message was due by it, how far arrivals are off it.
+        self._due_s, self._spread_s = zeros(), zeros()
+        # Whether values follow the arrival times; by the schedule and by these: last velocity,
+        # acceleration and interval, shape (2, n) each.
+        self._follows, self._says = np.zeros(count, dtype=bool), np.full(count, 0.5)
+        self._pace, self._curve, self._both_s = np.zeros((3, 2, count))
         self._stamped, self._sums_s = np.zeros(count, dtype=bool), np.full((2, count), _SAME_S)
 
     def forget(self, indices: IntArray) -> None:
@@ -110,9 +124,12 @@ class MessageClock:
         known = number > 2.0
         interval_s = np.where(streams, np.where(known, self.interval_s[i], since_s / messages),
                               period_s)
-        jitter_s = np.where(known, self.jitter_s[i], 0.0)
-        late = np.where(known, (now_s - self.sent_s[i]) / interval_s, messages)
-        ticks = count = self._count(late, jitter_s / interval_s, messages, step, expected, spread)
+        jitter_s = np.where(known, self._spread_s[i], 0.0)
+        follows = known & self._follows[i]
+        late_s = np.where(follows, since_s - _PAUSE_LATER * interval_s, now_s - self._due_s[i])
+        late = np.where(known, late_s / interval_s, messages)
+        ticks = count = self._count(late, np.where(follows, 0.0, jitter_s / interval_s), messages,
+                                    step, np.where(follows, 0.0, expected), spread)
         stamped = np.zeros(len(i), dtype=bool)
         if stamp_s.any() or self._stamp_s[i].any():
             # Between stamps time is counted by the sender's clock, without them by messages.
@@ -120,7 +137,7 @@ class MessageClock:
                 i, streams, since_s, stamp_s, messages, count)
             interval_s = np.where(stamped, stamp_interval_s, interval_s)
             count = np.where(stamped, np.maximum(np.rint(ticks), 1.0), count)
-        off_s = np.where(known, now_s - self.sent_s[i] - ticks * interval_s, 0.0)
+        off_s = np.where(known, now_s - self._due_s[i] - ticks * interval_s, 0.0)
         size = np.abs(off_s)
         # A line through the arrivals: these gains are those of least squares.
         memory = np.minimum(number, _MEMORY)
@@ -128,9 +145,8 @@ class MessageClock:
         slope = 6.0 / (memory * (memory + 1.0)) * ~stamped
         bound_s = np.where(number > 4.0, np.maximum(3.0 * jitter_s, 0.25 * interval_s), np.inf)
         pull_s = np.minimum(np.maximum(off_s, -bound_s), bound_s)
-        sent_s = np.where(known, self.sent_s[i] + ticks * interval_s + gain * pull_s, now_s)
+        sent_s = np.where(known, self._due_s[i] + ticks * interval_s + gain * pull_s, now_s)
         elapsed_s = np.where(streams, ticks * interval_s, period_s)
-        self.elapsed_s[i] = elapsed_s
         changed_s = np.maximum(interval_s + slope * pull_s / ticks, 0.2 * interval_s)
         missed_s = np.maximum(elapsed_s - np.maximum(interval_s, period_s), 0.0)
         self.slack_s[i] = np.maximum(np.where(streams, 0.8 * self.slack_s[i], 0.0),
@@ -150,11 +166,42 @@ class MessageClock:
         self._skipped[i] = np.where(skips, self._skipped[i] + 1.0, 0.0)
         slower, again = self._skipped[i] >= _SKIPPED, np.abs(self._astray[i]) >= _ASTRAY
         self.interval_s[i] = np.where(slower, changed_s * count / messages, changed_s)
-        self.sent_s[i] = np.where(again, now_s, sent_s)
+        self._due_s[i] = np.where(again, now_s, sent_s)
         self._messages[i] = np.where(again, _RESUMES, number)
         self._astray[i] = np.where(again, 0.0, self._astray[i])
         self._skipped[i] = np.where(slower, 0.0, self._skipped[i])
-        self.jitter_s[i], self._arrived_s[i] = jitter_s, now_s
+        self._spread_s[i], self._arrived_s[i] = jitter_s, now_s
+        self._choose(i, (number > 3.0) & streams & ~stamped, step, elapsed_s, np.where(
+            streams, since_s, period_s), now_s)
+
+    def _choose(self, i: IntArray, known: BoolArray, step: FloatArray, even_s: FloatArray,
+                since_s: FloatArray, now_s: float) -> None:
+        """
+        Choose between the even schedule and the arrival times by which one the values follow.
+
+        Which one does predicts the next value better from the last three.
+
+        :param known: whether so many have been seen, and no stamps
+        :param step: from the last value to the present one, shape of ``i``
+        :param even_s: time from the last message to this one by the schedule [s]
+        :param since_s: the same by their arrival [s]
+        """
+        both_s = np.stack([even_s, np.maximum(since_s, 1e-9)])
+        apart_s = (self._both_s[:, i] + both_s) / 2.0
+        pace = step / both_s
+        error = (pace - self._pace[:, i] - self._curve[:, i] * apart_s) * both_s
+        size = error**2 + (_ALIKE * step)**2
+        self._curve[:, i] = (pace - self._pace[:, i]) / apart_s
+        self._pace[:, i], self._both_s[:, i] = pace, both_s
+        total = size[0] + size[1]
+        share = np.where(total > 0.0, size[0] / np.where(total > 0.0, total, 1.0), 0.5)
+        says = np.where(known, self._says[i] + _SAYS * (share - self._says[i]), 0.5)
+        follows = known & (says > np.where(self._follows[i], *_FOLLOWS))
+        self._says[i], self._follows[i] = says, follows
+        self.sent_s[i] = np.where(follows, now_s, self._due_s[i])
+        self.elapsed_s[i] = np.where(follows, both_s[1], even_s)
+        self.jitter_s[i] = np.where(follows, 0.0, self._spread_s[i])
+        self.slack_s[i] = np.where(follows, 0.0, self.slack_s[i])
 
     def _read_stamps(self, i: IntArray, streams: BoolArray, since_s: FloatArray,
                      stamp_s: FloatArray, messages: FloatArray, count: FloatArray

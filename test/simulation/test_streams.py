@@ -6,6 +6,7 @@
 import numpy as np
 import pytest
 
+from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.streams import StreamEstimator
 
 PERIOD_S, LIMIT = 0.01, np.array([10.0])
@@ -78,3 +79,46 @@ def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
                        stamp_s=1e5 + sent_s)
         if number > 1:
             assert estimator.velocity == pytest.approx(0.15, rel=1e-6)
+
+
+def followed(sent_s, arrived_s, step_s=0.002, amplitude=0.2, omega=np.pi):
+    """Return ratio, ripple and hardest acceleration of setpoints that follow a sine, to its."""
+    generator, taken, rows = SetpointGenerator(
+        np.array([[-3.0, 3.0]]), np.array([2.2]), np.array([15.0])), 0, []
+    for step in range(round(arrived_s[-1] / step_s)):
+        generator.now_s = step * step_s
+        while arrived_s[taken] <= generator.now_s + 1e-9:
+            goal = amplitude * min(sent_s[taken], 1.0) * np.sin(omega * sent_s[taken])
+            generator.go_to(JOINT, np.array([goal]), step_s)
+            taken += 1
+        generator.advance(step_s)
+        rows.append((generator.now_s, generator.position[0], generator.velocity[0],
+                     generator.acceleration[0]))
+    time_s, position, velocity, acceleration = np.array(rows[round(3.0 / step_s):]).T
+    waves = np.stack([np.sin(omega * time_s), np.cos(omega * time_s), np.ones(len(time_s))], 1)
+    fit = np.linalg.lstsq(waves, np.stack([position, velocity], 1), rcond=None)[0]
+    ripple = np.sqrt(np.mean((velocity - waves @ fit[:, 1])**2)) / (amplitude * omega)
+    return (np.hypot(*fit[:2, 0]) / amplitude, ripple,
+            np.abs(acceleration).max() / (amplitude * omega**2))
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('rate', 'ripple_bound'), [(10, 0.06), (50, 0.02), (100, 0.02)])
+def test_goals_of_the_moment_of_a_timer_that_jitters_are_followed(rate, ripple_bound, seed):
+    random, number = np.random.default_rng(seed), np.arange(9 * rate)
+    sent_s = np.sort(np.abs(number + random.normal(0.0, 0.2, len(number)))) / rate
+    sent_s = np.ceil(sent_s / 0.002 - 1e-6) * 0.002
+    ratio, ripple, hardest = followed(sent_s, sent_s)
+    assert ratio == pytest.approx(1.0, abs=0.03)
+    assert ripple < ripple_bound
+    assert hardest < 3.0
+
+
+@pytest.mark.parametrize('rate', [10, 50, 100])
+def test_goals_of_an_even_timer_that_jitter_on_their_way_are_followed(rate):
+    random, sent_s = np.random.default_rng(0), np.arange(9 * rate) / rate
+    late_s = np.abs(random.normal(0.0, 0.2 if rate > 10 else 0.1, len(sent_s))) / rate
+    ratio, ripple, hardest = followed(sent_s, np.maximum.accumulate(sent_s + late_s))
+    assert ratio == pytest.approx(1.0, abs=0.02)
+    assert ripple < 0.02
+    assert hardest < 1.5
