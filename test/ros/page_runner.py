@@ -19,7 +19,6 @@ from pages import Block, commands, ROOT
 import pytest
 from rcl_interfaces.srv import SetParameters
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
 import yaml
 
@@ -46,6 +45,15 @@ TOOLS = {'rviz2': 'rviz2', 'ros2 bag': 'rosbag2', 'ros2 security': 'sros2', 'sud
          'nsenter': 'nsenter'}
 #: Of a shell; nothing that could fail here.
 SHELL = {'source', 'mkdir', 'cd', 'for', 'do', 'done'}
+
+
+class Enough(Exception):
+    """A client without an end has shown what it does."""
+
+
+def end() -> None:
+    """End the spinning of the thread that calls this."""
+    raise Enough
 
 
 def needed_program(words: list[str]) -> str | None:
@@ -225,7 +233,7 @@ class PageRunner:
         def run() -> None:
             try:
                 exec(code, self._names)
-            except ExternalShutdownException:
+            except Enough:
                 pass
             except BaseException as error:  # The test has to learn of it.
                 errors.append(error)
@@ -236,8 +244,11 @@ class PageRunner:
             self._client.spin_until(
                 lambda: not thread.is_alive() or (endless and self.taken() > before))
         finally:
-            rclpy.try_shutdown()
+            if thread.is_alive():
+                # In the client's thread: a shutdown from here takes the executor away under it.
+                rclpy.get_global_executor().create_task(end)
             thread.join(timeout=30.0)
+            rclpy.try_shutdown()
         assert not errors, errors
         assert not thread.is_alive()
 
