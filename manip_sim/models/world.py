@@ -120,7 +120,7 @@ class World:
     def _prevent_slip(self, spec: mujoco.MjSpec) -> None:
         """Let friction hold for good, unless the file of a part has its own options for that."""
         option = max(
-            (part.spec.option for part in self._parts()), key=lambda own: own.noslip_iterations)
+            (part._spec.option for part in self._parts()), key=lambda own: own.noslip_iterations)
         if option.noslip_iterations == 0:
             spec.option.noslip_iterations = _NOSLIP_ITERATIONS
             spec.option.noslip_tolerance = _NOSLIP_TOLERANCE

@@ -16,6 +16,7 @@ from manip_sim.models import compose_robot
 from manip_sim.models.arenas import Arena, create_arena, EmptyArena, TableArena
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.grippers import PandaGripper
+from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import Panda
 from manip_sim.models.world import World
 
@@ -224,6 +225,19 @@ def test_a_part_keeps_its_own_options_against_slip(one_joint_arm, panda):
                            ([weak, strong], (30, 1e-5))):
         option = World(robots).compile().opt
         assert (option.noslip_iterations, option.noslip_tolerance) == wanted
+
+
+def test_composing_compiles_no_part_again(panda, monkeypatch):
+    world, compiled = World([panda]), []
+    compile_alone = MujocoXMLModel._compile_alone
+    monkeypatch.setattr(MujocoXMLModel, '_compile_alone',
+                        lambda part: (compiled.append(part.name), compile_alone(part))[1])
+    for _ in range(2):
+        world.compose()
+    assert compiled == []
+    panda.spec.body('link1').gravcomp = 0.5
+    world.compose()
+    assert panda.name in compiled
 
 
 def test_physics_is_set_for_grasping(panda):

@@ -71,7 +71,7 @@ class OwnHand(HandFromFile, registered=False):
         """
         self._robot = robot
         self.file = robot.file
-        self._own_model = model
+        self._own_model, self._spec = model, robot._spec
         tree = BodyTree(model)
         bodies = tree.below(int(model.body(self._body).id))
         self._bodies = [tree.name(body) for body in sorted(bodies)]
