@@ -37,6 +37,8 @@ SOAK_ARGS ?=
 BENCH_ARGS ?=
 REQUIREMENTS_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Each of some hundred processes of the tests would compile all modules.
+unexport PYTHONDONTWRITEBYTECODE
 
 ifeq ($(ROS_DISTRO),jazzy)
 ROS_FROM = sourced
