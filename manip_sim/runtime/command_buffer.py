@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from manip_sim.simulation.commands import (
-    Command, GripperCommand, JointSetpoint, JointTrajectory, Status, STOPPED, TrajectoryStop)
+    Command, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
 
 
 class CommandBuffer:
@@ -82,10 +82,10 @@ class CommandBuffer:
 
 def _counting(older: Command, newer: Command) -> Command:
     """Return a command that knows of the message of the same stream that it replaces."""
-    if not (isinstance(older, JointSetpoint) and isinstance(newer, JointSetpoint)
-            and np.array_equal(older.indices, newer.indices)):
+    if type(older) is not type(newer) or older.goal is None or newer.goal is None or (
+            not np.array_equal(older.indices, newer.indices)):
         return newer
-    copied = np.array_equal(older.values, newer.values)
+    copied = np.array_equal(older.goal, newer.goal)
     return replace(newer, messages=older.messages + (0 if copied else newer.messages))
 
 

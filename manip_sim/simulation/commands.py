@@ -94,6 +94,11 @@ class Command:
     clamped_example: str = ''
     handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
 
+    @property
+    def goal(self) -> FloatArray | None:
+        """Numbers that equal those of the message before in a copy of it, or None."""
+        return None
+
     def without(self: C, indices: IntArray) -> C | None:
         """Return the command without some of its joints, or None if no joint is left."""
         taken = set(indices.tolist())
@@ -117,6 +122,11 @@ class JointSetpoint(Command):
 
     modes: tuple[str, ...]
     values: FloatArray
+
+    @property
+    def goal(self) -> FloatArray:
+        """The goals."""
+        return self.values
 
     def _only(self, kept: BoolArray) -> JointSetpoint:
         modes = tuple(mode for mode, keep in zip(self.modes, kept) if keep)

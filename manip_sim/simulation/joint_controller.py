@@ -114,7 +114,7 @@ class JointController(ControlledJoints):
         :param hold_s: simulation time [s]; 0 for two message intervals
         :raises UnknownNameError: if there is no such part
         """
-        self._setpoints.set_stream(self.indices_of(part), hold_s=hold_s)
+        self._set_stream(part, hold_s=hold_s)
 
     def set_stream_interval(self, part: str, longest_s: float) -> None:
         """
@@ -123,7 +123,14 @@ class JointController(ControlledJoints):
         :param longest_s: simulation time [s]
         :raises UnknownNameError: if there is no such part
         """
-        self._setpoints.set_stream(self.indices_of(part), longest_s=longest_s)
+        self._set_stream(part, longest_s=longest_s)
+
+    def _set_stream(self, part: str, **changes: float) -> None:
+        indices = self.indices_of(part)
+        self._setpoints.set_stream(indices, **changes)
+        for arm in self.cartesian.settings:
+            if np.isin(self.indices_of(arm), indices).all():
+                self.cartesian.set_stream(arm, **changes)
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """

@@ -165,3 +165,19 @@ def test_stiffness_and_limits_are_live_parameters_with_unit_and_range(hand, serv
     assert served.simulation.robot.joints.cartesian.settings['right'].stiffness == 300.0
     assert 'out of range' in set_to(0.0).reason
     assert served.simulation.robot.joints.cartesian.settings['right'].stiffness == 300.0
+
+
+def test_stamps_and_the_parameters_of_streams_count_for_target_poses_too(hand, served):
+    request = SetParameters.Request(parameters=[
+        Parameter(name, value=value).to_parameter_msg()
+        for name, value in (('stream_interval.arm', 4.0), ('stream_hold.right', 0.5))])
+    results = hand.client.call(SetParameters, 'manip_sim/set_parameters', request).results
+    assert all(result.successful for result in results)
+    pose = hand.pose((0.0, 0.02, 0.0))
+    pose.header.stamp.sec, pose.header.stamp.nanosec = 1234, 50_000_000
+    hand.client.publish('right/target_pose', pose)
+    targets = served.simulation.robot.joints.cartesian._targets
+    hand.client.spin_until(lambda: 'right' in targets and targets['right'].stream is not None)
+    estimator = targets['right'].stream._estimator
+    hand.client.spin_until(lambda: np.allclose(estimator.clock._stamp_s, 1234.05))
+    assert set(estimator.clock.longest_s) == {4.0} and set(estimator.hold_s) == {0.5}

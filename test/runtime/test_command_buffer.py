@@ -231,6 +231,16 @@ def test_goals_that_replace_others_unused_tell_of_how_many_messages_they_stand_f
     np.testing.assert_allclose(command.values, [0.3, 0.5])
 
 
+def test_poses_that_replace_others_unused_tell_of_how_many_messages_they_stand_for(panda_sim):
+    buffer = CommandBuffer()
+    for height in (0.5, 0.6, 0.6, 0.7):
+        buffer.add(panda_sim.robot.parse_cartesian.pose(
+            'right', [0.4, 0.0, height], [1.0, 0.0, 0.0, 0.0]))
+    (command,) = buffer.take()
+    assert command.messages == 3
+    np.testing.assert_allclose(command.position, [0.4, 0.0, 0.7])
+
+
 def test_goals_count_messages_for_the_joints_that_they_name():
     buffer = CommandBuffer()
     for value in ({0: 0.1, 1: 0.5}, {0: 0.2}, {1: 0.4}):

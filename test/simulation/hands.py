@@ -3,6 +3,8 @@
 
 """Commands for hands in a few words, and where hands are by MuJoCo's kinematics alone."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -68,12 +70,12 @@ class HandOperator:
         mujoco.mj_kinematics(model, data)
         return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
 
-    def go_to(self, pose, frame=''):
+    def go_to(self, pose, frame='', sent_ns=0):
         """Apply a target pose; return its handle."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[1]).ravel())
-        return self.apply(self.robot.parse_cartesian.pose(
-            self.arm, pose[0], quat[[1, 2, 3, 0]], frame))
+        return self.apply(replace(self.robot.parse_cartesian.pose(
+            self.arm, pose[0], quat[[1, 2, 3, 0]], frame), sent_ns=sent_ns))
 
     def move_at(self, linear, angular=(0.0, 0.0, 0.0), frame=''):
         """Apply a target twist; return its handle."""

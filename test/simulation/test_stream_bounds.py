@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip('hypothesis', reason='needs hypothesis')
+from hands import distance, hand_of, turned  # noqa: E402
 from hypothesis import given, settings, strategies as st  # noqa: E402
 
+from manip_sim.simulation.commands import Status  # noqa: E402
 from manip_sim.simulation.setpoints import SetpointGenerator  # noqa: E402
 
 V, A, LOW, HIGH = 2.0, 15.0, -1.0, 1.0
@@ -137,6 +139,47 @@ def test_whatever_the_order_of_arrival_velocities_keep_the_limits(
     times, positions, velocities, _ = followed(
         transport, goals, sent, period_s, interval_s, 'velocity', stamped)
     check_limits(times, positions, velocities, own)
+
+
+@pytest.fixture(scope='module')
+def panda_hand():
+    """Return an operator of the hand of a Panda."""
+    return hand_of('Panda')
+
+
+@given(transports(), st.sampled_from([0.004, 0.01, 0.02, 0.05]), st.booleans(),
+       st.sampled_from([0.105, 0.5]), st.sampled_from([0.0, 0.2]))
+@settings(max_examples=12)
+def test_whatever_the_order_of_arrival_poses_keep_the_limits_and_end_at_the_last_one(
+        panda_hand, transport, period_s, stamped, longest_s, hold_s):
+    op, (joints, period) = panda_hand, (panda_hand.robot.joints, period_s)
+    op.simulation.reset()
+    op.period_s = period
+    indices, steps = joints.indices_of('right'), round(period / op.simulation.timestep_s)
+    limit = joints.acceleration_limits(indices)
+    top = np.array([op.simulation.model.joint(j).user[0] for j in op.part.joints])
+    op.robot.set_stream_interval('arm', longest_s)
+    op.robot.set_stream_hold('arm', hold_s)
+    sent = np.arange(0.0, 1.2, 1.0 / transport.rate)
+    number, arrival = transport.deliver(sent)
+    (start, rotation), next_one, handle, speeds = op.pose, 0, None, [np.zeros(len(top))]
+    begin_s, now_s = op.simulation.time_s, 0.0
+    while now_s < arrival.max(initial=0.0) + 5.0 and (
+            next_one < len(number) or handle is not None and handle.is_active):
+        while next_one < len(number) and arrival[next_one] <= now_s:
+            angle = 2.0 * np.pi * 0.8 * (sent_s := sent[number[next_one]])
+            pose = (start + 0.05 * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0]),
+                    turned([0.0, 0.6, 0.8], 0.2 * np.sin(angle)) @ rotation)
+            handle = op.go_to(pose, sent_ns=round((1e5 + sent_s) * 1e9) if stamped else 0)
+            next_one += 1
+        op.simulation.advance(steps)
+        now_s = op.simulation.time_s - begin_s
+        speeds.append(op.reference.velocity)
+    assert (np.abs(speeds) <= 1.0001 * top).all()
+    assert (np.abs(np.diff(speeds, axis=0)) <= 1.0001 * limit * period).all()
+    if handle is not None:
+        assert handle.status is Status.DONE
+        assert max(distance(op.pose, pose)) < 5e-3
 
 
 def test_a_stop_that_messages_tell_in_time_may_use_the_streams_own_acceleration():

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.commands import Command
@@ -41,6 +43,11 @@ class CartesianPose(CartesianCommand):
     frame: Frame
     position: FloatArray
     rotation: FloatArray
+
+    @property
+    def goal(self) -> FloatArray:
+        """Position and rotation."""
+        return np.concatenate([self.position, self.rotation.ravel()])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -24,13 +24,14 @@ from manip_sim.simulation.cartesian.inverse_kinematics import (
 from manip_sim.simulation.cartesian.operational_space_controller import (
     OperationalSpaceController)
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
-from manip_sim.simulation.cartesian.reports import CartesianReport
+from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
+from manip_sim.simulation.streams import STREAM_INTERVAL_S
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012
@@ -78,6 +79,8 @@ class CartesianController:
         self.reports = {arm: CartesianReport(arm) for arm in hands}
         self.period_s = float(model.opt.timestep)
         self._targets: dict[str, Target] = {}
+        #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
+        self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in hands}
         self._operational = OperationalSpaceController(model, servos, self._posture)
         self.rebind(model)
 
@@ -97,6 +100,19 @@ class CartesianController:
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
         self.settings[arm] = self.settings[arm].changed(name, value)
+
+    def set_stream(self, arm: str, longest_s: float | None = None, hold_s: float | None = None
+                   ) -> None:
+        """
+        Change what counts as a stream of poses of an arm, and what happens when one stops.
+
+        :param longest_s: longest interval between messages of a stream [s]; None: no change
+        :param hold_s: how long the hand goes on at the velocity of a stream after a message was
+            due [s]; 0: two message intervals; None: no change
+        """
+        before = self._streams[arm]
+        self._streams[arm] = (before[0] if longest_s is None else longest_s,
+                              before[1] if hold_s is None else hold_s)
 
     def goal(self, arm: str, data: mujoco.MjData) -> Pose | None:
         """
@@ -142,6 +158,7 @@ class CartesianController:
             target.stream = PoseStream()
         else:
             target.stream = before.stream
+        target.stream.set(*self._streams[command.arm])
         twist = np.zeros(6)
         if not target.stream.moving:
             dofs = self._servos.dofs[command.indices]
@@ -233,7 +250,9 @@ class CartesianController:
             error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
             solution = approach(jacobian, error, joints, interval_s, settings.linear_velocity,
                                 settings.angular_velocity, before, twist)
-            self._see(command, 'the way to the target', solution.held, solution.singular)
+            behind = not still and solution.slowed and bool((np.abs(error) > MISSED).any())
+            self._see(command, 'the stream of poses' if behind else 'the way to the target',
+                      solution.held, solution.singular, behind)
             near = (still and (np.abs(error) <= _REACHED).all()
                     and solution.pace < _SLOW_PACE)
             self._look(command, target, data, now_s, error, bool(near), solution.progress)

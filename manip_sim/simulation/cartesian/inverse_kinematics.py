@@ -32,6 +32,8 @@ _MAX_RATE = 40.0
 _POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
 #: A twist is slowed down so that no joint comes to its limit sooner than this [s].
 _HORIZON_S = 0.1
+#: Less than this share of the velocity limits makes no difference.
+_LESS = 0.01
 _STILL = np.zeros(6)
 
 
@@ -68,7 +70,8 @@ class Solution:
     :ivar progress: share of the wanted motion that the joints can make
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
-    :ivar slowed: whether joint velocity limits slow a twist down
+    :ivar slowed: whether joint limits slow a twist down, or keep the hand from going along with a
+        pose that moves
     """
 
     velocity: FloatArray
@@ -113,9 +116,11 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
                max(angular_velocity - length(twist[3:]), 0.0) / max(length(moved[3:]), 1e-12))
     velocity = along + rate * found.step
     pace = float((np.abs(velocity) / joints.velocity_limit).max())
-    velocity = velocity / max(1.0, pace)
-    return Solution(_evenly(_with_drift(velocity, found.drift, joints), joints, interval_s), pace,
-                    _progress(moved, part * error), found.held, found.singular)
+    velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
+    possible = _evenly(velocity, joints, interval_s)
+    less = np.abs(possible - velocity) / joints.velocity_limit
+    return Solution(possible, pace, _progress(moved, part * error), found.held, found.singular,
+                    slowed=pace > 1.0 + 1e-6 or bool((less > _LESS).any()))
 
 
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float

@@ -53,6 +53,16 @@ class PoseStream:
         self._waiting: _Pose | None = None
         self.moving = False
 
+    def set(self, longest_s: float, hold_s: float) -> None:
+        """
+        Change what counts as a stream.
+
+        :param longest_s: longest interval between messages [s]
+        :param hold_s: how long the reference goes on after a message was due [s]; 0: two intervals
+        """
+        self._estimator.clock.longest_s[:] = longest_s
+        self._estimator.hold_s[:] = hold_s
+
     def take(self, position: FloatArray, rotation: FloatArray, period_s: float, twist: FloatArray,
              limits: FloatArray, messages: int = 1, sent_s: float = 0.0) -> None:
         """
@@ -66,8 +76,11 @@ class PoseStream:
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
-        if self._waiting is not None:
-            messages += self._waiting.messages
+        waiting = self._waiting
+        if waiting is not None:
+            copied = ((waiting.position == position).all()
+                      and (waiting.rotation == rotation).all())
+            messages = waiting.messages + (0 if copied else messages)
         self._waiting = _Pose(position, rotation, period_s, twist, limits, messages, sent_s)
 
     def update(self, now_s: float) -> None:

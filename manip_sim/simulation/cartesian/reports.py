@@ -16,7 +16,7 @@ from manip_sim.arrays import FloatArray
 
 #: A target is unreachable if the hand is farther from it than this [m, rad], and for this time [s]
 #: makes no more than this share of the wanted motion.
-_MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
+MISSED = np.array([2e-3] * 3 + [2e-2] * 3)
 _STALLED_S, _STALLED_PROGRESS = 0.3, 0.1
 #: A hand has left its way if it is farther from it than this [m].
 _ASIDE = 0.01
@@ -31,7 +31,7 @@ class CartesianReport:
     :ivar unreachable: targets that were not reached
     :ivar joint_limit: how often the range of a joint shortened a motion
     :ivar singular: how often the hand could hardly move in the wanted direction
-    :ivar slowed: how often joint velocity limits slowed a twist down
+    :ivar slowed: how often limits of joints slowed down a twist or a stream of poses
     :ivar aside: how often the hand left the straight way to a pose by more than 1 cm
     :ivar texts: what happened last, in words, by counter
     """
@@ -61,14 +61,14 @@ class CartesianReport:
         :param what: the motion, in words
         :param held: names of the joints that are at the end of their range
         :param singular: whether the hand can hardly move in the wanted direction
-        :param slowed: whether joint velocity limits slow a twist down
+        :param slowed: whether limits of joints slow a twist or a stream of poses down
         """
         self._note('joint_limit', bool(held),
                    f'{what} is limited by the range of {", ".join(held)}')
         self._note('singular', singular,
                    f'{what} leads to a singularity, where the hand hardly moves')
         self._note('slowed', slowed,
-                   f'{what} is slowed down to keep to the velocity limits of the joints')
+                   f'{what} is slowed down to keep to the limits of the joints')
 
     def see_target(self, error: FloatArray, progress: float, now_s: float) -> None:
         """
@@ -79,7 +79,7 @@ class CartesianReport:
         :param now_s: simulation time [s]
         """
         first = now_s - self._seen_s > _STALLED_S
-        if first or progress > _STALLED_PROGRESS or (np.abs(error) <= _MISSED).all():
+        if first or progress > _STALLED_PROGRESS or (np.abs(error) <= MISSED).all():
             self._stalled_s = now_s
         self._seen_s = now_s
         causes = ''.join(f', {text}' for kind, text in (
