@@ -70,6 +70,22 @@ def _is_standard(name):
     return name in sys.stdlib_module_names
 
 
+#: Where fields of messages, which are named like modes, are told apart.
+FIELDS_OF_MESSAGES = ('viewer', 'simulation/gripper_goal.py')
+
+
+@pytest.mark.parametrize('path', [
+    path for path in MODULES
+    if not path.relative_to(PACKAGE).as_posix().startswith(FIELDS_OF_MESSAGES)],
+    ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_module_compares_the_name_of_a_control_mode(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.Compare, ast.Match)):
+            names = [part.value for part in ast.walk(node) if isinstance(part, ast.Constant)]
+            assert not {'position', 'velocity', 'effort'}.intersection(map(str, names)), (
+                f'{path}:{node.lineno} compares the name of a mode: ask the mode')
+
+
 def test_no_module_is_a_drawer_for_odds_and_ends():
     assert not [path for path in MODULES if path.name in FORBIDDEN_NAMES]
 

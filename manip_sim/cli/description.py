@@ -24,7 +24,7 @@ from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.commands import MODES
+from manip_sim.simulation.modes import EFFORT, POSITION
 from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.actuator_properties import effort_range
@@ -114,7 +114,7 @@ def _part(part: Part, names: Mapping[str, str], mode_of: Callable[[str], Any]) -
     return {'name': names[part.name], 'consists_of': [names[name] for name in part.atomic],
             'joints': list(part.joints), 'actuators': list(part.actuators),
             'control_mode': (mode_of(part.name) if commanded
-                             else 'position' if part.gripper is not None else None)}
+                             else POSITION.name if part.gripper is not None else None)}
 
 
 def _of_parts(robot: SimulatedRobot, elements: str, names: Mapping[str, str]) -> dict[str, str]:
@@ -151,14 +151,12 @@ def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
     for name, part in robot.parts.items():
         if part.gripper is not None or part.atomic != (name,):
             continue
-        of_mode = {}
-        for mode in MODES:
-            robot.set_control_mode(name, mode)
-            of_mode[mode] = robot.limits(name)
-        driven = [joint for joint in part.driven_joints if joint is not None]
-        for joint, velocity, effort in zip(driven, of_mode['velocity'], of_mode['effort']):
+        joints, indices = robot.joints, robot.joints.indices_of(name)
+        efforts = joints.ranges(indices, [EFFORT.name] * len(joints.names))
+        for index, velocity, effort in zip(indices, joints.velocity_limits(indices), efforts):
+            joint = joints.names[index]
             is_limited = simulated.jnt_actfrclimited[simulated.joint(joint).id]
-            limits[joint] = {'velocity': float(velocity[1]),
+            limits[joint] = {'velocity': float(velocity),
                              'effort': _range(effort) if is_limited else None}
     return limits
 

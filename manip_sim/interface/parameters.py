@@ -20,9 +20,11 @@ from manip_sim.models.image_settings import (
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.commands import default_mode, MODES
+from manip_sim.simulation.modes import default_mode, MODES
 from manip_sim.simulation.streams import STREAM_INTERVAL_S
 
+#: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
+_BASE_TIMEOUT_S = 0.5
 STEPPING = ('realtime', 'free', 'lockstep')
 
 
@@ -140,9 +142,8 @@ def default_timeout(part: str, mode: str) -> float:
 
     A position is safe to keep; a velocity or an effort whose sender has died is not.
     """
-    if mode == 'position':
-        return 0.0
-    return 0.5 if part == 'base' else 0.2
+    timeout_s = MODES[mode].timeout_s
+    return _BASE_TIMEOUT_S if timeout_s and part == 'base' else timeout_s
 
 
 def mode_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
@@ -154,7 +155,7 @@ def mode_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:
     return [ParameterSpec(
         f'control_mode.{part}', default_mode(part),
         f'What commands of the {part} mean; a change brings it to rest.', live=True,
-        choices=MODES).within(scope) for part in parts]
+        choices=tuple(MODES)).within(scope) for part in parts]
 
 
 def timeout_parameters(scope: Scope, parts: Sequence[str],

@@ -24,6 +24,7 @@ from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
+from manip_sim.simulation.modes import MODES, POSITION
 
 _PERIOD_S = 1.0
 #: Share of simulation time; a smaller loss causes no warning.
@@ -188,13 +189,16 @@ class Diagnostics:
             'accepted': statistics.accepted, 'dropped': statistics.rejected,
             'clamped': statistics.clamped, 'slowed': statistics.slowed}
         if part in robot.grippers:
-            values['control_mode'] = 'position'
+            values['control_mode'] = POSITION.name
+            values['command_interface'] = POSITION.field
             values['action_size'] = robot.grippers[part].dof
             values['faults'] = robot.grippers[part].faults
         elif part in robot.parts:
             joints = robot.joints
             modes = dict.fromkeys(joints.modes_of(joints.indices_of(part)))
             values['control_mode'] = ' and '.join(modes)
+            values['command_interface'] = ' and '.join(
+                dict.fromkeys(MODES[mode].field for mode in modes))
             values['timeouts'] = sum(
                 joints.timeouts[atomic] for atomic in robot.parts[part].atomic)
             values['limited'], values['lost'] = joints.limited(part), joints.lost(part)

@@ -11,8 +11,8 @@ from typing import Any
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.modes import MODES, POSITION
 
-_UNITS = {'position': 'rad or m', 'velocity': 'rad/s or m/s', 'effort': 'N m or N'}
 Value = Callable[[str], Any]
 
 
@@ -45,13 +45,13 @@ def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
     for name, part in robot.parts.items():
         if not part.joints or part.atomic != (name,):
             continue
-        mode = 'position'
+        mode = POSITION.name
         if part.gripper is None and part.actuators:
             mode = value(scope.parameter(f'control_mode.{name}'))
         yield f'  {name}: {mode} mode, joints {", ".join(part.joints)}'
         if part.gripper is None:
             limits = ' '.join(f'[{low:g}, {high:g}]' for low, high in robot.limits(name))
-            yield f'    limits {limits} {_UNITS[mode]}'
+            yield f'    limits {limits} {" or ".join(MODES[mode].units)}'
 
 
 def inferred(world: World) -> Iterator[str]:

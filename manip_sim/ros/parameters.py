@@ -20,6 +20,7 @@ from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.scope import Scope
 from manip_sim.rclpy_internals import parameter_overrides
+from manip_sim.simulation.modes import MODES
 from manip_sim.simulation.parts import Part
 
 #: Groups of parameters whose values for a part are those of the parts that it consists of.
@@ -132,7 +133,7 @@ class Parameters:
         self._following = set()
         for parameter in list(parameters):
             scope, group, part = self.of_part(parameter.name) or (None, '', '')
-            if scope is None or group != 'control_mode':
+            if scope is None or group != 'control_mode' or parameter.value not in [*MODES]:
                 continue
             name = scope.parameter(f'command_timeout.{part}')
             if name not in known:

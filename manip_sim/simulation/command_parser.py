@@ -20,6 +20,7 @@ from manip_sim.simulation.commands import (
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_command_parser import check_names, JointCommandParser
 from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.modes import MODES, names_of_modes
 from manip_sim.simulation.numbers import (
     action_example, as_numbers, clamp, clamped_example, finite_numbers)
 from manip_sim.simulation.trajectory import check_times, Trajectory
@@ -120,7 +121,8 @@ class CommandParser:
         :param start_ns: simulation time of the start [ns]; 0 for now
         :param now_ns: present simulation time [ns]
         :raises CommandError: if a joint is unknown, the times do not increase, all points are in
-            the past or the numbers do not match; or if a joint is not in position mode
+            the past or the numbers do not match; or if the mode of a joint
+            follows no trajectories
         """
         joints = self._joints
         indices = joints.indices_of(part)
@@ -132,8 +134,9 @@ class CommandParser:
                 robot=self._robot, parts=joints.parts_of(indices), indices=indices)
         modes = joints.modes
         for name, i in zip(names, indices):
-            if modes[i] != 'position':
-                raise CommandError(f'{part} follows trajectories in position mode only, '
+            if not MODES[modes[i]].follows_trajectories:
+                able = names_of_modes(lambda mode: mode.follows_trajectories)
+                raise CommandError(f'{part} follows trajectories in {able} mode only, '
                                    f"joint '{name}' is in {modes[i]} mode")
         if len(times_s) > MAX_POINTS:
             raise CommandError(f'{part}: a trajectory may have at most {MAX_POINTS} points, got '
@@ -169,15 +172,16 @@ class CommandParser:
         :param forward: along x [m/s]
         :param side: along y [m/s]
         :param yaw: about z [rad/s]
-        :raises CommandError: if a number is not finite, or there is no base in velocity mode
+        :raises CommandError: if a number is not finite, or there is no base whose mode takes it
         """
         indices = self._joints.twist_indices
         if indices is None:
             raise CommandError('base: this robot has no base that takes a twist')
         values = finite_numbers([forward, side, yaw], 3, 'base: a twist')
         modes = self._joints.modes
-        if modes[indices[0]] != 'velocity':
-            raise CommandError('base takes a twist in velocity mode only, it is in '
+        if not MODES[modes[indices[0]]].takes_twists:
+            able = names_of_modes(lambda mode: mode.takes_twists)
+            raise CommandError(f'base takes a twist in {able} mode only, it is in '
                                f'{modes[indices[0]]} mode')
         inside, clamped = clamp(values, self._joints.clamps(indices, modes))
         return BaseTwist(

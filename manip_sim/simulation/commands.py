@@ -16,13 +16,6 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.trajectory import Trajectory
 
 C = TypeVar('C', bound='Command')
-#: Control modes of joints.
-MODES = ('position', 'velocity', 'effort')
-
-
-def default_mode(part: str) -> str:
-    """Return the control mode in which a part starts: mobile bases are driven by velocity."""
-    return 'velocity' if part == 'base' else 'position'
 
 
 class Status(Enum):
@@ -116,7 +109,7 @@ class JointSetpoint(Command):
     """
     Goals for some joints.
 
-    :ivar modes: control mode that each goal is meant for
+    :ivar modes: name of the control mode that each goal is meant for
     :ivar values: at the joints, in SI units, shape of ``indices``
     """
 
@@ -163,11 +156,11 @@ class JointTrajectory(Command):
         return replace(self, trajectory=self.trajectory.of(self.columns),
                        columns=np.arange(len(self.columns)))
 
-    def as_setpoint(self) -> JointSetpoint:
-        """Return the command to go to the last point."""
+    def as_setpoint(self, modes: tuple[str, ...]) -> JointSetpoint:
+        """Return the command to go to the last point, in the modes of its joints."""
         return JointSetpoint(
             robot=self.robot, parts=self.parts, indices=self.indices, clamped=self.clamped,
-            handle=self.handle, modes=('position',) * len(self.indices),
+            handle=self.handle, modes=modes,
             values=self.trajectory.positions[-1, self.columns])
 
     def _only(self, kept: BoolArray) -> JointTrajectory:

@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.simulation.commands import default_mode
+from manip_sim.simulation.modes import default_mode, MODES
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
@@ -34,7 +34,7 @@ class ControlledJoints:
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :ivar names: of the driven joints, in the order of their indices
-    :ivar modes: their control modes
+    :ivar modes: the names of their control modes
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
     """
 
@@ -103,7 +103,8 @@ class ControlledJoints:
             that of the simulation has to look once only; None: the present ones
         """
         modes = self.modes if modes is None else modes
-        return np.array([self._servos.ranges[modes[i]][i] for i in indices]).reshape(-1, 2)
+        ranges = {mode: MODES[mode].ranges(self._servos) for mode in set(modes)}
+        return np.array([ranges[modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def acceleration_limits(self, indices: IntArray) -> FloatArray:
         """Return the acceleration limits of setpoints [rad/s^2 or m/s^2], shape (n,), a copy."""
@@ -115,16 +116,13 @@ class ControlledJoints:
 
     def clamps(self, indices: IntArray, modes: Sequence[str] | None = None) -> FloatArray:
         """
-        Return the ranges of goals, shape (n, 2), a copy.
+        Return the ranges to which goals are clamped, shape (n, 2), a copy.
 
         :param modes: of all joints, as for :meth:`ranges`
         """
         modes = self.modes if modes is None else modes
-        clamps = self.ranges(indices, modes)
-        endless = ~self._servos.limited[indices] & np.array(
-            [modes[i] == 'position' for i in indices], dtype=bool)
-        clamps[endless] = (-np.inf, np.inf)
-        return clamps
+        clamps = {mode: MODES[mode].clamps(self._servos) for mode in set(modes)}
+        return np.array([clamps[modes[i]][i] for i in indices]).reshape(-1, 2)
 
     def fitted(self, trajectory: Trajectory, indices: IntArray, elapsed_s: float
                ) -> tuple[Trajectory, float]:

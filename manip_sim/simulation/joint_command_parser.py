@@ -17,9 +17,10 @@ from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
 from manip_sim.quoting import counted, quoted
 from manip_sim.simulation.commands import (
-    Command, GripperSetpoint, JointSetpoint, MODES, NoCommand)
+    Command, GripperSetpoint, JointSetpoint, NoCommand)
 from manip_sim.simulation.gripper_joints import GripperJoints
 from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.modes import FIELDS, MODES, POSITION
 from manip_sim.simulation.numbers import as_numbers, clamp, clamped_example
 
 #: Number of lists of names whose meaning is cached; a client has a few.
@@ -54,7 +55,7 @@ class _Addressed:
     """
     What commands that name the same joints have in common while the control modes stay.
 
-    :ivar modes: of each joint
+    :ivar modes: names of the control mode of each joint
     :ivar uses: by field, whether each joint uses it
     :ivar takers: by field, the places of the joints that need a number there
     :ivar own: the joints outside grippers, or None
@@ -95,7 +96,7 @@ class JointCommandParser:
         Parts that are named without any number get a ``NoCommand``.
 
         :param names: of the joints
-        :param fields: by control mode, goals in SI units; empty where there are none
+        :param fields: of :data:`FIELDS`, goals in SI units; empty where there are none
         :param part: whose joints may be named; None for all
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
@@ -160,10 +161,12 @@ class JointCommandParser:
             gripper.check_take_positions(names)
         check_names(names, self._available(part), part or 'joint_command')
         mode_of = dict(zip(self._joints.names, modes))
-        meant = tuple('position' if name in self._gripper_of else mode_of[name] for name in names)
+        meant = tuple(
+            POSITION.name if name in self._gripper_of else mode_of[name] for name in names)
+        used = [MODES[mode].field for mode in meant]
         return _Addressed(
-            names, meant, {field: np.array([mode == field for mode in meant]) for field in MODES},
-            {field: self._takers(field, names, meant) for field in MODES},
+            names, meant, {field: np.array([use == field for use in used]) for field in FIELDS},
+            {field: self._takers(field, names, used) for field in FIELDS},
             self._own(names, modes), tuple(self._of_grippers(names)))
 
     def _available(self, part: str | None) -> list[str]:
@@ -173,11 +176,11 @@ class JointCommandParser:
             return list(self._grippers[part].names)
         return [self._joints.names[i] for i in self._joints.indices_of(part)]
 
-    def _takers(self, field: str, names: Sequence[str], modes: Sequence[str]) -> list[int]:
+    def _takers(self, field: str, names: Sequence[str], used: Sequence[str]) -> list[int]:
         followed: set[str] = set()
         takers = []
-        for index, (name, mode) in enumerate(zip(names, modes)):
-            if mode != field or name in followed:
+        for index, (name, use) in enumerate(zip(names, used)):
+            if use != field or name in followed:
                 continue
             takers.append(index)
             if name in self._gripper_of:

@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.errors import CommandError
 from manip_sim.simulation.active_commands import ActiveCommands
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.command_timeouts import CommandTimeouts
 from manip_sim.simulation.commands import (
-    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, MODES, Status,
-    TrajectoryStop)
+    BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.simulation.controlled_joints import ControlledJoints
+from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
 
@@ -136,18 +136,20 @@ class JointController(ControlledJoints):
         """
         Change the control mode of a part; joints whose mode changes come to rest.
 
-        :param mode: one of :data:`MODES`
+        :param mode: the name of one of :data:`MODES`
+        :raises ModelError: if the gains of the mode cannot be used; nothing has changed then
         :raises UnknownNameError: if there is no such part or mode
         """
-        if mode not in MODES:
-            raise UnknownNameError('control mode', mode, MODES)
+        wanted = MODES[mode]
         changed = np.array([i for i in self.indices_of(part) if self.modes[i] != mode],
                            dtype=np.int64)
         if changed.size:
+            gains = wanted.gains([self.names[i] for i in changed])
+            restart = self._servos.set_gains(changed, gains)
             self.commands.release(changed, Status.ABORTED, f'the control mode is {mode} now')
             self.modes = tuple(mode if i in changed else m for i, m in enumerate(self.modes))
             self._timeouts.forget(self.parts_of(changed))
-            self._hold(changed, data)
+            self._hold(changed, data, restart)
 
     def stop(self, part: str, reason: str, data: mujoco.MjData) -> None:
         """
@@ -169,8 +171,12 @@ class JointController(ControlledJoints):
         """Return the addresses of joints in ``qvel``, shape (n,)."""
         return np.asarray(self._servos.dofs[indices])
 
-    def _hold(self, indices: IntArray, data: mujoco.MjData) -> None:
-        """Let joints come to rest as soon as their acceleration limits allow."""
+    def _hold(self, indices: IntArray, data: mujoco.MjData, restart: bool = False) -> None:
+        """
+        Let joints come to rest as soon as their acceleration limits allow.
+
+        :param restart: whether gains of servos have changed
+        """
         gives = self._servos.gives_effort(indices)
         free, held = indices[gives], indices[~gives]
         self._setpoints.brake(held)
@@ -180,6 +186,7 @@ class JointController(ControlledJoints):
             self._setpoints.place(free, data.qpos[self._servos.qpos[free]],
                                   data.qvel[self._servos.dofs[free]])
             self._setpoints.brake(free)
+        if free.size or restart:
             # Those that brake push the others, which have to withstand at once.
             self._servos.start(data, self._setpoints.position, self._setpoints.velocity,
                                self._setpoints.acceleration)
@@ -226,32 +233,41 @@ class JointController(ControlledJoints):
             if isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
             elif isinstance(meant, CartesianCommand):
-                if self.modes[meant.indices[0]] == 'effort':
+                if MODES[self.modes[meant.indices[0]]].exerts_at_the_hand:
                     self._servos.give_effort(meant.indices, True)
                 self.cartesian.begin(meant, data, now_s)
 
     def _of_present_mode(self, command: C) -> C | None:
         if isinstance(command, (TrajectoryStop, CartesianCommand)):
             return command
-        modes = command.modes if isinstance(command, JointSetpoint) else (
-            'velocity' if isinstance(command, BaseTwist) else 'position',) * len(command.indices)
-        changed = [i for i, mode in zip(command.indices, modes) if self.modes[i] != mode]
+        if isinstance(command, JointSetpoint):
+            changed = [i for i, mode in zip(command.indices, command.modes)
+                       if self.modes[i] != mode]
+        else:
+            takes = 'takes_twists' if isinstance(command, BaseTwist) else 'follows_trajectories'
+            changed = [i for i in command.indices if not getattr(MODES[self.modes[i]], takes)]
         return command.without(np.array(changed, dtype=np.int64))
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
-        sent_s = command.sent_ns % _STAMPS_NS * 1e-9
+        arrival = Arrival(period_s, command.messages, command.sent_ns % _STAMPS_NS * 1e-9)
         for mode in set(command.modes):
             chosen = np.array([own == mode for own in command.modes])
-            indices, values = command.indices[chosen], command.values[chosen]
-            if mode == 'position':
-                self._setpoints.go_to(indices, values, period_s, command.messages, sent_s)
-            elif mode == 'velocity':
-                self._setpoints.go_at(indices, values, period_s, command.messages, sent_s)
-            else:
-                self._effort[indices] = values
-                self._servos.give_effort(indices, True)
-                self._setpoints.wake()
-                self._efforts_due = True
+            MODES[mode].command(self, command.indices[chosen], command.values[chosen], arrival)
+
+    def go_to(self, indices: IntArray, position: FloatArray, arrival: Arrival) -> None:
+        """Let setpoints come to a position, or follow a stream of positions [rad or m]."""
+        self._setpoints.go_to(indices, position, *arrival)
+
+    def go_at(self, indices: IntArray, velocity: FloatArray, arrival: Arrival) -> None:
+        """Let setpoints come to a velocity, or follow a stream of them [rad/s or m/s]."""
+        self._setpoints.go_at(indices, velocity, *arrival)
+
+    def exert(self, indices: IntArray, effort: FloatArray) -> None:
+        """Exert an effort, and no longer follow setpoints [N m or N]."""
+        self._effort[indices] = effort
+        self._servos.give_effort(indices, True)
+        self._setpoints.wake()
+        self._efforts_due = True
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
         """
@@ -285,7 +301,8 @@ class JointController(ControlledJoints):
         for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
-            if (isinstance(command, JointSetpoint) and set(command.modes) == {'position'}
+            if (isinstance(command, JointSetpoint)
+                    and all(MODES[mode].ends for mode in set(command.modes))
                     and self._setpoints.at_rest(command.indices)):
                 self._finish(command, data, command.values)
         for part in self._timeouts.overdue(now_s):
@@ -345,7 +362,7 @@ class JointController(ControlledJoints):
             self.commands.take(command)
             own = command.own_trajectory()
             if own.trajectory.end_s <= now_s - start_s:
-                self._come_to(own.as_setpoint())
+                self._come_to(own.as_setpoint(self.modes_of(own.indices)))
                 continue
             try:
                 own.trajectory.begin_at(self._setpoints.position[own.indices],

@@ -21,6 +21,7 @@ from manip_sim.simulation.dynamics import joint_dynamics, JointDynamics
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.modes import MODES, POSITION
 from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.reflexes import Reflexes
 from manip_sim.simulation.state import ControllerState, State
@@ -201,8 +202,9 @@ class SimulatedRobot:
         Change the control mode of a part; joints whose mode changes come to rest.
 
         :param part: such as ``arm``
-        :param mode: ``position``, ``velocity`` or ``effort``
+        :param mode: the name of one of ``manip_sim.simulation.modes.MODES``, such as ``effort``
         :raises CommandError: if the part is a gripper
+        :raises ModelError: if the gains of the mode cannot be used
         :raises UnknownNameError: if there is no such part or mode
         """
         self._check_no_gripper(part)
@@ -212,8 +214,8 @@ class SimulatedRobot:
         """Return what the commands of each joint are: ``position``, ``velocity``, ``effort``."""
         fingers = [joint for gripper in self.grippers.values()
                    for joint in gripper.joints.names]
-        return {**{name: self.joints.mode_of(name) for name in self.joints.names},
-                **dict.fromkeys(fingers, 'position')}
+        return {**{name: MODES[self.joints.mode_of(name)].field for name in self.joints.names},
+                **dict.fromkeys(fingers, POSITION.field)}
 
     def set_command_timeout(self, part: str, timeout_s: float, ends_targets: bool = True) -> None:
         """

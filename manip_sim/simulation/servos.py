@@ -15,8 +15,10 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.errors import ModelError
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
 
@@ -54,7 +56,8 @@ class Servos:
     :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
     :ivar dofs: addresses of the joints in ``qvel``, shape (n,)
     :ivar limited: whether each joint has a range, shape (n,)
-    :ivar ranges: lowest and highest goal by control mode, at the joints in SI units, shape (n, 2)
+    :ivar ranges: lowest and highest position, velocity and effort by their names, at the joints
+        in SI units, shape (n, 2)
     :ivar cruising_velocity: of steps and streams: the velocity limit, or what the torque can keep
         up against the joint's damping [rad/s or m/s], shape (n,)
     :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
@@ -77,6 +80,7 @@ class Servos:
         stiffness, damping = stiffness_and_damping(model, ids, self.dofs)
         self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
         self._soften()
+        self._gains_of_model = self._stiffness.copy(), self._damping.copy()
         passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
         self.passive_damping: FloatArray = passive.copy()
         #: Effort per velocity that lets a joint move as fast as its setpoint.
@@ -93,7 +97,7 @@ class Servos:
         self.cruising_velocity = np.minimum(
             velocity, _DAMPING_SHARE * spare / np.maximum(passive, 1e-9))
         self.acceleration_limit = self._acceleration_limit(data, joint_ids)
-        self.lead = np.maximum(torque, self._damping * velocity) / self._stiffness
+        self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -153,6 +157,11 @@ class Servos:
         derived = np.minimum(_TORQUE_SHARE * usual, self.velocity_limit / _SPEED_UP_S)
         return np.asarray(np.where(declared > 0.0, declared, derived))
 
+    def _lead(self, indices: IntArray) -> FloatArray:
+        torque = np.abs(self.ranges['effort'][indices]).max(axis=1)
+        return np.asarray(np.maximum(torque, self._damping[indices] * self.velocity_limit[indices])
+                          / self._stiffness[indices])
+
     def _inertia(self, data: mujoco.MjData) -> FloatArray:
         """Return the magnitudes of the driven joints' block of the inertia matrix, (n, n)."""
         inertia = np.empty((len(self.dofs), len(self.dofs)))
@@ -185,6 +194,36 @@ class Servos:
     def gives_effort(self, indices: IntArray) -> BoolArray:
         """Tell which of some actuators are sources of effort, shape of ``indices``."""
         return np.asarray(self._gives_effort[indices])
+
+    def set_gains(self, indices: IntArray, gains: tuple[ArrayLike, ArrayLike] | None) -> bool:
+        """
+        Change stiffness and damping of servos, whose forces change until :meth:`start`.
+
+        Gains that are too high for the timestep and the inertia of a joint are lowered.
+
+        :param gains: [N m/rad or N/m] and [N m s/rad or N s/m], each a number or of the shape of
+            ``indices``; None for those of the model
+        :returns: whether any has changed
+        :raises ModelError: if they have another shape, or are not positive and finite
+        """
+        if gains is None:
+            stiffness, damping = (of_model[indices] for of_model in self._gains_of_model)
+        else:
+            stiffness, damping = _checked(gains, len(indices))
+            step_s = self._model.opt.timestep
+            share = step_s * self._model.dof_invweight0[self.dofs[indices]]
+            most = _EXPLICIT_DAMPING / np.maximum(share, 1e-12)
+            # At the highest stiffness, the highest damping is critical.
+            stiffness = np.minimum(stiffness, most * _EXPLICIT_DAMPING / (4.0 * step_s))
+            damping = np.minimum(damping, most)
+        if (stiffness == self._stiffness[indices]).all() and (
+                damping == self._damping[indices]).all():
+            return False
+        self._stiffness[indices], self._damping[indices] = stiffness, damping
+        self._drag[indices] = damping + self.passive_damping[indices]
+        self.lead[indices] = self._lead(indices)
+        self._set_gains(indices)
+        return True
 
     def _set_gains(self, indices: IntArray) -> None:
         model, ids, effort = self._model, self._ids[indices], self._gives_effort[indices]
@@ -256,3 +295,16 @@ class Servos:
         # The bias force minus the weight, which the actuators carry already.
         force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
         return np.asarray((position + force / self._stiffness) * self._gear)
+
+
+def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:
+    """Return stiffness and damping, each of shape (count,)."""
+    try:
+        stiffness, damping = (np.broadcast_to(np.asarray(of, dtype=float), count) for of in gains)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f'stiffness and damping must be a number or {count} numbers each, '
+                         f'got {gains}') from error
+    for of, what in ((stiffness, 'stiffness'), (damping, 'damping')):
+        if not (np.isfinite(of).all() and (of > 0.0).all()):
+            raise ModelError(f'the {what} of servos must be positive and finite, got {of}')
+    return stiffness, damping

@@ -115,6 +115,7 @@ class HostileNode:
                              values=[KeyValue(key=self._text('key'), value=self._text('value'))]),
             DiagnosticStatus(name=f'{NAME}: arm', values=[
                 KeyValue(key='control_mode', value='position'),
+                KeyValue(key='command_interface', value='position'),
                 KeyValue(key='accepted', value=self._text('accepted')),
                 KeyValue(key='dropped', value=self._text('dropped')),
                 KeyValue(key='rate', value=self._text('rate')), KeyValue(key='age', value='1')]),

@@ -66,7 +66,8 @@ ODD = {
     'size of actions': ('/diagnostics', diagnostics('right/gripper', action_size='abc')),
     'many actions': ('/diagnostics', diagnostics('right/gripper', action_size='9' * 30)),
     'age': ('/diagnostics', diagnostics('arm', accepted='1', age='abc')),
-    'mode': ('/diagnostics', diagnostics('arm', control_mode='<b>')),
+    'mode': ('/diagnostics', diagnostics(
+        'arm', control_mode='<b>', command_interface='<b>')),
     'level': ('/diagnostics', DiagnosticArray(status=[DiagnosticStatus(
         name=f'{NAME}: x', level=b'\xff', message='\u202e\x00\x1b[31m')])),
     'unknown joints': ('/joint_states', JointState(name=['a'], position=[1.0])),

@@ -19,7 +19,7 @@ from sensor_msgs.msg import Image, JointState  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from manip_sim.errors import MessageError  # noqa: E402
-from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status  # noqa: E402
+from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status  # noqa: E402
 from manip_sim.viewer.page.robots import (  # noqa: E402
     commanded_joints, declared_limits, limit_of)
 from manip_sim.viewer.ros import contents  # noqa: E402
@@ -109,8 +109,9 @@ def test_markers_are_taken_by_their_namespace_and_rejected_if_one_is_not_finite(
 
 
 VALUES = st.dictionaries(
-    st.sampled_from(['accepted', 'age', 'rate', 'control_mode', 'real_time_factor', 'action_size',
-                     'state', 'start_defects', 'mjWARN_X', 'failed_x', 'a.rate']) | TEXTS,
+    st.sampled_from(['accepted', 'age', 'rate', 'command_interface', 'real_time_factor',
+                     'action_size', 'state', 'start_defects', 'mjWARN_X', 'failed_x',
+                     'a.rate']) | TEXTS,
     st.sampled_from(['0', '1', 'never', 'position', 'nan', '-1', '1e999', '<b>']) | TEXTS,
     max_size=6)
 
@@ -125,7 +126,7 @@ def test_any_diagnostics_are_put_in_words(found):
     statuses = contents.statuses(message, 'cell/sim')
     assert [(s.level, s.name, s.message, s.values) for s in statuses] == found
     assert in_words(statuses)
-    assert set(control_modes(statuses).values()) <= {'position', 'velocity', 'effort'}
+    assert set(command_fields(statuses).values()) <= {'position', 'velocity', 'effort'}
 
 
 def test_too_many_statuses_are_rejected():

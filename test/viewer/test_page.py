@@ -16,7 +16,7 @@ from manip_sim.models import compose  # noqa: E402
 from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
 from manip_sim.viewer.page.commands import Events  # noqa: E402
-from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status  # noqa: E402
+from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status  # noqa: E402
 from manip_sim.viewer.page.following import Following  # noqa: E402
 from manip_sim.viewer.page.pace import Pace  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
@@ -136,7 +136,7 @@ SIMULATION = Status(0, 'simulation', 'running', {
     'mjWARN_BADQPOS': '0', 'start_defects': 'none', 'failed_callbacks': '2'})
 ARM = Status(0, 'left/arm', 'commands', {
     'rate': '12.0', 'age': '0.310', 'accepted': '120', 'dropped': '2', 'clamped': '0',
-    'control_mode': 'velocity'})
+    'control_mode': 'admittance', 'command_interface': 'velocity'})
 
 
 def test_diagnostics_are_told_in_words_with_trouble_first():
@@ -145,10 +145,10 @@ def test_diagnostics_are_told_in_words_with_trouble_first():
     assert first == Line('/clock is also published by x', 'Warning: other nodes')
     assert second == Line('realtime at 1.0000 times real time; 3 deadlines missed; '
                           '2 failed callbacks', 'simulation')
-    assert third == Line('velocity mode; 120 commands, 12.0 per second, the last 0.3 s ago; '
+    assert third == Line('admittance mode; 120 commands, 12.0 per second, the last 0.3 s ago; '
                          '2 rejected', 'left/arm')
     assert in_words([]) == [Line('No diagnostics yet.')]
-    assert control_modes([SIMULATION, ARM]) == {'left/arm': 'velocity'}
+    assert command_fields([SIMULATION, ARM]) == {'left/arm': 'velocity'}
 
 
 class Browsers:

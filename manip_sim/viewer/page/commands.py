@@ -19,13 +19,13 @@ class Commands(Protocol):
     A page without one can only be watched.
     """
 
-    def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
+    def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """
         Command joints.
 
         :param space: namespace of the robot's topics, such as ``/left/``
         :param part: that the joints belong to
-        :param mode: its control mode
+        :param field: of the commands, such as ``position``
         :param goals: by joint [rad or m, rad/s or m/s, N m or N]
         """
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import math
 
 from manip_sim.viewer.page.plain_text import Line
-from manip_sim.viewer.page.robots import MODES
+from manip_sim.viewer.page.robots import FIELDS
 
 OK, WARN, ERROR = 0, 1, 2
 _SIGNS = {OK: '', WARN: 'Warning: ', ERROR: 'Error: '}
@@ -47,10 +47,10 @@ class Status:
         return number if math.isfinite(number) else None
 
 
-def control_modes(statuses: Iterable[Status]) -> dict[str, str]:
-    """Return the control modes of parts, by topic, such as ``left/arm``."""
-    return {status.name: status.values['control_mode'] for status in statuses
-            if status.values.get('control_mode') in MODES}
+def command_fields(statuses: Iterable[Status]) -> dict[str, str]:
+    """Return the fields that the commands of parts use, by topic, such as ``left/arm``."""
+    return {status.name: status.values['command_interface'] for status in statuses
+            if status.values.get('command_interface') in FIELDS}
 
 
 def in_words(statuses: Iterable[Status]) -> list[Line]:

@@ -38,28 +38,28 @@ class JointPanel:
     :param gui: ``viser.ViserServer.gui``
     :param robot: the robot that has the part
     :param part: the part, with its joints
-    :param mode: its control mode
+    :param field: that its commands use, such as ``position``
     :param commands: receives what people command
     :param events: queue to the thread that updates the page
     :param folded: whether it begins folded up
     :param order: place among the folders
-    :ivar mode: its control mode
+    :ivar field: that its commands use
     """
 
-    def __init__(self, gui: Any, robot: Robot, part: Part, mode: str, commands: Commands,
+    def __init__(self, gui: Any, robot: Robot, part: Part, field: str, commands: Commands,
                  events: Events, folded: bool = False, order: float = 0.0) -> None:
-        self.mode = mode
+        self.field = field
         self._robot, self._part = robot, part
         self._commands, self._events = commands, events
         self._sliders: dict[str, Any] = {}
         self._following: dict[str, Following] = {}
         self._asked: dict[str, float] = {}
         self._repeat_s = 0.0
-        units = {joint.unit(mode) for joint in part.joints}
+        units = {joint.unit(field) for joint in part.joints}
         self._unit_shown = len(units) > 1
         title = robot.titled(part.name.replace('/', ' '))
-        if mode != 'position':
-            title = f'{title} {mode}'
+        if field != 'position':
+            title = f'{title} {field}'
         self.folder = gui.add_folder(f'{title} [{units.pop()}]' if len(units) == 1 else title,
                                      expand_by_default=not folded, order=order)
         with self.folder:
@@ -67,7 +67,7 @@ class JointPanel:
                 self._add_actions(gui)
             for joint in part.joints:
                 self._add_slider(gui, joint)
-            if mode != 'position':
+            if field != 'position':
                 gui.add_button('Stop').on_click(lambda _: events.add(self.stop))
 
     def _add_actions(self, gui: Any) -> None:
@@ -80,14 +80,14 @@ class JointPanel:
             self._robot.space, self._part.name, 1.0 if value == 'Close' else -1.0))
 
     def _add_slider(self, gui: Any, joint: Joint) -> None:
-        low, high = rounded_inward(*joint.ranges[self.mode])
-        unit = joint.unit(self.mode)
+        low, high = rounded_inward(*joint.ranges[self.field])
+        unit = joint.unit(self.field)
         slider = gui.add_slider(
             f'{joint.label} [{unit}]' if self._unit_shown else joint.label, min=low, max=high,
             step=max(_RESOLUTION, round((high - low) / _STEPS, 4)),
             initial_value=min(max(0.0, low), high),
             marks=((low, f'{low:.3g}'), (high, f'{high:.3g}')),
-            hint=f'{self.mode} of {plain(joint.name)} [{unit}]')
+            hint=f'{self.field} of {plain(joint.name)} [{unit}]')
         self._sliders[joint.name], self._following[joint.name] = slider, Following()
 
         def moved(event: Any) -> None:
@@ -108,24 +108,24 @@ class JointPanel:
     def send(self, now_s: float) -> None:
         """Send what people have requested since the last call; wall time [s]."""
         asked, self._asked = self._asked, {}
-        if self.mode != 'position' and now_s > self._repeat_s + _REPEAT_S:
+        if self.field != 'position' and now_s > self._repeat_s + _REPEAT_S:
             asked = {**{name: float(slider.value) for name, slider in self._sliders.items()
                         if slider.value != 0.0}, **asked}
         if asked:
             self._repeat_s = now_s
-            self._commands.move_joints(self._robot.space, self._part.name, self.mode, asked)
+            self._commands.move_joints(self._robot.space, self._part.name, self.field, asked)
 
     def show(self, now_s: float, positions: Mapping[str, float], velocities: Mapping[str, float],
              paused: bool) -> None:
         """
-        Let the sliders follow the measured positions, in position mode.
+        Let the sliders follow the measured positions, if these are commanded.
 
         :param now_s: wall time [s]
         :param positions: by joint [rad or m]
         :param velocities: by joint [rad/s or m/s]
         :param paused: whether the simulation is paused, so that nothing can move
         """
-        if self.mode != 'position':
+        if self.field != 'position':
             return
         for name, slider in self._sliders.items():
             if name not in positions:

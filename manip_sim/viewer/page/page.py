@@ -14,7 +14,7 @@ from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
 from manip_sim.viewer.page.cameras import CameraPanel
 from manip_sim.viewer.page.commands import Commands, Events
-from manip_sim.viewer.page.diagnosis import control_modes, in_words, Status
+from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
 from manip_sim.viewer.page.latest import Latest
@@ -55,7 +55,7 @@ class Page:
         self._aiming = Aiming(server)
         self._overlays = Overlays(server.scene)
         self._robots: tuple[Robot, ...] = ()
-        self._modes: dict[str, str] = {}
+        self._fields: dict[str, str] = {}
         self._sliders_s = 0.0
         set_theme(server, dark)
         server.gui.set_panel_label('manip_sim')
@@ -73,7 +73,7 @@ class Page:
 
     def _build(self, robots: Sequence[Robot], cameras: Sequence[str]) -> None:
         gui, scene = self._server.gui, self._server.scene
-        self._robots, self._modes = tuple(robots), {}
+        self._robots, self._fields = tuple(robots), {}
         self._simulation = SimulationPanel(gui, self._commands, self.events)
         tabs = gui.add_tab_group()
         self._joints: dict[tuple[str, str], JointPanel] = {}
@@ -138,9 +138,9 @@ class Page:
                                     auto_close_seconds=8.0)
 
     def show_diagnostics(self, statuses: Sequence[Status]) -> None:
-        """Show the diagnostics, and take the control modes of the sliders from them."""
+        """Show the diagnostics, and take the fields that the sliders command from them."""
         self._health.show(in_words(statuses))
-        self._modes = control_modes(statuses)
+        self._fields = command_fields(statuses)
 
     def update(self, now_s: float, latest: Latest, paused: bool) -> None:
         """
@@ -180,7 +180,7 @@ class Page:
         self._posture.compute()
 
     def _follow(self, now_s: float, latest: Latest, paused: bool) -> None:
-        if not self._modes or self._commands is None:  # Sliders depend on the control modes.
+        if not self._fields or self._commands is None:  # Sliders depend on them.
             return
         number = 0
         for robot in self._robots:
@@ -194,21 +194,21 @@ class Page:
 
     def _panel(self, commands: Commands, robot: Robot, part: Part, number: int
                ) -> JointPanel | None:
-        """Return the panel of a part in its present control mode; None if it needs none."""
-        mode = self._modes.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)
-        drives = part.name == 'base' and robot.twist is not None and mode == 'velocity'
+        """Return the panel of a part for its present commands; None if it needs none."""
+        field = self._fields.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)
+        drives = part.name == 'base' and robot.twist is not None and field == 'velocity'
         if drives != (robot.space in self._drives) and part.name == 'base':
             self._change_drive(commands, robot, drives)
         key = robot.space, part.name
         found = self._joints.get(key)
-        if found is not None and (found.mode != mode or drives):
+        if found is not None and (found.field != field or drives):
             self._joints.pop(key).remove()
             found = None
         if found is None and not drives:
             folded = len(part.joints) > _MANY_JOINTS or number >= _UNFOLDED
             with self._control:
                 found = self._joints[key] = JointPanel(
-                    self._server.gui, robot, part, mode, commands, self.events, folded,
+                    self._server.gui, robot, part, field, commands, self.events, folded,
                     order=float(number))
         return found
 

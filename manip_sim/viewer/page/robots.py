@@ -27,7 +27,8 @@ _GREAT = 1e6
 _LIMITS = ('lower', 'upper', 'velocity', 'effort')
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-MODES = ('position', 'velocity', 'effort')
+#: The fields of ``sensor_msgs/JointState`` that hold commands.
+FIELDS = ('position', 'velocity', 'effort')
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Joint:
     :ivar name: in messages
     :ivar label: a short name for people
     :ivar slides: whether it is a slide joint, in metres and newtons
-    :ivar ranges: of goals by control mode: position [rad or m], velocity [rad/s or m/s] and
+    :ivar ranges: of goals by field: position [rad or m], velocity [rad/s or m/s] and
         effort [N m or N], each lowest and highest
     """
 
@@ -47,10 +48,10 @@ class Joint:
     slides: bool
     ranges: dict[str, tuple[float, float]] = field(hash=False)
 
-    def unit(self, mode: str) -> str:
-        """Return the unit of goals in a control mode."""
+    def unit(self, field: str) -> str:
+        """Return the unit of goals in a field of commands."""
         units = (('m', 'm/s', 'N') if self.slides else ('rad', 'rad/s', 'N m'))
-        return units[MODES.index(mode)]
+        return units[FIELDS.index(field)]
 
 
 @dataclass(frozen=True)

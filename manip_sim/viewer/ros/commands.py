@@ -80,9 +80,9 @@ class CommandSender:
         """Drop the messages that wait for a node that is gone."""
         self._waiting.clear()
 
-    def move_joints(self, space: str, part: str, mode: str, goals: Mapping[str, float]) -> None:
+    def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """Publish goals of joints; see :class:`Commands`, as for all that follows."""
-        message = JointState(name=list(goals), **{mode: list(goals.values())})
+        message = JointState(name=list(goals), **{field: list(goals.values())})
         self._publish(f'{space}{part}/joint_command', message)
 
     def act(self, space: str, part: str, action: float) -> None:

@@ -1,0 +1,79 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The control mode of another package that is installed, through the node's interface alone."""
+
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+from manip_sim.simulation.modes import MODES
+
+EXAMPLE = Path(__file__).resolve().parents[1] / 'data' / 'impedance_mode'
+ARM = [f'robot0_joint{n}' for n in range(1, 8)]
+STIFFNESS, PUSH_N_M = 100.0, 3.0
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Install the example with pip where Python finds it; the modes are put back afterwards."""
+    shutil.copytree(EXAMPLE, tmp_path / 'source')
+    done = subprocess.run(
+        [sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-index',
+         '--no-build-isolation', '--target', str(tmp_path / 'site'), str(tmp_path / 'source')],
+        capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    monkeypatch.syspath_prepend(str(tmp_path / 'site'))
+    monkeypatch.setattr(MODES, '_modes', dict(MODES._modes))
+    monkeypatch.setattr(MODES, '_offers', set())
+
+
+def set_mode(client, mode):
+    parameter = Parameter('control_mode.arm', value=mode).to_parameter_msg()
+    (result,) = client.call(SetParameters, 'manip_sim/set_parameters',
+                            SetParameters.Request(parameters=[parameter])).results
+    return result
+
+
+def test_an_installed_mode_is_a_choice_and_joints_in_it_yield_as_springs(
+        installed, serve, client):
+    node = serve(start_paused=True, control_mode__arm='impedance')
+    (described,) = client.call(
+        DescribeParameters, 'manip_sim/describe_parameters',
+        DescribeParameters.Request(names=['control_mode.arm'])).descriptors
+    assert described.additional_constraints == 'One of: position, velocity, effort, impedance.'
+    (timeout,) = client.call(GetParameters, 'manip_sim/get_parameters',
+                             GetParameters.Request(names=['command_timeout.arm'])).values
+    assert timeout.double_value == 0.0
+
+    states = client.listen(JointState, 'arm/joint_states')
+    goal = node.simulation.robot.state().position[:7] + 0.1
+    client.publish('arm/joint_command', JointState(name=ARM, position=list(goal)))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+
+    def settle():
+        """Advance by 5 s, and return the positions that are published then."""
+        for _ in range(500):
+            node.thread.step()
+        last = node.simulation.time_ns
+        client.spin_until(lambda: bool(states) and last == (
+            states[-1].header.stamp.sec * 10**9 + states[-1].header.stamp.nanosec))
+        return np.array(states[-1].position)
+
+    np.testing.assert_allclose(settle(), goal, atol=1e-3)
+    dofs = node.simulation.robot.joints.dofs(np.arange(7))
+    node.simulation.data.qfrc_applied[dofs] = PUSH_N_M
+    np.testing.assert_allclose(settle() - goal, PUSH_N_M / STIFFNESS, rtol=0.01)
+
+    assert set_mode(client, 'velocity').successful
+    refused = set_mode(client, 'impedence')
+    assert not refused.successful and "did you mean 'impedance'?" in refused.reason
+    assert set_mode(client, 'impedance').successful
+    client.spin_until(lambda: node.simulation.robot.joints.mode_of(ARM[0]) == 'impedance')
