@@ -57,8 +57,9 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation (gaussian) '
                       'or half-width (uniform) of the noise on the start positions; 0 is none.',
                       'rad or m', minimum=0.0, maximum=3.0),
-        ParameterSpec('seed', 0, 'Seed of initialization_noise; equal seeds give equal starts.',
-                      minimum=0, maximum=2**31 - 1),
+        ParameterSpec('seed', 0, 'Seed of initialization_noise; equal seeds give equal starts. '
+                      'A change counts from the next reset.', live=True, minimum=0,
+                      maximum=2**31 - 1),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
                       'per second of simulation time; a period is a whole number of timesteps.',

@@ -167,6 +167,9 @@ SERVICES = (
     Service('~/reset_reflex', 'std_srvs/Trigger',
             'let parts that a reflex has stopped take commands again'),
     Service('~/tare_wrench', 'std_srvs/Trigger', 'let the external wrenches read zero now'),
+    Service('~/save_state', 'std_srvs/Trigger', 'save the state; the message is its digest'),
+    Service('~/restore_state', 'std_srvs/Trigger',
+            'continue from the saved state; simulation time goes on'),
 )
 
 ACTIONS = (

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import copy
 import math
 import numbers
 from typing import Any
@@ -47,6 +48,14 @@ class InitializationNoise:
             raise UnknownNameError('type of initialization_noise', self.type, TYPES)
         self.magnitude = _checked_magnitude(settings.get('magnitude', DEFAULT_MAGNITUDE))
         self.seed = _checked_seed(seed)
+
+    def with_seed(self, seed: int | None) -> InitializationNoise:
+        """Return the same noise with another seed; None keeps this one."""
+        if seed is None:
+            return self
+        other = copy.copy(self)
+        other.seed = _checked_seed(seed)
+        return other
 
     def added(self, start: ArrayLike, ranges: ArrayLike, robot: int) -> FloatArray:
         """

@@ -228,8 +228,14 @@ class World:
         compile_spec(spec, self.name)
         return spec.to_xml(), spec.assets or {}
 
-    def init_qpos(self) -> dict[str, float]:
-        """Return start positions by name of the joint of robots, bases and grippers [rad or m]."""
+    def init_qpos(self, seed: int | None = None) -> dict[str, float]:
+        """
+        Return start positions by name of the joint of robots, bases and grippers [rad or m].
+
+        :param seed: of the noise on them; None for that of the world
+        :raises ModelError: if the seed is no whole number from 0
+        """
+        noise = None if self.noise is None else self.noise.with_seed(seed)
         start: dict[str, float] = {}
         for robot in self.robots:
             starts: list[tuple[MujocoXMLModel, Any]] = [(robot, robot.init_qpos)]
@@ -239,8 +245,8 @@ class World:
                 starts += [(gripper, gripper.init_qpos) for gripper in robot.grippers.values()]
             for part, qpos in starts:
                 start.update(start_by_joint(part.name, part.joints, qpos))
-        if self.noise is not None:
-            self._add_noise(start, self.noise)
+        if noise is not None:
+            self._add_noise(start, noise)
         return start
 
     def _add_noise(self, start: dict[str, float], noise: InitializationNoise) -> None:

@@ -18,7 +18,10 @@ from manip_sim.simulation import Simulation
 
 class SimulationServices:
     """
-    The services ``~/pause``, ``~/step``, ``~/reset``, ``~/reset_reflex`` and ``~/tare_wrench``.
+    Services that control the simulation.
+
+    They are ``~/pause``, ``~/step``, ``~/reset``, ``~/reset_reflex``, ``~/tare_wrench``,
+    ``~/save_state`` and ``~/restore_state``.
 
     :param node: the node
     :param simulation: what is controlled
@@ -33,7 +36,8 @@ class SimulationServices:
                 ('~/step', thread.step, 'advanced by one control period'),
                 ('~/reset', thread.reset, 'back at the start'),
                 ('~/reset_reflex', self._reset_reflex, 'all parts take commands again'),
-                ('~/tare_wrench', self._tare, 'external wrenches read zero now')):
+                ('~/tare_wrench', self._tare, 'external wrenches read zero now'),
+                ('~/save_state', thread.save, ''), ('~/restore_state', thread.restore, '')):
             node.create_service(Trigger, name, self._trigger(function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -53,15 +57,15 @@ class SimulationServices:
                 robot.reset_reflexes()
         self._thread.call(reset)
 
-    def _trigger(self, function: Callable[[], None], done: str) -> Callable[[Any, Any], Any]:
+    def _trigger(self, function: Callable[[], str | None], done: str) -> Callable[[Any, Any], Any]:
         return lambda _, response: _answer(response, function, done)
 
 
-def _answer(response: Any, function: Callable[[], None], done: str) -> Any:
-    """Call a function and tell in the response whether it worked, or why not."""
+def _answer(response: Any, function: Callable[[], str | None], done: str) -> Any:
+    """Call a function, and tell what it returned or did, or why it has failed."""
     try:
-        function()
-        response.success, response.message = True, done
+        response.message = function() or done
+        response.success = True
     except ManipSimError as error:
         response.success, response.message = False, str(error)
     return response

@@ -177,6 +177,8 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
                     self.thread.set_real_time_factor(parameter.value)
+                if parameter.name == 'seed':
+                    self.thread.set_seed(parameter.value)
                 if parameter.name in self._uses:
                     change = partial(self._uses[parameter.name], parameter.value)
                     self.thread.call(change)

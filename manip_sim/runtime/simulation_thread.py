@@ -20,6 +20,7 @@ from manip_sim.runtime.pacing import Pacer
 from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
+from manip_sim.simulation.saved_state import SimulationState
 
 T = TypeVar('T')
 #: For how long ``free`` runs idle control periods at once, at least one of them, wall time [s].
@@ -89,6 +90,9 @@ class SimulationThread:
         self._repeat_at = 0.0
         #: Whether observers are being called, and whether one has changed the state meanwhile.
         self._showing = self._show_again = False
+        #: For the next reset; None: the start stays.
+        self._seed: int | None = None
+        self._saved: SimulationState | None = None
         #: How many control periods may be run at once if nothing but physics happens in them.
         self._at_once = 1
         self.progress = Progress(time.monotonic(), simulation.time_ns)
@@ -234,15 +238,63 @@ class SimulationThread:
         """
         def change() -> None:
             self._commands.clear('the simulation was reset')
-            self._simulation.reset()
-            # A new state needs a new stamp, and zero means no stamp.
-            self._simulation.step_count += self._steps
+            self._simulation.reset(self._seed)
+            self._seed = None
             if restart_time:
-                self._simulation.step_count = self._steps
+                self._simulation.step_count = 0
             self.at_start = True
-            self._pacer.restart(time.monotonic())
-            self._show()
+            self._show_new()
         self.call(change)
+
+    def _show_new(self) -> None:
+        # A new state needs a new stamp, and zero means no stamp.
+        self._simulation.step_count += self._steps
+        self._pacer.restart(time.monotonic())
+        self._show()
+
+    def set_seed(self, seed: int) -> None:
+        """
+        Draw the start anew at the next reset.
+
+        :param seed: as for ``Simulation.reset``
+        """
+        def change() -> None:
+            self._seed = seed
+        self.call(change)
+
+    def save(self) -> str:
+        """
+        Save the present state in the only slot there is.
+
+        :returns: its digest
+        """
+        def change() -> str:
+            self._saved = self._simulation.save()
+            return self._simulation.digest()
+        return self.call(change)
+
+    def restore(self) -> str:
+        """
+        Continue from the saved state, and show it to the observers; simulation time goes on.
+
+        Commands that run or wait are aborted.
+
+        :returns: the digest of the state
+        :raises CommandError: if none has been saved
+        :raises ModelError: if objects have come or gone since
+        """
+        def change() -> str:
+            if self._saved is None:
+                raise CommandError('no state has been saved')
+            count = self._simulation.step_count
+            self._simulation.restore(self._saved)
+            self._simulation.step_count = count
+            self._commands.clear('a saved state was restored')
+            self.at_start = False
+            digest = self._simulation.digest()
+            self._show_new()
+            return digest
+        return self.call(change)
 
     def set_real_time_factor(self, factor: float) -> None:
         """

@@ -16,6 +16,9 @@ class CommandTimeouts:
     :ivar counts: number of timeouts of each part
     """
 
+    #: Only counted.
+    not_in_digest = ('counts',)
+
     def __init__(self, parts: Iterable[str]) -> None:
         self._timeout_s = dict.fromkeys(parts, 0.0)
         self._last_s: dict[str, float] = {}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -78,6 +78,9 @@ class Command:
     :ivar handle: what becomes of the command
     """
 
+    #: Times by clocks that a reset does not restart.
+    not_in_digest: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
+
     robot: RobotModel
     parts: frozenset[str]
     indices: IntArray
@@ -143,12 +146,14 @@ class JointTrajectory(Command):
     :ivar trajectory: of all joints that it was made for
     :ivar columns: those of the trajectory that the joints of ``indices`` follow
     :ivar start_ns: simulation time of its time zero [ns]; 0 for when it takes effect
+    :ivar start_s: the same since the last reset [s]; None until it is known
     :ivar slowed: factor by which it was slowed down to keep to velocity limits; 1 if it was not
     """
 
     trajectory: Trajectory
     columns: IntArray
     start_ns: int = 0
+    start_s: float | None = None
     slowed: float = 1.0
 
     def own_trajectory(self) -> JointTrajectory:

@@ -64,6 +64,9 @@ class ActuatorEfforts:
         in both; None if no step came before
     """
 
+    #: Of the step that has passed; nothing in the next one depends on it.
+    not_in_digest = ('_last', '_values')
+
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData,
                  before: ActuatorEfforts | None = None) -> None:
         self._model = model

@@ -36,6 +36,9 @@ class ExternalWrench:
     :param site: of the frame of the sensor
     """
 
+    #: Of the period that has passed; nothing in the next one depends on it.
+    not_in_digest = ('_rows', '_centres', '_row', '_sum', '_mean', '_steps')
+
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, site: int) -> None:
         self._site = site
         #: Sum over the steps that are no longer in the rows, and the number of rows in use.

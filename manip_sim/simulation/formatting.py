@@ -30,6 +30,9 @@ class Formatter:
     :raises ModelError: if the call with zeros raises or does not return ``count`` finite numbers
     """
 
+    #: What is found out when it is needed first, and what is only counted.
+    not_in_digest = ('_closing', 'faults', 'last_fault')
+
     def __init__(self, gripper: GripperModel, count: int) -> None:
         self._gripper = gripper
         self._count = count

@@ -196,12 +196,11 @@ class JointController(ControlledJoints):
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
         self._timeouts.clear()
-        self.cartesian.reset()
+        self.cartesian.reset(data)
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)
         position = data.qpos[self._servos.qpos]
-        self._setpoints.place(everything, position, np.zeros(len(position)))
-        self._setpoints.moving = False
+        self._setpoints.reset(position)
         self._servos.hold(data, position)
         self._efforts_due = self._written = False
 
@@ -211,7 +210,7 @@ class JointController(ControlledJoints):
 
         It loses joints whose control mode has changed since, and is aborted if none is left.
 
-        :param now_s: simulation time [s]
+        :param now_s: simulation time since the last reset [s]
         :param period_s: length of the period [s]
         """
         self._setpoints.now_s = now_s
@@ -294,7 +293,7 @@ class JointController(ControlledJoints):
         """
         Begin a control period; end position commands that are done and commands that timed out.
 
-        :param now_s: simulation time [s]
+        :param now_s: simulation time since the last reset [s]
         :param period_s: length of the period [s]
         """
         self.cartesian.period_s = period_s
@@ -327,7 +326,7 @@ class JointController(ControlledJoints):
         """
         Write the controls of the next interval; setpoints are linear in it.
 
-        :param now_s: simulation time [s]
+        :param now_s: simulation time since the last reset [s]
         :param duration_s: length of the interval [s]
         """
         if not self.moving:
@@ -355,7 +354,7 @@ class JointController(ControlledJoints):
 
     def _start_trajectories(self, now_s: float, duration_s: float) -> None:
         for command in list(self.commands.waiting):
-            start_s = command.start_ns * 1e-9 if command.start_ns else now_s
+            start_s = now_s if command.start_s is None else command.start_s
             if start_s >= now_s + duration_s - 1e-9:
                 continue
             self.commands.waiting.remove(command)
@@ -370,7 +369,7 @@ class JointController(ControlledJoints):
             except CommandError as error:
                 command.handle.end(Status.ABORTED, str(error))
                 continue
-            self.commands.running.append(replace(own, start_ns=round(start_s * 1e9)))
+            self.commands.running.append(replace(own, start_s=start_s))
 
     def _come_to(self, command: JointSetpoint) -> None:
         self._setpoints.come_back(command.indices, command.values)
@@ -380,7 +379,7 @@ class JointController(ControlledJoints):
         for command in list(self.commands.running):
             if not isinstance(command, JointTrajectory):
                 continue
-            since_s = end_s - command.start_ns * 1e-9
+            since_s = end_s - (command.start_s or 0.0)
             position, velocity, acceleration = (
                 values[command.columns] for values in command.trajectory.at(since_s))
             self._setpoints.follow(command.indices, position, velocity, acceleration)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -15,8 +15,10 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
+from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.command_parser import CommandParser
-from manip_sim.simulation.commands import Command, GripperCommand, NoCommand, Status
+from manip_sim.simulation.commands import (
+    Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
 from manip_sim.simulation.dynamics import joint_dynamics, JointDynamics
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
@@ -39,7 +41,7 @@ class SimulatedRobot:
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
     :param robot: a robot of the model
     :param efforts: of the actuators of the model
-    :param now_ns: returns the simulation time [ns]
+    :param clock: of the simulation
     :ivar robot_model: the robot, with its base and its grippers
     :ivar parts: by name
     :ivar joints: controller of the joints
@@ -53,11 +55,11 @@ class SimulatedRobot:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel,
-                 efforts: ActuatorEfforts, now_ns: Callable[[], int]) -> None:
+                 efforts: ActuatorEfforts, clock: Clock) -> None:
         self._model = model
         self._data = data
         self._efforts = efforts
-        self._now_ns = now_ns
+        self._clock = clock
         self._timestep_s = self._period_s = float(model.opt.timestep)
         self.robot_model = robot
         self.parts: dict[str, Part] = find_parts(model, robot)
@@ -149,7 +151,7 @@ class SimulatedRobot:
             self.check_own(command)
         if period_s is not None:
             self._period_s = period_s
-        now_s = self._now_ns() * 1e-9
+        clock = self._clock
         for command in commands:
             refusal = self.refusal(command)
             if refusal is not None:
@@ -160,7 +162,9 @@ class SimulatedRobot:
                 (part,) = command.parts
                 self.grippers[part].apply(command, self._data)
             else:
-                self.joints.apply(command, self._data, now_s, self._period_s)
+                if isinstance(command, JointTrajectory) and command.start_ns:
+                    command = replace(command, start_s=clock.since_reset_s(command.start_ns))
+                self.joints.apply(command, self._data, clock.control_s, self._period_s)
 
     def check_own(self, command: Command) -> None:
         """
@@ -288,7 +292,7 @@ class SimulatedRobot:
         """Return a snapshot of the present instant."""
         position, velocity, effort = self.measured().reshape(3, -1)
         return State(
-            time_ns=self._now_ns(), position=position, velocity=velocity, effort=effort,
+            time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
             end_effectors={arm: reader.read(self._data)
                            for arm, reader in self.end_effectors.items()})
 
@@ -316,6 +320,11 @@ class SimulatedRobot:
         """
         return self.joints.controller_state(part, self._data, self._efforts.values)
 
+    def trajectory_reference(self, handle: CommandHandle
+                             ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Return position, velocity and acceleration of a trajectory that runs, or None."""
+        return self.joints.commands.reference(handle, self._clock.control_s)
+
     # ------------------------------------------------------------------ in the physics loop
 
     def begin_period(self, period_s: float) -> None:
@@ -328,7 +337,7 @@ class SimulatedRobot:
         for part in self.reflexes.armed:
             if part not in self.reflexes.tripped:
                 self._check_reflex(part)
-        self.joints.begin_period(self._data, self._now_ns() * 1e-9, period_s)
+        self.joints.begin_period(self._data, self._clock.control_s, period_s)
 
     def _check_reflex(self, part: str) -> None:
         indices, data, joints = self.joints.indices_of(part), self._data, self.joints
@@ -379,13 +388,25 @@ class SimulatedRobot:
 
         :param duration_s: length of the interval [s]
         """
-        self.joints.tick(self._data, self._now_ns() * 1e-9, duration_s)
+        self.joints.tick(self._data, self._clock.control_s, duration_s)
         for gripper in self.grippers.values():
             if gripper.moving:
                 gripper.tick(self._data, duration_s)
 
+    def abort(self, reason: str) -> None:
+        """
+        End the handles of all commands; what the joints do is up to the caller.
+
+        :param reason: why, for the handles
+        """
+        for command in (*self.joints.commands.running, *self.joints.commands.waiting):
+            command.handle.end(Status.ABORTED, reason)
+        for gripper in self.grippers.values():
+            gripper.owner.end(Status.ABORTED, reason)
+
     def reset(self) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""
+        self._period_s = self._timestep_s
         self.reflexes.reset()
         self.joints.reset(self._data)
         for gripper in self.grippers.values():

@@ -66,6 +66,9 @@ class Servos:
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
+    #: Where results are written.
+    not_in_digest = ('_effort_force', '_all_accelerations')
+
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, actuators: Sequence[str],
                  joints: Sequence[str]) -> None:
         check_single(actuators, joints)

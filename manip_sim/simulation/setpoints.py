@@ -45,6 +45,9 @@ class SetpointGenerator:
     :ivar moving: whether any setpoint moves or is about to
     """
 
+    #: Only counted.
+    not_in_digest = ('limited',)
+
     def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
                  acceleration_limit: FloatArray) -> None:
         count = len(velocity_limit)
@@ -53,12 +56,17 @@ class SetpointGenerator:
         #: Nearer than this to an end of the range, velocities may have to be limited.
         self._ends = velocity_limit**2 / acceleration_limit + 0.1 * velocity_limit
         self._acceleration_limit = acceleration_limit
+        self.limited = np.zeros(count, dtype=np.int64)
+        self._estimator, self._ramp_estimator = StreamEstimator(count), RampEstimator(count)
+        self._begin()
+
+    def _begin(self) -> None:
+        count = len(self._low)
 
         def zeros() -> FloatArray:
             return np.zeros(count)
 
         self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
-        self.limited = np.zeros(count, dtype=np.int64)
         self.moving = False
         # Whether there is something to catch up.
         self._catches = False
@@ -70,12 +78,22 @@ class SetpointGenerator:
         self._raw, self._stage1, self._stage2 = zeros(), zeros(), zeros()
         # The reference: its velocity, what it ramps to and how fast, and until when.
         self._reference, self._reference_goal = zeros(), zeros()
-        self._ramp, self._bound = acceleration_limit.copy(), acceleration_limit.copy()
+        self._ramp, self._bound = self._acceleration_limit.copy(), self._acceleration_limit.copy()
         self._until_s = np.full(count, np.inf)
         self._goal = zeros()
-        self._estimator = StreamEstimator(count)
-        self._ramp_estimator = RampEstimator(count)
         self.now_s = 0.0
+
+    def reset(self, position: FloatArray) -> None:
+        """
+        Hold all setpoints at a position, and forget what came; settings and counts stay.
+
+        :param position: [rad or m], shape (n,)
+        """
+        self._begin()
+        self._estimator, self._ramp_estimator = (
+            self._estimator.begun_anew(), self._ramp_estimator.begun_anew())
+        self.place(np.arange(len(position)), position, np.zeros(len(position)))
+        self.moving = False
 
     def set_stream(self, indices: IntArray, longest_s: float | None = None,
                    hold_s: float | None = None) -> None:

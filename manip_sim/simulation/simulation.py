@@ -5,19 +5,28 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
+from manip_sim.resources import package_version
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
+from manip_sim.simulation.cartesian.parser import CartesianParser
+from manip_sim.simulation.clock import Clock
+from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.divergence import DivergenceWatch
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.external_wrench import TouchWatch
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.saved_state import (
+    ControlState, gains, PHYSICS, set_gains, SimulationState)
 from manip_sim.simulation.spawning import (
     carry_over, LiveWorld, Plan, plan_world, start_live)
 from manip_sim.simulation.start_check import check_start
@@ -50,7 +59,6 @@ class Simulation:
     :ivar efforts: of the actuators in the last physics step
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar plan: what the world was compiled from
-    :ivar step_count: physics steps since construction; a reset does not change it
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
     """
@@ -66,22 +74,22 @@ class Simulation:
         self.plan, self.model, self.data = live.plan, live.model, live.data
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self.step_count = 0
         self.diverged: str | None = None
+        self._draw_start = world.init_qpos
         self._start = world.init_qpos()
-        self._timestep_ns: int = round(self.model.opt.timestep * 1e9)
+        self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self._timestep_s = float(self.model.opt.timestep)
         self._interval_steps = max(1, round(_INTERVAL_S / self._timestep_s))
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
         self.efforts = ActuatorEfforts(self.model, self.data)
-        robots = [SimulatedRobot(self.model, self.data, robot, self.efforts, lambda: self.time_ns)
+        robots = [SimulatedRobot(self.model, self.data, robot, self.efforts, self._clock)
                   for robot in world.robots]
         self.robots = {robot.name: robot for robot in robots}
         self._look_at_model()
         self._settle_linkages()
-        self.reset()
+        self._reset()
         self.start_defects = check_start(
             self.model, self.data, self._roots)
 
@@ -90,6 +98,8 @@ class Simulation:
         self._first_half = np.empty(mujoco.mj_stateSize(self.model, _FIRST_HALF))
         #: The state that the first half of a step was last computed for.
         self._computed_for = b''
+        #: The whole state that the present forces were computed from.
+        self._computed_from = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
         self._options = self.model.opt
         self._tools = [reader.external for robot in self.robots.values()
                        for reader in robot.end_effectors.values()]
@@ -98,6 +108,8 @@ class Simulation:
         self._contacts_change = False
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
+        self._control = ControlState(
+            [self.efforts, *self.robots.values()], (Clock, CartesianParser, CommandParser))
 
     def change_objects(self, plan: Plan) -> None:
         """
@@ -138,7 +150,7 @@ class Simulation:
 
         A declared start may violate them; great forces would correct it in the first steps.
         """
-        self.reset()
+        self._reset()
         if not self.model.neq + self.model.ntendon:
             return
         gravity, flags = self.model.opt.gravity.copy(), self.model.opt.disableflags
@@ -165,7 +177,16 @@ class Simulation:
     @property
     def time_ns(self) -> int:
         """Simulation time: steps times the timestep [ns]."""
-        return self.step_count * self._timestep_ns
+        return self._clock.time_ns
+
+    @property
+    def step_count(self) -> int:
+        """Physics steps since construction; a reset does not change it, an assignment does."""
+        return self._clock.step_count
+
+    @step_count.setter
+    def step_count(self, count: int) -> None:
+        self._clock.step_count = count
 
     @property
     def idle(self) -> bool:
@@ -209,7 +230,7 @@ class Simulation:
         :raises DivergenceError: if the physics diverges
         """
         if self._stays_untouched and all([tool.settled for tool in self._tools]):
-            begin = self.step_count
+            begin = self._clock.step_count
             self._divergence.remember()
             if self._untouched(steps * periods) and self._end() is None:
                 return
@@ -220,7 +241,7 @@ class Simulation:
 
     def _run(self, steps: int) -> str | None:
         """Run a control period, and return why the physics diverged, or None."""
-        begin = self.step_count
+        begin = self._clock.step_count
         self._divergence.remember()
         if not (self.idle and self._stays_untouched):
             self._step(steps)
@@ -236,6 +257,7 @@ class Simulation:
     def _end(self) -> str | None:
         """Compute all of the new instant, and return why the physics diverged, or None."""
         self.efforts.record()
+        mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
         # After mj_step the sensors are one step older than the positions.
         mujoco.mj_forward(self.model, self.data)
         self._computed_for = self._first_half_state()
@@ -244,7 +266,7 @@ class Simulation:
     def _undo(self, begin: int) -> None:
         self._divergence.undo()
         self._computed_for = b''
-        self.step_count = begin
+        self._clock.count(begin - self._clock.step_count)
 
     @property
     def _stays_untouched(self) -> bool:
@@ -264,7 +286,7 @@ class Simulation:
         mujoco.mj_step2(self.model, self.data)
         if steps > 1:
             mujoco.mj_step(self.model, self.data, steps - 1)
-        self.step_count += steps
+        self._clock.count(steps)
         return bool(self.data.maxuse_con == contacts == self.data.ncon)
 
     def _step(self, steps: int) -> None:
@@ -295,7 +317,7 @@ class Simulation:
                 if data.ncon or pushed:
                     for tool in self._tools:
                         tool.record()
-            self.step_count += chunk
+            self._clock.count(chunk)
             left -= chunk
         self._contacts_change = len(contacts) > 1
 
@@ -309,18 +331,100 @@ class Simulation:
         mujoco.mj_getState(self.model, self.data, self._first_half, _FIRST_HALF)
         return self._first_half.tobytes()
 
-    def reset(self) -> None:
+    def reset(self, seed: int | None = None) -> None:
         """
         Reset everything to the start and abort all commands; time goes on.
 
         Joints, grippers and their action state, free objects and tare are as after construction;
         control modes stay.
+
+        :param seed: draws the start anew, as at construction with this seed, where the world has
+            ``initialization_noise``; None keeps the start
+        :raises ModelError: if the seed is no whole number from 0
         """
+        if seed is not None:
+            self._start = self._draw_start(seed)
+            self._settle_linkages()
+        self._reset()
+
+    def _reset(self) -> None:
         self._to_start()
+        self._clock.control_steps = 0
         for robot in self.robots.values():
             robot.reset()
         self.diverged = None
+        self._computed_for = b''
+        self._contacts_change = False
+        mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
         mujoco.mj_forward(self.model, self.data)
         self.efforts.restart()
         for tool in self._tools:
             tool.reset(self.data)
+
+    # ------------------------------------------------------------------ saved states
+
+    def save(self) -> SimulationState:
+        """
+        Return the present state: physics, setpoints, commands, grippers, tare and settings.
+
+        Call it between control periods. Edits of :attr:`model` are not part of it.
+        """
+        return SimulationState(
+            versions=self._versions(), model=self.model.signature,
+            physics=self._physics().tobytes(), computed_from=self._computed_from.tobytes(),
+            computed_for=self._computed_for, gains=gains(self.model), control=self._control.save(),
+            step_count=self._clock.step_count, control_steps=self._clock.control_steps,
+            contacts_change=self._contacts_change, diverged=self.diverged)
+
+    def restore(self, state: SimulationState) -> None:
+        """
+        Continue from a state, to the last bit; time, too, is what it was.
+
+        Commands that run are aborted; those of the state go on, with handles of their own.
+
+        :param state: of this simulation, or of one of an equal world in any process
+        :raises ModelError: if it belongs to another world, another set of objects, or another
+            version of manip_sim or MuJoCo; then nothing changes
+        """
+        if state.versions != self._versions():
+            raise ModelError(f'the state was saved by {state.versions}, this is '
+                             + self._versions())
+        if (state.model != self.model.signature
+                or len(state.physics) != self._computed_from.nbytes):
+            raise ModelError('the state was saved in a simulation of another world, or with other '
+                             'objects in it')
+        for robot in self.robots.values():
+            robot.abort('a saved state was restored')
+        self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
+        self.diverged, self._contacts_change = state.diverged, state.contacts_change
+        set_gains(self.model, state.gains)
+        self._computed_from[:] = np.frombuffer(state.computed_from)
+        mujoco.mj_setState(self.model, self.data, self._computed_from, PHYSICS)
+        mujoco.mj_forward(self.model, self.data)
+        # Commands may have changed controls since; forces are those of before.
+        mujoco.mj_setState(self.model, self.data, np.frombuffer(state.physics), PHYSICS)
+        self._computed_for = state.computed_for
+        self._control.restore(state.control)
+
+    def digest(self) -> str:
+        """
+        Return a digest of the present state, with the release of MuJoCo that it belongs to.
+
+        It is the same for the same commands since the last reset, in any process, after any
+        other episodes, and whatever was read meanwhile.
+        """
+        digest = hashlib.sha256(self._physics().tobytes())
+        for name, content in gains(self.model).items():
+            digest.update(name.encode() + content)
+        for content in self._control.encoded():
+            digest.update(b'%d:' % len(content) + content)
+        return f'mujoco-{mujoco.mj_versionString()}:{digest.hexdigest()}'
+
+    @staticmethod
+    def _versions() -> str:
+        return f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'
+
+    def _physics(self) -> FloatArray:
+        physics = np.empty(len(self._computed_from))
+        mujoco.mj_getState(self.model, self.data, physics, PHYSICS)
+        return physics

@@ -74,6 +74,9 @@ class MessageClock:
     :ivar lost: how many messages seem to have been lost, shape (n,)
     """
 
+    #: Only counted.
+    not_in_digest = ('lost',)
+
     def __init__(self, count: int) -> None:
         def zeros() -> FloatArray:
             return np.zeros(count)
@@ -93,6 +96,12 @@ class MessageClock:
         self._follows, self._says = np.zeros(count, dtype=bool), np.full(count, 0.5)
         self._pace, self._curve, self._both_s = np.zeros((3, 2, count))
         self._stamped, self._sums_s = np.zeros(count, dtype=bool), np.full((2, count), _SAME_S)
+
+    def begun_anew(self) -> MessageClock:
+        """Return a clock that has seen no message; settings and counts are those of this one."""
+        clock = MessageClock(len(self.longest_s))
+        clock.longest_s, clock.lost = self.longest_s, self.lost
+        return clock
 
     def forget(self, indices: IntArray) -> None:
         """Let the next messages be the first of a stream."""
@@ -276,6 +285,12 @@ class StreamEstimator:
         #: How fast the velocity changes on average, with and without its sign.
         self._curve, self._roughness = zeros(), zeros()
 
+    def begun_anew(self) -> StreamEstimator:
+        """Return an estimator of no stream yet; settings and counts are those of this one."""
+        estimator = StreamEstimator(len(self.hold_s))
+        estimator.clock, estimator.hold_s = self.clock.begun_anew(), self.hold_s
+        return estimator
+
     def forget(self, indices: IntArray) -> None:
         """Let the next goals be the first of a stream."""
         self.clock.forget(indices)
@@ -358,6 +373,12 @@ class RampEstimator:
         self.clock = MessageClock(count)
         self._velocity, self._change = np.zeros(count), np.zeros(count)
         self._taken_s = np.full(count, -np.inf)
+
+    def begun_anew(self) -> RampEstimator:
+        """Return an estimator of no stream yet; settings and counts are those of this one."""
+        estimator = RampEstimator(len(self._velocity))
+        estimator.clock = self.clock.begun_anew()
+        return estimator
 
     def forget(self, indices: IntArray) -> None:
         """Let the next velocities be the first of a stream."""

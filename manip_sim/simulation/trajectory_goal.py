@@ -118,7 +118,7 @@ class TrajectoryGoal(Goal):
         if self.command.handle.status is Status.WAITING:
             self._start_ns = time_ns
         position, velocity = joints.measured(self.command.indices, simulation.data)
-        reference = joints.commands.reference(self.command.handle, time_ns * 1e-9)
+        reference = self.robot.trajectory_reference(self.command.handle)
         self._on_the_way = reference is not None
         still = np.zeros(len(self._last))
         # Before it starts there is nothing to compare with.

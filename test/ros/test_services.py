@@ -6,6 +6,7 @@
 import subprocess
 import sys
 
+from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
@@ -15,6 +16,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 #: A node in a process that cannot import the package.
@@ -37,6 +39,12 @@ def nanoseconds(message):
 
 def pause(client, paused):
     return client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=paused))
+
+
+def set_parameter(client, name, value):
+    parameter = Parameter(name, value=value).to_parameter_msg()
+    request = SetParameters.Request(parameters=[parameter])
+    return client.call(SetParameters, 'manip_sim/set_parameters', request).results[0]
 
 
 def trigger(client, name):
@@ -226,3 +234,50 @@ def test_a_reflex_stops_an_arm_which_refuses_commands_until_it_is_reset(stepping
     assert result.successful
     assert statistics.rejected == before
     send_until(lambda: robot.state().position[0] > 0.5)
+
+
+def test_a_saved_state_is_restored_to_the_last_bit_while_time_goes_on(serve, client):
+    node = serve(arena='table', start_paused=True)
+    states = client.listen(JointState, 'joint_states')
+    client.publish('arm/joint_trajectory', JointTrajectory(joint_names=[ARM[0]], points=[
+        JointTrajectoryPoint(positions=[0.5], time_from_start=Duration(sec=1))]))
+    client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
+
+    def steps():
+        for _ in range(10):
+            assert trigger(client, 'step').success
+        last = node.simulation.time_ns
+        client.spin_until(lambda: states and nanoseconds(states[-1]) == last)
+        return states[-1]
+
+    steps()
+    digest = trigger(client, 'save_state').message
+    assert digest.startswith('mujoco-')
+    first = steps()
+    assert trigger(client, 'restore_state').message == digest
+    again = steps()
+    assert again.position == first.position and again.effort == first.effort
+    assert nanoseconds(again) == nanoseconds(first) + 110_000_000
+    assert again.position[0] > 0.01
+
+
+def test_without_a_saved_state_nothing_is_restored(serve, client):
+    node = serve(start_paused=True)
+    before = node.simulation.robot.state().position
+    answer = trigger(client, 'restore_state')
+    assert not answer.success and answer.message == 'no state has been saved'
+    np.testing.assert_array_equal(node.simulation.robot.state().position, before)
+
+
+def test_a_new_seed_draws_the_start_anew_at_the_next_reset(serve, client):
+    serve(start_paused=True, seed=3, **{'initialization_noise.magnitude': 0.1})
+
+    def start(seed):
+        assert set_parameter(client, 'seed', seed).successful
+        assert trigger(client, 'reset').success
+        return client.state().position
+
+    first = client.state().position
+    other = start(4)
+    assert list(start(3)) == list(first) != list(other)
+    assert list(start(4)) == list(other)

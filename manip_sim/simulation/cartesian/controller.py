@@ -77,7 +77,7 @@ class CartesianController:
         self._low, self._high = servos.position_clamp().T
         self.settings = {arm: CartesianSettings() for arm in hands}
         self.reports = {arm: CartesianReport(arm) for arm in hands}
-        self.period_s = float(model.opt.timestep)
+        self.period_s = self._timestep_s = float(model.opt.timestep)
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in hands}
@@ -129,9 +129,17 @@ class CartesianController:
         mujoco.mju_mat2Quat(quat_wxyz, rotation.reshape(9))
         return Pose(position, wxyz_to_xyzw(quat_wxyz))
 
-    def reset(self) -> None:
-        """Forget all targets; settings stay."""
+    def reset(self, data: mujoco.MjData) -> None:
+        """
+        Forget all targets; settings and counts stay.
+
+        :param data: at the start, whose posture redundant arms keep to
+        """
         self._targets.clear()
+        self._posture[:] = data.qpos[self._servos.qpos]
+        self.period_s = self._timestep_s
+        for report in self.reports.values():
+            report.reset()
 
     # ------------------------------------------------------------------ when a command begins
 

@@ -55,6 +55,9 @@ class OperationalSpaceController:
     :param posture: positions that redundant arms are drawn to [rad], shape (n,)
     """
 
+    #: Where results are written.
+    not_in_digest = ('_forces', '_accelerations')
+
     def __init__(self, model: mujoco.MjModel, servos: Servos, posture: FloatArray) -> None:
         self._servos = servos
         self._posture = posture

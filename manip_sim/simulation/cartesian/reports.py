@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
+from typing import ClassVar
 
 import numpy as np
 
@@ -36,6 +37,11 @@ class CartesianReport:
     :ivar texts: what happened last, in words, by counter
     """
 
+    #: Only told, never used.
+    not_in_digest: ClassVar[tuple[str, ...]] = (
+        'unreachable', 'joint_limit', 'singular', 'slowed', 'aside', 'texts', '_active', '_seen_s',
+        '_stalled_s')
+
     arm: str
     unreachable: int = 0
     joint_limit: int = 0
@@ -53,6 +59,11 @@ class CartesianReport:
         """The five counts by name."""
         return {kind: getattr(self, kind)
                 for kind in ('unreachable', 'joint_limit', 'singular', 'slowed', 'aside')}
+
+    def reset(self) -> None:
+        """Begin to look anew; counts stay."""
+        self._active.clear()
+        self._seen_s, self._stalled_s = -math.inf, 0.0
 
     def see_motion(self, what: str, held: Sequence[str], singular: bool, slowed: bool) -> None:
         """

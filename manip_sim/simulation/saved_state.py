@@ -1,0 +1,258 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Save and restore a simulation between two control periods, and compare states by a digest."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+import enum
+import io
+import pickle
+import struct
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from manip_sim.models.grippers import GripperModel
+from manip_sim.simulation.commands import Command, CommandHandle
+
+#: All that MuJoCo integrates, with what its solvers start from.
+PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+#: What control changes in a model: gains of servos and of grippers.
+_GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
+_OWN = 'manip_sim.simulation.'
+#: What has no identity, and cannot change.
+_VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)
+
+
+@dataclass(frozen=True)
+class SimulationState:
+    """
+    All that the future of a simulation depends on, besides its model and the commands to come.
+
+    It can be pickled, and restored in another process in a simulation of an equal world. Like
+    every pickle, it must come from a source that you trust.
+
+    :ivar versions: of manip_sim and MuJoCo
+    :ivar model: signature of the compiled model
+    :ivar physics: what MuJoCo integrates, and its solvers start from
+    :ivar computed_from: the same when the present forces were computed
+    :ivar computed_for: positions and velocities that they were computed for
+    :ivar gains: what control has changed in the model, by field
+    :ivar control: setpoints, commands, grippers, tare, filters and settings, pickled
+    :ivar step_count: physics steps since construction
+    :ivar control_steps: physics steps since the last reset
+    :ivar contacts_change: whether contacts came or went in the last period
+    :ivar diverged: why the physics is on hold, or None
+    """
+
+    versions: str
+    model: int
+    physics: bytes
+    computed_from: bytes
+    computed_for: bytes
+    gains: Mapping[str, bytes]
+    control: bytes
+    step_count: int
+    control_steps: int
+    contacts_change: bool
+    diverged: str | None
+
+
+def gains(model: mujoco.MjModel) -> dict[str, bytes]:
+    """Return what control changes in a model, by field."""
+    return {name: getattr(model, name).tobytes() for name in _GAINS}
+
+
+def set_gains(model: mujoco.MjModel, values: Mapping[str, bytes]) -> None:
+    """Restore what :func:`gains` has returned."""
+    for name, content in values.items():
+        array = getattr(model, name)
+        array.flat[:] = np.frombuffer(content, array.dtype)
+
+
+class ControlState:
+    """
+    The state of the objects that control robots.
+
+    It comprises what can be reached from some objects through attributes and containers, by
+    classes of this room. What else is there at construction stays as it is: models, views into
+    ``MjData``, functions, settings that are replaced as a whole.
+
+    :param roots: what has a state, between two control periods
+    :param stateless: types of objects that are not looked into
+    """
+
+    def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = ()) -> None:
+        #: What a state refers to by its index here; the same in every simulation of a world.
+        self._fixed: list[object] = []
+        self._stateful: list[object] = []
+        #: Their ``format_action`` may have a state, in classes of users too.
+        self._grippers: list[GripperModel] = []
+        self._find(list(roots), (*stateless, Command, CommandHandle))
+        self._index_of = {id(found): index for index, found in enumerate(self._fixed)}
+
+    def _find(self, left: list[Any], stateless: tuple[type, ...]) -> None:
+        seen: set[int] = set()
+        while left:
+            found = left.pop(0)
+            if isinstance(found, _VALUES) or id(found) in seen:
+                continue
+            seen.add(id(found))
+            if isinstance(found, Mapping):
+                left += [*found, *found.values()]
+            elif isinstance(found, (list, tuple, set, frozenset)):
+                left += found
+            elif isinstance(found, np.ndarray):
+                if _is_foreign(found):
+                    self._fixed.append(found)
+            elif not isinstance(found, (Command, CommandHandle)):
+                self._fixed.append(found)
+                if isinstance(found, GripperModel):
+                    self._grippers.append(found)
+                if _is_own(found) and not isinstance(found, stateless):
+                    left += vars(found).values()
+                    if not _is_frozen(found):
+                        self._stateful.append(found)
+
+    def save(self) -> bytes:
+        """Return the state, pickled."""
+        file = io.BytesIO()
+        _Pickler(file, self._index_of).dump(
+            ([vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]))
+        return file.getvalue()
+
+    def restore(self, state: bytes) -> None:
+        """Restore what :meth:`save` has returned, here or in another process."""
+        controls, grippers = _Unpickler(io.BytesIO(state), self._fixed).load()
+        for found, values in zip(self._stateful, controls):
+            vars(found).clear()
+            vars(found).update(values)
+        for gripper, values in zip(self._grippers, grippers):
+            vars(gripper).update(values)
+
+    def encoded(self) -> Iterator[bytes]:
+        """Yield the state in a form that depends on nothing else, for a digest."""
+        encoder = _Encoder(self._index_of)
+        for found in self._stateful:
+            yield from encoder.members(found)
+        for gripper in self._grippers:
+            yield from encoder.value(_numbers(gripper))
+
+
+def _numbers(gripper: GripperModel) -> dict[str, Any]:
+    """Return the attributes of a gripper that are arrays or plain values."""
+    return {name: value for name, value in vars(gripper).items()
+            if isinstance(value, (*_VALUES, np.ndarray))}
+
+
+def _is_own(found: object) -> bool:
+    return type(found).__module__.startswith(_OWN) and hasattr(found, '__dict__')
+
+
+def _is_frozen(found: object) -> bool:
+    parameters = getattr(type(found), '__dataclass_params__', None)
+    return bool(getattr(parameters, 'frozen', False))
+
+
+def _owner(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array that an array is a view of, or itself."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array
+
+
+def _is_foreign(array: NDArray[Any]) -> bool:
+    """Tell whether an array is a view into ``MjData`` or ``MjModel``."""
+    return type(_owner(array).base).__name__ == 'PyCapsule'
+
+
+def _view(owner: NDArray[Any], offset: int, shape: tuple[int, ...], strides: tuple[int, ...],
+          kind: str) -> NDArray[Any]:
+    return np.ndarray(shape, kind, owner.data, offset, strides)
+
+
+class _Pickler(pickle.Pickler):
+    """A pickler that refers to what is fixed, and keeps views views of the same array."""
+
+    def __init__(self, file: io.BytesIO, index_of: Mapping[int, int]) -> None:
+        super().__init__(file, protocol=5)
+        self._index_of = index_of
+
+    def persistent_id(self, found: object) -> int | None:
+        return self._index_of.get(id(found))
+
+    def reducer_override(self, found: object) -> Any:
+        if not isinstance(found, np.ndarray):
+            return NotImplemented
+        owner = _owner(found)
+        if owner is found:
+            return NotImplemented
+        if _is_foreign(owner):
+            raise pickle.PicklingError('a view into MjData that is not there from the start')
+        offset = (found.__array_interface__['data'][0] - owner.__array_interface__['data'][0])
+        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
+
+
+class _Unpickler(pickle.Unpickler):
+    """A reader of what :class:`_Pickler` has written."""
+
+    def __init__(self, file: io.BytesIO, fixed: list[object]) -> None:
+        super().__init__(file)
+        self._fixed = fixed
+
+    def persistent_load(self, index: int) -> object:
+        return self._fixed[index]
+
+
+class _Encoder:
+    """Turns objects into bytes that are the same in each process, whatever was read or ended."""
+
+    def __init__(self, index_of: Mapping[int, int]) -> None:
+        self._index_of = index_of
+        self._number_of: dict[int, int] = {}
+
+    def members(self, found: object) -> Iterator[bytes]:
+        """Yield the attributes of an object, by name."""
+        yield type(found).__qualname__.encode()
+        left_out = getattr(found, 'not_in_digest', ())
+        for name, value in sorted(vars(found).items()):
+            if name not in left_out:
+                yield name.encode()
+                yield from self.value(value)
+
+    def value(self, value: Any) -> Iterator[bytes]:
+        """Yield a value."""
+        if id(value) in self._index_of and not isinstance(value, _VALUES):
+            yield b'@%d' % self._index_of[id(value)]
+        elif isinstance(value, np.ndarray):
+            yield f'{value.dtype.str}{value.shape}'.encode()
+            yield value.tobytes()
+        elif isinstance(value, float):
+            yield struct.pack('<d', value)
+        elif isinstance(value, _VALUES):
+            yield f'{type(value).__name__} {value!r}'.encode()
+        elif isinstance(value, Mapping):
+            yield b'{%d' % len(value)
+            for key, content in sorted(value.items(), key=lambda item: repr(item[0])):
+                yield from self.value(key)
+                yield from self.value(content)
+        elif isinstance(value, (set, frozenset)):
+            yield b'<%d' % len(value)
+            yield from sorted(b''.join(self.value(member)) for member in value)
+        elif isinstance(value, (list, tuple, deque)):
+            yield b'[%d' % len(value)
+            for member in value:
+                yield from self.value(member)
+        elif isinstance(value, CommandHandle) and not value.is_active:
+            yield b'ended'
+        elif id(value) in self._number_of:
+            yield b'#%d' % self._number_of[id(value)]
+        else:
+            self._number_of[id(value)] = len(self._number_of)
+            yield from self.members(value)

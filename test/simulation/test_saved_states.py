@@ -1,0 +1,221 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Saved states: they continue to the last bit, here and in another process."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+import pickle
+import subprocess
+import sys
+
+from hypothesis import given, settings, strategies as st
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.errors import DivergenceError, ModelError
+from manip_sim.models import compose
+from manip_sim.models.robots import ROBOTS
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Status
+
+NOISE = {'type': 'uniform', 'magnitude': 0.1}
+#: What may happen in a run.
+SCRIPT = ('stream', 'gripper', 'pose', 'twist', 'trajectory', 'nothing', 'mode')
+
+
+HERE = Path(__file__).parent
+#: Of another process.
+GOES_ON = """
+from pathlib import Path
+import pickle
+import sys
+sys.path.insert(0, sys.argv[2])
+from test_saved_states import compose, NOISE, run, SCRIPT, Simulation
+simulation = Simulation(compose('Panda', arena='table', initialization_noise=NOISE, seed=2))
+simulation.restore(pickle.loads(Path(sys.argv[1]).read_bytes()))
+print(*run(simulation, SCRIPT[:5], begin=5))
+"""
+
+
+def command(simulation, kind, number):
+    """Apply a command of a kind, whatever the robot has; the same for the same number."""
+    robot = simulation.robot
+    part = next(name for name, part in robot.parts.items()
+                if part.gripper is None and part.atomic == (name,) and part.actuators)
+    arm = next(iter(robot.end_effectors))
+    indices = robot.joints.indices_of(part)
+    wave = 0.2 * np.sin(0.3 * number + np.arange(len(indices)))
+    if kind == 'stream':
+        robot.apply(robot.parse.action(part, wave))
+    elif kind == 'gripper':
+        gripper = f'{arm}/gripper'
+        dof = robot.robot_model.grippers[arm].dof
+        robot.apply(robot.parse.action(gripper, np.full(dof, np.sign(np.sin(number)))))
+    elif kind == 'pose':
+        pose = robot.state().end_effectors[arm].pose
+        moved = np.add(pose.position, [0.02, 0.03 * np.sin(number), 0.0])
+        robot.apply(robot.parse_cartesian.pose(arm, moved, pose.quat_xyzw))
+    elif kind == 'twist':
+        robot.apply(robot.parse_cartesian.twist(arm, [0.0, 0.1, 0.05], [0.0, 0.0, 0.2]))
+    elif kind == 'trajectory' and robot.joints.modes[indices[0]] == 'position':
+        here = robot.controller_state(part).reference.position[0]
+        robot.apply(robot.parse.trajectory(
+            part, [robot.joints.names[indices[0]]], [0.1, 0.3], [[here + 0.02], [here]],
+            start_ns=simulation.time_ns + 20_000_000, now_ns=simulation.time_ns))
+    elif kind == 'mode':
+        mode = ('position', 'velocity', 'effort')[number % 3]
+        robot.set_control_mode(part, mode)
+
+
+def anew(simulation, seed):
+    """Reset a simulation with a seed, in position mode."""
+    simulation.robot.set_control_mode('arm', 'position')
+    simulation.reset(seed=seed)
+
+
+def run(simulation, kinds, begin=0):
+    """Run two control periods for each command, and return the digests."""
+    digests = []
+    for number, kind in enumerate(kinds, start=begin):
+        command(simulation, kind, number)
+        for _ in range(2):
+            simulation.advance(5)
+        digests.append(simulation.digest())
+    return digests
+
+
+@pytest.fixture(scope='module')
+def panda():
+    return Simulation(compose('Panda', arena='table', initialization_noise=NOISE, seed=1))
+
+
+@given(before=st.lists(st.sampled_from(SCRIPT), max_size=8),
+       between=st.lists(st.sampled_from(SCRIPT), max_size=5),
+       after=st.lists(st.sampled_from(SCRIPT), min_size=2, max_size=8))
+@settings(max_examples=15, deadline=None)
+def test_a_restored_state_continues_to_the_last_bit(panda, before, between, after):
+    anew(panda, 1)
+    run(panda, before)
+    state, digest = panda.save(), panda.digest()
+    sensors = panda.data.sensordata.copy()
+    expected = run(panda, after)
+    run(panda, between)
+    panda.restore(state)
+    assert panda.digest() == digest
+    np.testing.assert_array_equal(panda.data.sensordata, sensors)
+    assert run(panda, after) == expected
+
+
+@pytest.mark.parametrize('name', ROBOTS.names())
+def test_every_robot_continues_and_starts_again_to_the_last_bit(name):
+    simulation = Simulation(compose(name, arena='table'))
+    start = simulation.digest()
+    first = run(simulation, SCRIPT[:5])
+    state = simulation.save()
+    expected = run(simulation, SCRIPT[:6], begin=5)
+    simulation.restore(state)
+    assert run(simulation, SCRIPT[:6], begin=5) == expected
+    simulation.reset()
+    assert simulation.digest() == start
+    assert run(simulation, SCRIPT[:5]) == first
+
+
+def test_a_state_goes_on_in_another_process(panda, tmp_path):
+    anew(panda, 3)
+    run(panda, SCRIPT[:5])
+    (tmp_path / 'state').write_bytes(pickle.dumps(panda.save()))
+    expected = run(panda, SCRIPT[:5], begin=5)
+    done = subprocess.run([sys.executable, '-c', GOES_ON, tmp_path / 'state', HERE],
+                          capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.split() == expected, done.stderr
+
+
+def test_a_seed_gives_the_same_episode_after_any_other(panda):
+    anew(panda, 7)
+    first = run(panda, SCRIPT)
+    anew(panda, 8)
+    other = run(panda, SCRIPT[::-1])
+    anew(panda, 7)
+    assert run(panda, SCRIPT) == first
+    fresh = Simulation(compose('Panda', arena='table', initialization_noise=NOISE, seed=7))
+    assert run(fresh, SCRIPT) == first
+    assert not set(first) & set(other)
+
+
+def test_reading_does_not_change_the_digest(panda):
+    anew(panda, 7)
+    run(panda, SCRIPT[:4])
+    before = panda.digest()
+    panda.robot.state()
+    panda.robot.measured()
+    panda.robot.controller_state('arm')
+    panda.robot.dynamics()
+    panda.save()
+    assert panda.digest() == before
+
+
+def test_the_digest_says_which_release_of_mujoco_it_belongs_to(panda):
+    assert panda.digest().startswith(f'mujoco-{mujoco.mj_versionString()}:')
+
+
+@pytest.mark.parametrize('change', [
+    lambda s: s.data.qpos.__setitem__(0, s.data.qpos[0] + 1e-15),
+    lambda s: s.robot.set_control_mode('arm', 'velocity'),
+    lambda s: s.robot.set_wrench_cutoff('right', 5.0),
+    lambda s: s.robot.apply(*s.robot.parse.joint_command(['robot0_joint1'], position=[0.1])),
+    lambda s: s.robot.set_command_timeout('arm', 0.7)])
+def test_the_digest_sees_what_the_future_depends_on(change):
+    simulation = Simulation(compose('Panda', arena='table'))
+    before = simulation.digest()
+    change(simulation)
+    assert simulation.digest() != before
+
+
+def test_handles_of_before_are_aborted_and_time_is_restored(panda):
+    anew(panda, 1)
+    state, time_ns = panda.save(), panda.time_ns
+    (command,) = panda.robot.parse.joint_command(['robot0_joint1'], position=[0.3])
+    panda.robot.apply(command)
+    panda.advance(5)
+    panda.restore(state)
+    assert command.handle.status is Status.ABORTED and 'restored' in command.handle.reason
+    assert panda.time_ns == time_ns
+    panda.advance(5)
+    assert panda.robot.controller_state('arm').reference.velocity[0] == 0.0
+
+
+def test_a_state_of_another_world_is_refused_and_changes_nothing(panda):
+    other = Simulation(compose('Panda', arena='table', cube=False))
+    before = panda.digest()
+    with pytest.raises(ModelError, match='another world'):
+        panda.restore(other.save())
+    assert panda.digest() == before
+
+
+def test_a_state_of_another_version_is_refused(panda):
+    state = replace(panda.save(), versions='manip_sim 9 with MuJoCo 3.9.0')
+    with pytest.raises(ModelError, match='saved by manip_sim 9'):
+        panda.restore(state)
+
+
+def test_a_diverged_simulation_is_restored():
+    simulation = Simulation(compose('Panda', arena='table'))
+    state, digest = simulation.save(), simulation.digest()
+    simulation.data.qvel[0] = 1e9
+    with pytest.raises(DivergenceError):
+        simulation.advance(5)
+    simulation.restore(state)
+    assert simulation.diverged is None and simulation.digest() == digest
+    simulation.advance(5)
+
+
+@pytest.mark.parametrize('seed', [-1, 1.5, True, 'one'])
+def test_a_seed_is_a_whole_number_from_zero(panda, seed):
+    before = panda.digest()
+    with pytest.raises(ModelError, match='seed'):
+        panda.reset(seed=seed)
+    assert panda.digest() == before
