@@ -2,6 +2,8 @@
 # make pick   in a second shell: pick the cube up
 # make view   in another shell: see and drive it in the browser
 # make test   set up and run all tests, four files at a time (TEST_JOBS=4)
+# make test-fast  for half a minute those tests that are nearest to what has changed
+#                (FAST_ARGS=--help)
 # make lint   style, docstrings and types
 # make coverage  the same, and which lines no test runs
 # make mutate    change 150 places of the code, one by one, and see which changes no test finds
@@ -34,6 +36,7 @@ PYTHON_SOURCES = manip_sim test benchmark docs setup.py
 TEST_DIST = --numprocesses $(TEST_JOBS) --dist loadfile --no-loadscope-reorder
 MUTATE_ARGS ?= --sample 150
 SOAK_ARGS ?=
+FAST_ARGS ?=
 BENCH_ARGS ?=
 REQUIREMENTS_ARGS ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -74,7 +77,7 @@ else
 install = $(BIN)/python -m pip install --editable '.$(1)'
 endif
 
-.PHONY: run pick view test coverage lint docs bench soak mutate requirements release clean
+.PHONY: run pick view test test-fast coverage lint docs bench soak mutate requirements release clean
 
 run: $(READY)
 	exec $(BIN)/sim_node $(RUN_ARGS)
@@ -87,6 +90,9 @@ view: $(VIEW_READY)
 
 test: $(TEST_READY)
 	$(BIN)/python -m pytest $(TEST_DIST) $(PYTEST_ARGS)
+
+test-fast: $(TEST_READY)
+	$(BIN)/python test/fast.py $(FAST_ARGS)
 
 # Beside the tests, which lines of the package they and the processes that they start run.
 coverage: $(TEST_READY)
