@@ -19,8 +19,8 @@ class Scope:
     name: str = ''
 
     def topic(self, name: str) -> str:
-        """Return the name of a topic of the robot."""
-        return f'{self.name}/{name}' if self.name else name
+        """Return the name of a topic; one that is absolute or private is not the robot's."""
+        return f'{self.name}/{name}' if self.name and not name.startswith(('/', '~')) else name
 
     def parameter(self, name: str) -> str:
         """Return the name of a parameter of the robot."""

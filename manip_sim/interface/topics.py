@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the node publishes, takes and offers, as tables.
+What the node publishes, takes and offers, as tables: there is no topic that is not in them.
+
+The node makes its publishers and subscriptions from the rows of :data:`TOPICS`, in their order; a
+further topic is a row and the function of ``manip_sim.ros`` that the row names.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
 has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` for each object and
@@ -11,8 +14,9 @@ has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` fo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import groupby
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -21,6 +25,9 @@ from manip_sim.interface.scope import Scope
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT, CAMERA = '<part>', '<arm>', '<name>', '<camera>'
 _GRIPPER = f'{ARM}/gripper'
+#: When topics are published.
+_PERIOD, _TF_RATE, _IMAGES = 'publish_rate', 'tf_rate', 'camera.<camera>.rate'
+_ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
 
 
 class PartLike(Protocol):
@@ -47,10 +54,16 @@ class Topic:
     :ivar name: relative, absolute, or private to the node (``~/``)
     :ivar type: package and name of the message type
     :ivar direction: :data:`PUBLISHED` or :data:`SUBSCRIBED` by the node
-    :ivar meaning: what the messages say
+    :ivar meaning: what the messages say, with units and frame
     :ivar needs: what a part must have: ``joints``, ``actuators`` or nothing; ``twist`` is a
         mobile base that moves along x and y and turns; ``object``, ``camera`` and ``depth`` are
         no parts, but free bodies, cameras and cameras with depth
+    :ivar by: name of the function that reads or takes the messages; empty if a publisher of its
+        own makes them
+    :ivar rate: when they are published; empty if the node subscribes
+    :ivar depth: of the queue, keep last
+    :ivar latched: whether the last message is kept for subscribers that come later
+    :ivar of: the part, object or camera that it is of; empty where it is of all
     """
 
     name: str
@@ -58,6 +71,22 @@ class Topic:
     direction: str
     meaning: str
     needs: str = ''
+    by: str = ''
+    rate: str = ''
+    depth: int = 10
+    latched: bool = False
+    of: str = ''
+
+    @property
+    def per(self) -> str:
+        """Return the placeholder that the name holds; that of a gripper counts as a part."""
+        return PART if _GRIPPER in self.name else next(
+            (per for per in (PART, ARM, OBJECT, CAMERA) if per in self.name), '')
+
+    def filled_in(self, of: str) -> Topic:
+        """Return the topic of a part, an arm, an object or a camera."""
+        placeholder = _GRIPPER if _GRIPPER in self.name else self.per
+        return replace(self, name=self.name.replace(placeholder, of), of=of)
 
 
 @dataclass(frozen=True)
@@ -90,75 +119,105 @@ class Action:
     meaning: str
 
 
+def _published(name: str, message_type: str, meaning: str, needs: str = '', by: str = '',
+               rate: str = _PERIOD, depth: int = 10, latched: bool = False) -> Topic:
+    return Topic(name, message_type, PUBLISHED, meaning, needs, by, rate, depth, latched)
+
+
+def _subscribed(name: str, message_type: str, meaning: str, needs: str = '', by: str = '',
+                of: str = '') -> Topic:
+    return Topic(name, message_type, SUBSCRIBED, meaning, needs, by, of=of)
+
+
 TOPICS = (
-    Topic('joint_states', 'sensor_msgs/JointState', PUBLISHED, 'all joints of the robot'),
-    Topic('<part>/joint_states', 'sensor_msgs/JointState', PUBLISHED, 'joints of a part',
-          'joints'),
-    Topic('<arm>/gripper/joint_states', 'sensor_msgs/JointState', PUBLISHED,
-          'joints of a gripper', 'joints'),
-    Topic('<arm>/wrench', 'geometry_msgs/WrenchStamped', PUBLISHED,
-          'force and torque as the sensor gives them, in ft_frame'),
-    Topic('<arm>/external_wrench', 'geometry_msgs/WrenchStamped', PUBLISHED,
-          'what the world does to the tool, mean over the period, tared, in ft_frame'),
-    Topic('<arm>/eef_pose', 'geometry_msgs/PoseStamped', PUBLISHED, 'grip_site in world'),
-    Topic('<arm>/eef_twist', 'geometry_msgs/TwistStamped', PUBLISHED,
-          'velocity of grip_site in world'),
-    Topic('<part>/controller_state', 'trajectory_msgs/JointTrajectory', PUBLISHED,
-          'reference, feedback, error, output; control_msgs/JointTrajectoryControllerState where '
-          'control_msgs is installed', 'actuators'),
-    Topic('objects/<name>/pose', 'geometry_msgs/PoseStamped', PUBLISHED,
-          'a free body in world', 'object'),
-    Topic('objects/<name>/twist', 'geometry_msgs/TwistStamped', PUBLISHED,
-          'velocity of a free body, in the axes of world', 'object'),
-    Topic('odom', 'nav_msgs/Odometry', PUBLISHED,
-          'pose of a mobile base in the frame odom, and its velocity in its own axes', 'twist'),
-    Topic('/tf', 'tf2_msgs/TFMessage', PUBLISHED,
-          'frames that move, where tf2_msgs is installed'),
-    Topic('/tf_static', 'tf2_msgs/TFMessage', PUBLISHED,
-          'frames that do not, latched, where tf2_msgs is installed'),
-    Topic('~/markers', 'visualization_msgs/MarkerArray', PUBLISHED,
-          'contacts with their forces, and external wrenches, to look at'),
-    Topic('robot_description', 'std_msgs/String', PUBLISHED, 'URDF of the robot, latched'),
-    Topic('~/dynamics', 'std_msgs/String', PUBLISHED,
-          'armature, damping, friction and limits of each joint as JSON, latched'),
-    Topic('<camera>/color/image_raw', 'sensor_msgs/Image', PUBLISHED, 'what it sees, rgb8',
-          'camera'),
-    Topic('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage', PUBLISHED,
-          'the same as JPEG', 'camera'),
-    Topic('<camera>/color/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'its intrinsics',
-          'camera'),
-    Topic('<camera>/depth/image_raw', 'sensor_msgs/Image', PUBLISHED,
-          'depth along the view, 32FC1, +Inf where there is nothing', 'depth'),
-    Topic('<camera>/depth/camera_info', 'sensor_msgs/CameraInfo', PUBLISHED, 'the same intrinsics',
-          'depth'),
-    Topic('/clock', 'rosgraph_msgs/Clock', PUBLISHED, 'simulation time'),
-    Topic('/diagnostics', 'diagnostic_msgs/DiagnosticArray', PUBLISHED,
-          'real-time factor, missed deadlines, what became of commands'),
-    Topic('~/mjcf', 'std_msgs/String', PUBLISHED, 'the composed model, latched'),
-    Topic('~/mjcf_archive', 'std_msgs/UInt8MultiArray', PUBLISHED,
-          'zip archive of the composed model and its files, latched'),
-    Topic('<part>/command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
-          'a number in [-1, 1] for each actuator', 'actuators'),
-    Topic('<arm>/gripper/command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
-          'numbers in [-1, 1] for format_action; +1 closes', 'actuators'),
-    Topic('<part>/joint_command', 'sensor_msgs/JointState', SUBSCRIBED,
-          'goals by joint name, in the control mode', 'actuators'),
-    Topic('<arm>/gripper/joint_command', 'sensor_msgs/JointState', SUBSCRIBED,
-          'positions of driven finger joints', 'actuators'),
-    Topic('joint_command', 'sensor_msgs/JointState', SUBSCRIBED, 'goals of joints of any parts'),
-    Topic('<part>/joint_trajectory', 'trajectory_msgs/JointTrajectory', SUBSCRIBED,
-          'a spline through the points, in position mode', 'actuators'),
-    Topic('<arm>/target_pose', 'geometry_msgs/PoseStamped', SUBSCRIBED,
-          'a goal of grip_site in world or a link of the robot', 'actuators'),
-    Topic('<arm>/target_twist', 'geometry_msgs/TwistStamped', SUBSCRIBED,
-          'velocity of grip_site in the axes of world or a link', 'actuators'),
-    Topic('<arm>/pose_command', 'std_msgs/Float64MultiArray', SUBSCRIBED,
-          "robosuite's action OSC_POSE: six numbers in [-1, 1]", 'actuators'),
-    Topic('base/cmd_vel', 'geometry_msgs/Twist', SUBSCRIBED,
-          "velocity in the base's own frame, in velocity mode", 'twist'),
-    Topic('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped', SUBSCRIBED,
-          'the same with a stamp, which counts in lockstep', 'twist'),
+    _published('joint_states', 'sensor_msgs/JointState',
+               'all joints of the robot [rad or m, rad/s or m/s, N m or N]', by='joints'),
+    _published('<part>/joint_states', 'sensor_msgs/JointState', 'joints of a part', 'joints',
+               'joints'),
+    _published('<arm>/gripper/joint_states', 'sensor_msgs/JointState', 'joints of a gripper',
+               'joints', 'joints'),
+    _published('<part>/controller_state', 'trajectory_msgs/JointTrajectory',
+               'reference, feedback, error, output; control_msgs/JointTrajectoryControllerState '
+               'where control_msgs is installed', 'actuators', 'controllers'),
+    _published('<arm>/wrench', 'geometry_msgs/WrenchStamped',
+               'force and torque as the sensor gives them, in ft_frame [N, N m]', by='wrench'),
+    _published('<arm>/external_wrench', 'geometry_msgs/WrenchStamped',
+               'what the world does to the tool, mean over the period, tared, in ft_frame '
+               '[N, N m]', by='external_wrench'),
+    _published('<arm>/eef_pose', 'geometry_msgs/PoseStamped', 'grip_site in world [m]',
+               by='pose'),
+    _published('<arm>/eef_twist', 'geometry_msgs/TwistStamped',
+               'velocity of grip_site in world [m/s, rad/s]', by='twist'),
+    _published('objects/<name>/pose', 'geometry_msgs/PoseStamped', 'a free body in world [m]',
+               'object', 'object_pose'),
+    _published('objects/<name>/twist', 'geometry_msgs/TwistStamped',
+               'velocity of a free body, in the axes of world [m/s, rad/s]', 'object',
+               'object_twist'),
+    _published('odom', 'nav_msgs/Odometry',
+               'pose of a mobile base in the frame odom, and its velocity in its own axes',
+               'twist'),
+    _published('/tf', 'tf2_msgs/TFMessage', 'frames that move, where tf2_msgs is installed',
+               rate=_TF_RATE, depth=100),
+    _published('/tf_static', 'tf2_msgs/TFMessage',
+               'frames that do not, latched, where tf2_msgs is installed', rate=_CHANGES, depth=1,
+               latched=True),
+    _published('~/markers', 'visualization_msgs/MarkerArray',
+               'contacts with their forces, and external wrenches, to look at', rate=_TF_RATE),
+    _published('robot_description', 'std_msgs/String', 'URDF of the robot, latched',
+               rate=_ONCE, depth=1, latched=True),
+    _published('~/dynamics', 'std_msgs/String',
+               'armature, damping, friction and limits of each joint as JSON, latched',
+               rate=_ONCE, depth=1, latched=True),
+    _published('<camera>/color/image_raw', 'sensor_msgs/Image', 'what it sees, rgb8',
+               'camera', rate=_IMAGES, depth=2),
+    _published('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage',
+               'the same as JPEG', 'camera', rate=_IMAGES, depth=2),
+    _published('<camera>/color/camera_info', 'sensor_msgs/CameraInfo', 'its intrinsics',
+               'camera', rate=_IMAGES, depth=2),
+    _published('<camera>/depth/image_raw', 'sensor_msgs/Image',
+               'depth along the view, 32FC1 [m], +Inf where there is nothing', 'depth',
+               rate=_IMAGES, depth=2),
+    _published('<camera>/depth/camera_info', 'sensor_msgs/CameraInfo', 'the same intrinsics',
+               'depth', rate=_IMAGES, depth=2),
+    _published('/clock', 'rosgraph_msgs/Clock', 'simulation time', depth=1),
+    _published('/diagnostics', 'diagnostic_msgs/DiagnosticArray',
+               'real-time factor, missed deadlines, what became of commands',
+               rate='1 Hz of wall time'),
+    _published('~/mjcf', 'std_msgs/String', 'the composed model, latched', rate=_CHANGES,
+               depth=1, latched=True),
+    _published('~/mjcf_archive', 'std_msgs/UInt8MultiArray',
+               'zip archive of the composed model and its files, latched', rate=_CHANGES,
+               depth=1, latched=True),
+    _subscribed('<part>/command', 'std_msgs/Float64MultiArray',
+                'a number in [-1, 1] for each actuator', 'actuators', 'action'),
+    _subscribed('<arm>/gripper/command', 'std_msgs/Float64MultiArray',
+                'numbers in [-1, 1] for format_action; +1 closes', 'actuators', 'action'),
+    _subscribed('<part>/joint_command', 'sensor_msgs/JointState',
+                'goals by joint name, in the control mode', 'actuators', 'joint_command'),
+    _subscribed('<arm>/gripper/joint_command', 'sensor_msgs/JointState',
+                'positions of driven finger joints [rad or m]', 'actuators', 'joint_command'),
+    _subscribed('<part>/joint_trajectory', 'trajectory_msgs/JointTrajectory',
+                'a spline through the points, in position mode', 'actuators', 'trajectory'),
+    _subscribed('base/cmd_vel', 'geometry_msgs/Twist',
+                "velocity in the base's own frame, in velocity mode [m/s, rad/s]", 'twist',
+                'base_twist', 'base'),
+    _subscribed('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped',
+                'the same with a stamp, which counts in lockstep', 'twist',
+                'stamped_base_twist', 'base'),
+    _subscribed('joint_command', 'sensor_msgs/JointState', 'goals of joints of any parts',
+                by='joint_command'),
+    _subscribed('<arm>/target_pose', 'geometry_msgs/PoseStamped',
+                'a goal of grip_site in world or a link of the robot [m]', 'actuators',
+                'target_pose'),
+    _subscribed('<arm>/target_twist', 'geometry_msgs/TwistStamped',
+                'velocity of grip_site in the axes of world or a link [m/s, rad/s]', 'actuators',
+                'target_twist'),
+    _subscribed('<arm>/pose_command', 'std_msgs/Float64MultiArray',
+                "robosuite's action OSC_POSE: six numbers in [-1, 1]", 'actuators',
+                'pose_command'),
 )
+#: The rows of the table by name.
+BY_NAME = {topic.name: topic for topic in TOPICS}
 
 SERVICES = (
     Service('~/pause', 'std_srvs/SetBool', 'pause or go on'),
@@ -197,11 +256,36 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
     """
     Return the topics that the node has for a robot, but for those of objects and cameras.
 
+    Rows of the table that follow each other are filled in together, part by part, arm by arm.
+
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
     """
-    return [topic for pattern in TOPICS if pattern.needs not in ('object', 'camera', 'depth')
-            for topic in _filled_in(pattern, parts, twist)]
+    arms = [name.split('/')[0] for name, part in parts.items() if part.gripper is not None]
+    found: list[Topic] = []
+    for per, rows in groupby(TOPICS, lambda row: row.per):
+        patterns = list(rows)
+        if not per:
+            found += (row for row in patterns if twist or row.needs != 'twist')
+        elif per in (PART, ARM):
+            found += (row.filled_in(name) for name in (parts if per == PART else arms)
+                      for row in patterns if _has(row, name, parts))
+    return found
+
+
+def topics_of_objects(names: Iterable[str]) -> list[Topic]:
+    """Return the topics that the node has for free bodies."""
+    return [row.filled_in(name) for name in names for row in TOPICS if row.per == OBJECT]
+
+
+def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
+    """
+    Return the topics that the node has for cameras.
+
+    :param cameras: that are chosen, by name: whether with depth
+    """
+    return [row.filled_in(name) for name, depth in cameras.items() for row in TOPICS
+            if row.per == CAMERA and (depth or row.needs != 'depth')]
 
 
 def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
@@ -214,33 +298,15 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
     :param objects: names of free bodies
     :param cameras: that are chosen, by name: whether with depth
     """
-    found: dict[Topic, None] = {}
-    for scope, parts, twist in robots:
-        # A name that is absolute or private is the world's.
-        found.update(dict.fromkeys(
-            topic if topic.name[0] in '/~' else replace(topic, name=scope.topic(topic.name))
-            for topic in topics_of(parts, twist)))
-    others = {'object': (OBJECT, list(objects)), 'camera': (CAMERA, list(cameras)),
-              'depth': (CAMERA, [name for name, depth in cameras.items() if depth])}
-    for pattern in TOPICS:
-        placeholder, names = others.get(pattern.needs, ('', []))
-        found.update(dict.fromkeys(
-            replace(pattern, name=pattern.name.replace(placeholder, name)) for name in names))
-    return list(found)
+    # A name that is absolute or private is the world's, and found with each robot.
+    return list(dict.fromkeys([
+        *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
+          for topic in topics_of(parts, twist)),
+        *topics_of_objects(objects), *topics_of_cameras(cameras)]))
 
 
-def _filled_in(pattern: Topic, parts: Mapping[str, PartLike], twist: bool) -> Iterator[Topic]:
-    grippers = [name for name, part in parts.items() if part.gripper is not None]
-    if _GRIPPER in pattern.name:
-        placeholder, names = _GRIPPER, grippers
-    elif ARM in pattern.name:
-        placeholder, names = ARM, [name.split('/')[0] for name in grippers]
-    elif PART in pattern.name:
-        placeholder, names = PART, [name for name in parts if name not in grippers]
-    else:
-        if twist or pattern.needs != 'twist':
-            yield pattern
-        return
-    for name in names:
-        if not pattern.needs or (name in parts and getattr(parts[name], pattern.needs)):
-            yield replace(pattern, name=pattern.name.replace(placeholder, name))
+def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:
+    """Tell whether a part or an arm has a topic."""
+    if row.per == PART and (parts[name].gripper is not None) != (_GRIPPER in row.name):
+        return False
+    return not row.needs or bool(name in parts and getattr(parts[name], row.needs))

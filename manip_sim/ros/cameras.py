@@ -11,10 +11,10 @@ import time
 from typing import Any
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
+from manip_sim.interface.topics import topics_of_cameras
 from manip_sim.models.image_settings import ImageSettings
 from manip_sim.models.urdf_writer.tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
@@ -22,14 +22,12 @@ from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.ros import camera_messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.outputs import create_output, Output
+from manip_sim.ros.outputs import create_output
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 
-#: Queue depth; images are large, and a late one is worth little.
-_DEPTH = 2
 #: How long the start waits for OpenGL [s].
 _READY_S = 10.0
 
@@ -48,17 +46,15 @@ class CameraPublishers:
 
     def __init__(self, node: Node, log: RejectionLog, name: str, found: Intrinsics, depth: bool,
                  frame_id: str) -> None:
-        def output(kind: Any, topic: str) -> Output:
-            return create_output(node, log, kind, f'{name}/{topic}', _DEPTH)
-
+        outputs = {row.name[len(name) + 1:]: create_output(node, log, row)
+                   for row in topics_of_cameras({name: depth})}
         self.view = View(name, found.width, found.height)
         self._frame_id = frame_id
         self._info = camera_messages.camera_info(found)
-        self._color = output(Image, 'color/image_raw')
-        self._jpeg = output(CompressedImage, 'color/image_raw/compressed')
-        self._depth = output(Image, 'depth/image_raw') if depth else None
-        self._infos = [output(CameraInfo, f'{kind}/camera_info')
-                       for kind in ('color', 'depth') if depth or kind == 'color']
+        self._color = outputs['color/image_raw']
+        self._jpeg = outputs['color/image_raw/compressed']
+        self._depth = outputs.get('depth/image_raw')
+        self._infos = [output for topic, output in outputs.items() if 'camera_info' in topic]
 
     def wanted(self) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and intrinsics have subscribers."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -38,11 +37,9 @@ class CartesianSubscribers:
         self._thread = thread
         self._frame_prefix = frame_prefix
         self._settings: dict[str, tuple[str, str]] = {}
+        commands.subscribe({'target_pose': self._pose, 'target_twist': self._twist,
+                            'pose_command': self._action})
         for arm, settings in self._robot.joints.cartesian.settings.items():
-            commands.subscribe(PoseStamped, f'{arm}/target_pose', arm, partial(self._pose, arm))
-            commands.subscribe(TwistStamped, f'{arm}/target_twist', arm, partial(self._twist, arm))
-            commands.subscribe(Float64MultiArray, f'{arm}/pose_command', arm,
-                               partial(self._action, arm))
             for setting in asdict(settings):
                 name = commands.scope.parameter(f'cartesian.{arm}.{setting}')
                 self._settings[name] = arm, setting

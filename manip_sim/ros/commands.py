@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 import time
@@ -24,6 +24,8 @@ from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.ros.reading import read_command, trajectory_fields
 from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import SUBSCRIBED, Topic, topics_of
+from manip_sim.ros.outputs import message_class
 from manip_sim.ros.subscription import CommandSubscription
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot
@@ -31,6 +33,7 @@ from manip_sim.simulation.commands import Command
 from manip_sim.simulation.commands import JointTrajectory as TrajectoryCommand, NoCommand
 
 Parse = Callable[[Any], Sequence[Command]]
+Parser = Callable[[str, Any], Sequence[Command]]
 #: Messages whose stamp is that of the state that they answer.
 _ANSWERS = (JointState, PoseStamped, TwistStamped)
 
@@ -83,32 +86,25 @@ class CommandSubscribers:
                           for name, part in robot.parts.items()}
         self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
         self.statistics['joint_command'] = CommandStatistics()
-        for name, part in robot.parts.items():
-            if not part.actuators:
-                continue
-            self.subscribe(Float64MultiArray, f'{name}/command', name,
-                           partial(self._action, name))
-            self.subscribe(JointState, f'{name}/joint_command', name,
-                           partial(self._joint_command, name))
-            if part.gripper is None:
-                self.subscribe(JointTrajectory, f'{name}/joint_trajectory', name,
-                               partial(self._trajectory, name))
-        if robot.joints.twist_indices is not None:
-            self.subscribe(Twist, 'base/cmd_vel', 'base', self._twist)
-            self.subscribe(TwistStamped, 'base/cmd_vel_stamped', 'base',
-                           lambda message: self._twist(message.twist))
-        self.subscribe(JointState, 'joint_command', 'joint_command',
-                       partial(self._joint_command, None))
+        self.subscribe({
+            'action': self._action, 'joint_command': self._joint_command,
+            'trajectory': self._trajectory, 'base_twist': self._twist,
+            'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
 
-    def subscribe(self, message_type: Any, name: str, part: str, parse: Parse) -> None:
+    def subscribe(self, parsers: Mapping[str, Parser]) -> None:
         """
-        Subscribe to commands.
+        Subscribe to the topics of the robot whose commands some functions can parse.
 
-        :param name: of the topic within the scope
-        :param part: whose statistics count what is rejected
-        :param parse: converts a message to commands
+        :param parsers: convert a message for a part to commands, by their names in the table
         """
-        topic = self.scope.topic(name)
+        twist = self.robot.joints.twist_indices is not None
+        for row in topics_of(self.robot.parts, twist):
+            if row.direction == SUBSCRIBED and row.by in parsers:
+                self._subscribe(row, partial(parsers[row.by], row.of))
+
+    def _subscribe(self, row: Topic, parse: Parse) -> None:
+        topic, message_type = self.scope.topic(row.name), message_class(row)
+        part = row.of or row.name
         entry = self._entry_of.get(part, part)
 
         def take(data: bytes) -> None:
@@ -173,9 +169,9 @@ class CommandSubscribers:
     def _action(self, part: str, message: Float64MultiArray) -> Sequence[Command]:
         return [self._parse.action(part, message.data)]
 
-    def _joint_command(self, part: str | None, message: JointState) -> Sequence[Command]:
+    def _joint_command(self, part: str, message: JointState) -> Sequence[Command]:
         return self._parse.joint_command(message.name, message.position, message.velocity,
-                                         message.effort, part)
+                                         message.effort, part or None)
 
     def _trajectory(self, part: str, message: JointTrajectory) -> Sequence[Command]:
         times_s, positions, velocities, accelerations = trajectory_fields(part, message)
@@ -184,7 +180,7 @@ class CommandSubscribers:
             start_ns=nanoseconds_of(message.header.stamp),
             now_ns=self._thread.progress.time_ns)]
 
-    def _twist(self, message: Twist) -> Sequence[Command]:
+    def _twist(self, _: str, message: Twist) -> Sequence[Command]:
         linear, angular = message.linear, message.angular
         if linear.z or angular.x or angular.y:
             raise CommandError('base: moves along x and y and turns about z only, leave linear.z, '

@@ -14,6 +14,7 @@ import mujoco
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
 from manip_sim.ros.cameras import Cameras
 from manip_sim.ros.cartesian import counts_of, reports_of
@@ -110,7 +111,8 @@ class Diagnostics:
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
         self._told: str | None = None
-        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        row = BY_NAME['/diagnostics']
+        self._publisher = node.create_publisher(DiagnosticArray, row.name, row.depth)
         node.create_timer(_PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _publish(self) -> None:

@@ -15,6 +15,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output
@@ -50,7 +51,7 @@ class MarkerPublisher:
     def __init__(self, node: Node, end_effectors: Mapping[str, EndEffectorReader], frame_id: str,
                  log: RejectionLog) -> None:
         self._end_effectors = end_effectors
-        self._output = create_output(node, log, MarkerArray, '~/markers')
+        self._output = create_output(node, log, BY_NAME['~/markers'])
         self._header = Header(frame_id=frame_id)
         self._all_gone = Marker(header=self._header, action=Marker.DELETEALL)
         self._points = self._marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,

@@ -8,20 +8,21 @@ from __future__ import annotations
 from functools import partial
 import re
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import topics_of_objects
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.outputs import create_output, Output, Topic, Topics
+from manip_sim.ros.outputs import create_output, Publication, Publications
+from manip_sim.ros.publishers import Reading
 from manip_sim.simulation import Simulation
 
 #: A valid part of a topic's name; bodies with other names are not published.
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
-class ObjectPublishers(Topics):
+class ObjectPublishers(Publications):
     """
     Publishers of the pose and twist of each free body.
 
@@ -35,7 +36,7 @@ class ObjectPublishers(Topics):
         self._node = node
         self._log = log
         self._world = frame_prefix + messages.WORLD
-        self._topics: dict[str, tuple[Topic, Topic]] = {}
+        self._topics: dict[str, tuple[Publication, ...]] = {}
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -53,20 +54,26 @@ class ObjectPublishers(Topics):
             for topic in topics:
                 topic.output.close(self._node)
 
-    def _create(self, name: str) -> tuple[Topic, Topic]:
-        def output(message_type: type, kind: str) -> Output:
-            return create_output(self._node, self._log, message_type, f'objects/{name}/{kind}')
+    def _create(self, name: str) -> tuple[Publication, ...]:
+        return tuple(Publication(create_output(self._node, self._log, row),
+                                 *_READERS[row.by](name, self._world))
+                     for row in topics_of_objects([name]))
 
-        def pose(simulation: Simulation) -> FloatArray | None:
-            # The body may be gone before follow() is called.
-            there = name in simulation.entities.free_names
-            return simulation.entities.pose(simulation.data, name) if there else None
 
-        def twist(simulation: Simulation) -> FloatArray | None:
-            there = name in simulation.entities.free_names
-            return simulation.entities.twist(simulation.data, name) if there else None
+def _pose(name: str, world: str) -> Reading:
+    def read(simulation: Simulation) -> FloatArray | None:
+        # The body may be gone before follow() is called.
+        there = name in simulation.entities.free_names
+        return simulation.entities.pose(simulation.data, name) if there else None
+    return partial(messages.pose_stamped, world), read, 7
 
-        make_pose = partial(messages.pose_stamped, self._world)
-        make_twist = partial(messages.twist_stamped, self._world)
-        return (Topic(output(PoseStamped, 'pose'), make_pose, pose, 7),
-                Topic(output(TwistStamped, 'twist'), make_twist, twist, 6))
+
+def _twist(name: str, world: str) -> Reading:
+    def read(simulation: Simulation) -> FloatArray | None:
+        there = name in simulation.entities.free_names
+        return simulation.entities.twist(simulation.data, name) if there else None
+    return partial(messages.twist_stamped, world), read, 6
+
+
+#: By the name in a row of the table: returns what reads a body.
+_READERS = {'object_pose': _pose, 'object_twist': _twist}

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 from builtin_interfaces.msg import Time
@@ -13,13 +14,14 @@ import numpy as np
 from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.outputs import create_output, Topic, Topics
+from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.odometry import OdometryReader
 
 
-class OdometryPublisher(Topics):
+class OdometryPublisher(Publications):
     """
     A publisher of a base's pose in the frame of its odometry, and of its twist in its own axes.
 
@@ -42,7 +44,8 @@ class OdometryPublisher(Topics):
             return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
 
         make = partial(odometry, frame_prefix + frame, frame_prefix + reader.base)
-        self.replace((Topic(create_output(node, log, Odometry, topic), make, read, 13),))
+        row = replace(BY_NAME['odom'], name=topic)
+        self.replace((Publication(create_output(node, log, row), make, read, 13),))
 
 
 def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from rclpy.duration import Duration
@@ -16,13 +17,11 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import Topic
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
-
-#: Keeps the last message for subscribers that come later.
-LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Output:
@@ -88,22 +87,40 @@ class Output:
             self._log.failure('publications', self._publisher.topic_name, error)
 
 
-def create_output(node: Node, log: RejectionLog, message_type: Any, topic: str, depth: int = 10
-                  ) -> Output:
+def message_class(row: Topic) -> Any:
+    """Return the type of the messages of a row of the table of topics."""
+    package, _, kind = row.type.partition('/')
+    return getattr(import_module(f'{package}.msg'), kind)
+
+
+def create_publisher(node: Node, row: Topic, message_type: Any = None) -> Publisher:
     """
-    Create a publisher whose quality of service can be overridden by parameters.
+    Create the publisher of a row of the table of topics.
+
+    :param message_type: instead of that of the row
+    """
+    message_type = message_type or message_class(row)
+    if row.latched:
+        return node.create_publisher(message_type, row.name, QoSProfile(
+            depth=row.depth, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
+    return node.create_publisher(
+        message_type, row.name, QoSProfile(depth=row.depth),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def create_output(node: Node, log: RejectionLog, row: Topic, message_type: Any = None) -> Output:
+    """
+    Create the output of a row of the table; unless it is latched, parameters override its QoS.
 
     :param log: counts and logs what could not be published
-    :param depth: how many messages are kept
+    :param message_type: instead of that of the row
     """
-    return Output(node.create_publisher(
-        message_type, topic, QoSProfile(depth=depth),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies()), log)
+    return Output(create_publisher(node, row, message_type), log)
 
 
-class Topic:
+class Publication:
     """
-    A topic whose messages differ in their stamps and numbers only.
+    Messages of a topic that differ in their stamps and numbers only.
 
     :param output: where they are published
     :param make: returns the message for a stamp and for numbers, shape (count,)
@@ -125,14 +142,14 @@ class Topic:
             self.output.publish(self._message.at(simulation.time_ns, numbers))
 
 
-class Topics:
-    """Topics that are published only while they have subscribers."""
+class Publications:
+    """Publications that are made only while they have subscribers."""
 
     def __init__(self) -> None:
-        self._all: tuple[Topic, ...] = ()
-        self._heard: tuple[Topic, ...] = ()
+        self._all: tuple[Publication, ...] = ()
+        self._heard: tuple[Publication, ...] = ()
 
-    def replace(self, topics: tuple[Topic, ...]) -> None:
+    def replace(self, topics: tuple[Publication, ...]) -> None:
         """Publish other topics from now on; any thread may call this."""
         self._all = topics
 

@@ -7,28 +7,31 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 import numpy as np
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt8MultiArray
 
+from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, topics_of
 from manip_sim.ros import messages
 from manip_sim.ros.controller_state import (
     controller_numbers, controller_state, MESSAGE_TYPE, ROWS)
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.outputs import create_output, LATCHED, Output, Topic, Topics
+from manip_sim.ros.outputs import create_output, create_publisher, Publication, Publications
+from manip_sim.ros.serialized import Make
 from manip_sim.interface.scope import Scope
 from manip_sim.models import World
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.wrench import EndEffectorReader
 
 
-class ClockPublisher(Topics):
+#: What makes a message of stamp and numbers, what reads the numbers, and how many there are.
+Reading = tuple[Make, Callable[[Simulation], FloatArray | None], int]
+
+
+class ClockPublisher(Publications):
     """
     The publisher of ``/clock``.
 
@@ -38,13 +41,13 @@ class ClockPublisher(Topics):
 
     def __init__(self, node: Node, log: RejectionLog) -> None:
         super().__init__()
-        output, nothing = create_output(node, log, Clock, '/clock', depth=1), np.empty(0)
-        self.replace((Topic(output, messages.clock, lambda _: nothing, 0),))
+        output, nothing = create_output(node, log, BY_NAME['/clock']), np.empty(0)
+        self.replace((Publication(output, messages.clock, lambda _: nothing, 0),))
 
 
-class StatePublishers(Topics):
+class StatePublishers(Publications):
     """
-    Publishers of the joint and controller states of a robot's parts, its wrenches, poses, twists.
+    Publishers of the states of a robot: the rows of the table that :data:`READERS` can read.
 
     :param node: the node
     :param robot: whose states are read
@@ -56,47 +59,56 @@ class StatePublishers(Topics):
     def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog,
                  frame_prefix: str = '') -> None:
         super().__init__()
-        self._node = node
-        self._robot = robot
-        self._scope = scope
-        self._log = log
-        topics = [self._joints('joint_states', None, robot.joint_names)]
-        for name, part in robot.parts.items():
-            if part.joints:
-                topics.append(self._joints(f'{name}/joint_states', name, part.joints))
-            if part.actuators and part.gripper is None:
-                topics.append(self._controllers(name))
-        for arm, reader in robot.end_effectors.items():
-            topics += self._end_effector(arm, reader, frame_prefix)
-        self.replace(tuple(topics))
+        self.replace(tuple(
+            Publication(create_output(node, log, replace(row, name=scope.topic(row.name)),
+                                      _OTHER_TYPES.get(row.by)),
+                        *READERS[row.by](robot, row.of, frame_prefix))
+            for row in topics_of(robot.parts, twist=False) if row.direction == PUBLISHED
+            and row.by in READERS))
 
-    def _output(self, message_type: Any, topic: str) -> Output:
-        return create_output(self._node, self._log, message_type, self._scope.topic(topic))
 
-    def _joints(self, topic: str, part: str | None, names: tuple[str, ...]) -> Topic:
-        return Topic(self._output(JointState, topic), partial(messages.joint_state, names),
-                     lambda _: self._robot.measured(part), 3 * len(names))
+def _joints(robot: SimulatedRobot, part: str, _: str) -> Reading:
+    names = robot.parts[part].joints if part else robot.joint_names
+    return (partial(messages.joint_state, names), lambda _: robot.measured(part or None),
+            3 * len(names))
 
-    def _controllers(self, part: str) -> Topic:
-        names = self._robot.controller_state(part).names
-        return Topic(self._output(MESSAGE_TYPE, f'{part}/controller_state'),
-                     partial(controller_state, names),
-                     lambda _: controller_numbers(self._robot.controller_state(part)),
-                     ROWS * len(names))
 
-    def _end_effector(self, arm: str, reader: EndEffectorReader, frame_prefix: str
-                      ) -> list[Topic]:
-        ft_frame, world = frame_prefix + reader.ft_frame, frame_prefix + messages.WORLD
-        kinds: list[tuple[str, Any, Any, str, Callable[[Any], Any], int]] = [
-            ('wrench', WrenchStamped, messages.wrench_stamped, ft_frame, reader.wrench, 6),
-            ('external_wrench', WrenchStamped, messages.wrench_stamped, ft_frame,
-             reader.external_wrench, 6),
-            ('eef_pose', PoseStamped, messages.pose_stamped, world, reader.pose, 7),
-            ('eef_twist', TwistStamped, messages.twist_stamped, world, reader.twist, 6)]
-        return [Topic(self._output(message_type, f'{arm}/{name}'), partial(make, frame),
-                      lambda simulation, read=read: read(simulation.data),  # type: ignore[misc]
-                      count)
-                for name, message_type, make, frame, read, count in kinds]
+def _controllers(robot: SimulatedRobot, part: str, _: str) -> Reading:
+    names = robot.controller_state(part).names
+    return (partial(controller_state, names),
+            lambda _: controller_numbers(robot.controller_state(part)), ROWS * len(names))
+
+
+def _wrench(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
+    reader = robot.end_effectors[arm]
+    return (partial(messages.wrench_stamped, prefix + reader.ft_frame),
+            lambda simulation: reader.wrench(simulation.data), 6)
+
+
+def _external_wrench(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
+    reader = robot.end_effectors[arm]
+    return (partial(messages.wrench_stamped, prefix + reader.ft_frame),
+            lambda simulation: reader.external_wrench(simulation.data), 6)
+
+
+def _pose(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
+    reader = robot.end_effectors[arm]
+    return (partial(messages.pose_stamped, prefix + messages.WORLD),
+            lambda simulation: reader.pose(simulation.data), 7)
+
+
+def _twist(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
+    reader = robot.end_effectors[arm]
+    return (partial(messages.twist_stamped, prefix + messages.WORLD),
+            lambda simulation: reader.twist(simulation.data), 6)
+
+
+#: By the name in a row of the table: returns what reads a part of a robot.
+READERS: dict[str, Callable[[SimulatedRobot, str, str], Reading]] = {
+    'joints': _joints, 'controllers': _controllers, 'wrench': _wrench,
+    'external_wrench': _external_wrench, 'pose': _pose, 'twist': _twist}
+#: Message types that depend on what is installed.
+_OTHER_TYPES = {'controllers': MESSAGE_TYPE}
 
 
 class ModelPublisher:
@@ -112,8 +124,8 @@ class ModelPublisher:
 
     def __init__(self, node: Node, world: World) -> None:
         self._world = world
-        self._mjcf = node.create_publisher(String, '~/mjcf', LATCHED)
-        self._archive = node.create_publisher(UInt8MultiArray, '~/mjcf_archive', LATCHED)
+        self._mjcf = create_publisher(node, BY_NAME['~/mjcf'])
+        self._archive = create_publisher(node, BY_NAME['~/mjcf_archive'])
 
     def publish(self) -> None:
         """

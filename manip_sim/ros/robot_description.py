@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import json
 from typing import Any
 
 from std_msgs.msg import String
 
 from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import Hardware, urdfs_of
-from manip_sim.ros.outputs import LATCHED
+from manip_sim.ros.outputs import create_publisher
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 
@@ -29,7 +30,7 @@ class DynamicsPublisher:
     """
 
     def __init__(self, node: Any, simulation: Simulation, gravity_compensation: bool) -> None:
-        self._publisher = node.create_publisher(String, '~/dynamics', LATCHED)
+        self._publisher = create_publisher(node, BY_NAME['~/dynamics'])
         self._simulation = simulation
         self._gravity_compensation = gravity_compensation
 
@@ -58,8 +59,9 @@ class DescriptionPublisher:
         self._node = node
         self._world = world
         self._robots = robots
+        row = BY_NAME['robot_description']
         self._publishers = {
-            scope: node.create_publisher(String, scope.topic('robot_description'), LATCHED)
+            scope: create_publisher(node, replace(row, name=scope.topic(row.name)))
             for scope in robots}
         self._hardware = {}
         if ros2_control_tag:

@@ -22,6 +22,8 @@ from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import (
+    PUBLISHED, SUBSCRIBED, Topic, topics_of_objects, topics_of_world)
 from manip_sim.models import World
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import Actions, offer_actions
@@ -55,6 +57,8 @@ class SimNode(Node):
     """
 
     _actions: Actions | None = None
+    #: The rows of the table for this world but for objects; None while rclpy makes its own topics.
+    table: list[Topic] | None = None
 
     def __init__(self, **arguments: Any) -> None:
         try:
@@ -95,6 +99,10 @@ class SimNode(Node):
              for scope, robot in self._robots.items()},
             value('start_paused'), self._tell_failure, self._inbox if lockstep else None)
         self._check_lockstep()
+        self.table = topics_of_world(
+            [(scope, robot.parts, robot.joints.twist_indices is not None)
+             for scope, robot in self._robots.items()],
+            cameras={name: images.depth for name, images in cameras.items()})
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots(frame_prefix)
         self._show_world(world, frame_prefix)
@@ -188,10 +196,26 @@ class SimNode(Node):
                 if found is not None:
                     self._change_part(*found, parameter.value)
 
-    def create_publisher(self, *arguments: Any, **keywords: Any) -> Publisher:
+    def create_publisher(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
+                         ) -> Publisher:
         """Create a publisher as rclpy does; what does not match it is in the diagnostics."""
-        return super().create_publisher(*arguments, **{
+        self._check_listed(PUBLISHED, topic)
+        return super().create_publisher(message_type, topic, *arguments, **{
             'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False), **keywords})
+
+    def create_subscription(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
+                            ) -> Any:
+        """Create a subscription as rclpy does."""
+        self._check_listed(SUBSCRIBED, topic)
+        return super().create_subscription(message_type, topic, *arguments, **keywords)
+
+    def _check_listed(self, direction: str, topic: str) -> None:
+        # With use_sim_time rclpy subscribes to the clock.
+        if self.table is None or (direction, topic) == (SUBSCRIBED, '/clock'):
+            return
+        listed = [*self.table, *topics_of_objects(self.simulation.entities.free_names)]
+        if not any((row.direction, row.name) == (direction, topic) for row in listed):
+            raise ManipSimError(f"'{topic}' is {direction} but not in the table of topics")
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as rclpy does, but say more about those that cannot be set."""

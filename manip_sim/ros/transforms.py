@@ -14,18 +14,16 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import BY_NAME
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.optional_packages import import_optional, missing_note
-from manip_sim.ros.outputs import create_output, LATCHED, Output
+from manip_sim.ros.outputs import create_output, Output
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import Frame, FrameTree
 
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
-
-#: Queue depth, as in tf2's broadcasters.
-_DEPTH = 100
 
 
 def offer_transforms(node: Any, frames: Callable[[Simulation], FrameTree], prefix: str,
@@ -50,8 +48,8 @@ def create_outputs(node: Node, log: RejectionLog) -> tuple[Output, Output]:
 
     :param log: counts and logs what could not be published
     """
-    return (create_output(node, log, TFMessage, '/tf', _DEPTH),
-            Output(node.create_publisher(TFMessage, '/tf_static', LATCHED), log))
+    return (create_output(node, log, BY_NAME['/tf'], TFMessage),
+            create_output(node, log, BY_NAME['/tf_static'], TFMessage))
 
 
 class TransformPublisher:

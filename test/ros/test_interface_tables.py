@@ -7,11 +7,15 @@ import re
 
 import pytest
 from rcl_interfaces.srv import ListParameters
+from sensor_msgs.msg import JointState
 
+from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
-from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, topics_of_world
+from manip_sim.interface.topics import (
+    PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of_world)
 from manip_sim.ros import transforms
+from manip_sim.ros.outputs import message_class
 
 OF_ROS = {'/rosout', '/parameter_events'}
 
@@ -60,6 +64,24 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
     names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
     ours = {n for n in names if not re.match('qos_overrides|use_sim_time|start_type', n)}
     assert ours == set(given.specs)
+
+
+@pytest.mark.parametrize('make, direction', [
+    (lambda node: node.create_publisher(JointState, 'more', 10), PUBLISHED),
+    (lambda node: node.create_subscription(JointState, 'joint_states', print, 10), SUBSCRIBED)])
+def test_a_topic_that_is_not_in_the_table_cannot_be_made(make, direction, serve):
+    with pytest.raises(ManipSimError, match=f"^'[a-z_]+' is {direction} but not in the table of "
+                                            'topics$'):
+        make(serve())
+
+
+@pytest.mark.parametrize('row', TOPICS, ids=lambda row: row.name)
+def test_a_row_has_a_type_that_exists_and_functions_of_its_own_direction(row):
+    package = row.type.partition('/')[0]
+    if package != 'tf2_msgs':
+        assert message_class(row).__name__ == row.type.partition('/')[2]
+    assert bool(row.rate) == (row.direction == PUBLISHED)
+    assert row.latched <= (row.depth == 1)
 
 
 def _either(kind):
