@@ -228,6 +228,8 @@ class _Encoder:
 
     def value(self, value: Any) -> Iterator[bytes]:
         """Yield a value."""
+        if isinstance(value, np.generic):
+            value = value.item()  # Releases of NumPy write them in different ways.
         if id(value) in self._index_of and not isinstance(value, _VALUES):
             yield b'@%d' % self._index_of[id(value)]
         elif isinstance(value, np.ndarray):
