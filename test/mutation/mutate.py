@@ -38,23 +38,46 @@ from cosmic_ray.plugins import get_operator, operator_names
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-#: By area, its sources and how much of a sample is taken from it.
-AREAS = {
-    'simulation': (['manip_sim/simulation'], 0.6),
-    'models': (['manip_sim/models'], 0.3),
-    'messages': (['manip_sim/ros/messages.py', 'manip_sim/ros/serialized.py'], 0.1)}
-#: The tests that changes are tried by; those of rendering and of whole nodes take too long, and
-#: one runs others.
-TESTS = ['test/models', 'test/simulation', 'test/cli', 'test/moveit', 'test/viewer/test_scene.py',
-         'test/runtime/test_command_buffer.py', 'test/runtime/test_camera_thread.py',
-         'test/ros/test_serialized.py', 'test/ros/test_message_fields.py',
-         'test/test_parameter_properties.py', '--ignore=test/models/test_add_your_own.py']
 #: What fails at once wherever it is, as bits of a float do, says nothing about tests.
 _LEFT_OUT = re.compile(r'RemoveDecorator|BinaryOperator.*_(BitAnd|BitOr|BitXor|LShift|RShift)$')
 #: What most tests import, and what takes long.
 _IMPORTED = ('hypothesis', 'mujoco', 'pydantic', 'scipy.spatial.transform', 'yaml',
              'hypothesis.strategies', 'numpy.testing', 'rclpy.serialization', 'sensor_msgs.msg')
-RECORD_FILE = ROOT / '.mutation' / 'tests.json'
+RECORDS = ROOT / '.mutation'
+
+
+@dataclass(frozen=True)
+class Scope:
+    """
+    Code to change, and the tests that changes are tried by.
+
+    :ivar areas: by name, sources and how much of a sample is taken from them
+    :ivar tests: arguments of pytest, without tests of rendering and those that run other tests
+    """
+
+    areas: dict[str, tuple[list[str], float]]
+    tests: list[str]
+
+    @property
+    def sources(self) -> list[str]:
+        """The sources of all areas."""
+        return [source for sources, _ in self.areas.values() for source in sources]
+
+
+SCOPES = {
+    'physics': Scope(
+        {'simulation': (['manip_sim/simulation'], 0.6),
+         'models': (['manip_sim/models'], 0.3),
+         'messages': (['manip_sim/ros/messages.py', 'manip_sim/ros/serialized.py'], 0.1)},
+        ['test/models', 'test/simulation', 'test/cli', 'test/moveit', 'test/viewer/test_scene.py',
+         'test/runtime/test_command_buffer.py', 'test/runtime/test_camera_thread.py',
+         'test/ros/test_serialized.py', 'test/ros/test_message_fields.py',
+         'test/test_parameter_properties.py', '--ignore=test/models/test_add_your_own.py']),
+    'node': Scope(
+        {'ros': (['manip_sim/ros'], 0.45), 'runtime': (['manip_sim/runtime'], 0.1),
+         'viewer': (['manip_sim/viewer'], 0.3), 'cli': (['manip_sim/cli'], 0.15)},
+        ['test/ros', 'test/runtime', 'test/viewer', 'test/cli', 'test/test_startup.py',
+         '--ignore=test/ros/test_documentation.py', '--ignore=test/ros/test_soak.py'])}
 
 
 @dataclass(frozen=True)
@@ -129,7 +152,7 @@ def files_of(sources: Sequence[str]) -> list[str]:
                          else sorted((ROOT / source).rglob('*.py')))]
 
 
-def sampled(sample: int | None, seed: int, only: str) -> list[Mutant]:
+def sampled(scope: Scope, sample: int | None, seed: int, only: str) -> list[Mutant]:
     """
     Return changes to try, a part of them from each area.
 
@@ -139,7 +162,7 @@ def sampled(sample: int | None, seed: int, only: str) -> list[Mutant]:
     :param only: files whose names contain it
     """
     chosen = []
-    for sources, share in AREAS.values():
+    for sources, share in scope.areas.values():
         random_of_area = random.Random(seed)
         by_place: dict[tuple[str, int, str], list[Mutant]] = {}
         for file in files_of(sources):
@@ -222,20 +245,25 @@ class Laboratory:
         finally:
             os._exit(code)
 
-    def record(self) -> None:
+    def record(self, scope: Scope, file: Path) -> None:
         """Run all tests once and write which lines each of them runs."""
-        RECORD_FILE.parent.mkdir(exist_ok=True)
+        file.parent.mkdir(exist_ok=True)
         sources = [f'{self.folder}/{source}' + ('' if source.endswith('.py') else '/*')
-                   for sources, _ in AREAS.values() for source in sources]
-        self.pytest(['-p', 'mutation.recorder', *TESTS], MUTATION_RECORD=str(RECORD_FILE),
+                   for source in scope.sources]
+        self.pytest(['-p', 'mutation.recorder', *scope.tests], MUTATION_RECORD=str(file),
                     MUTATION_SOURCES=','.join(sources))
 
-    def survives(self, mutant: Mutant, tests: Sequence[str], duration_s: float) -> bool:
-        """Tell whether tests pass that take so long without the change [s]."""
+    def outcome(self, mutant: Mutant, tests: Sequence[str], duration_s: float) -> str:
+        """
+        Return what becomes of a change under tests that take so long without it [s].
+
+        :returns: SURVIVED, 'killed', or 'killed by time' if the tests take much longer
+        """
         changed, original = self.folder / mutant.file, ROOT / mutant.file
         changed.write_text(mutant.code)
         try:
-            return self.pytest(['-x', *tests], 30.0 + 5.0 * duration_s) == 0
+            code = self.pytest(['-x', *tests], 30.0 + 5.0 * duration_s)
+            return {0: 'SURVIVED', None: 'killed by time'}.get(code, 'killed')
         finally:
             shutil.copy2(original, changed)
 
@@ -281,9 +309,9 @@ class Record:
         return chosen[:400]
 
 
-def _sources_digest() -> str:
+def _sources_digest(scope: Scope) -> str:
     digest = hashlib.sha256()
-    for file in files_of([source for sources, _ in AREAS.values() for source in sources]):
+    for file in files_of(scope.sources):
         digest.update((ROOT / file).read_bytes())
     return digest.hexdigest()
 
@@ -296,21 +324,25 @@ def _import_early() -> None:
     assert not any(name.split('.')[0] == 'manip_sim' for name in sys.modules)
 
 
-def _recorded(laboratory: Laboratory, again: bool) -> Record:
-    """Return the record of the sources as they are; it is kept from run to run."""
-    digest_file = RECORD_FILE.with_suffix('.sha256')
-    if again or not RECORD_FILE.exists() or digest_file.read_text() != _sources_digest():
+def _recorded(laboratory: Laboratory, name: str, again: bool) -> Record:
+    """Return the record of a scope's sources as they are; it is kept from run to run."""
+    file, scope = RECORDS / f'{name}.json', SCOPES[name]
+    digest_file = file.with_suffix('.sha256')
+    if again or not file.exists() or digest_file.read_text() != _sources_digest(scope):
         print('recording which lines each test runs (some minutes)', flush=True)
-        RECORD_FILE.unlink(missing_ok=True)
-        laboratory.record()
-        if not RECORD_FILE.exists():
+        file.unlink(missing_ok=True)
+        laboratory.record(scope, file)
+        if not file.exists():
             sys.exit('the tests could not be recorded: try them with -p mutation.recorder')
-        digest_file.write_text(_sources_digest())
-    return Record(RECORD_FILE.read_text())
+        digest_file.write_text(_sources_digest(scope))
+    return Record(file.read_text())
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='make mutate', description=__doc__)
+    parser.add_argument('--scope', choices=SCOPES, default='physics',
+                        help='physics (simulation, models; default) or node (ros, runtime, '
+                        'viewer, cli)')
     parser.add_argument('--sample', type=int, help='try so many changes, chosen at random')
     parser.add_argument('--seed', type=int, default=1, help='of the sample, 1 by default')
     parser.add_argument('--begin', type=int, default=1, metavar='N',
@@ -326,19 +358,20 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Try changes and tell those that survive."""
     options = _arguments()
-    mutants = sampled(options.sample, options.seed, options.only)
+    mutants = sampled(SCOPES[options.scope], options.sample, options.seed, options.only)
     survivors, begin_s = 0, time.monotonic()
     with tempfile.TemporaryDirectory(prefix='manip_sim_mutation_') as folder:
         laboratory = Laboratory(Path(folder).resolve())
         _import_early()
-        record = _recorded(laboratory, options.record)
+        record = _recorded(laboratory, options.scope, options.record)
         for count, mutant in list(enumerate(mutants, 1))[options.begin - 1:]:
             tests = record.tests_of(mutant.file, mutant.line, options.seconds)
             names = [name for name, _ in tests]
-            survived = not tests or laboratory.survives(
-                mutant, names, sum(duration_s for _, duration_s in tests))
+            outcome = laboratory.outcome(mutant, names, sum(
+                duration_s for _, duration_s in tests)) if tests else 'SURVIVED'
+            survived = outcome == 'SURVIVED'
             survivors += survived
-            print(f'{count}/{len(mutants)} {"SURVIVED" if survived else "killed"} {mutant.file}:'
+            print(f'{count}/{len(mutants)} {outcome} {mutant.file}:'
                   f'{mutant.line} {mutant.operator.removeprefix("core/")} #{mutant.occurrence}, '
                   f'{len(tests)} tests, {time.monotonic() - begin_s:.0f} s', flush=True)
             if survived:
