@@ -12,8 +12,7 @@ from __future__ import annotations
 import gc
 import sys
 
-from manip_sim.startup import (
-    exit_on_signals, ignore_end_signals, import_mujoco, open_standard_streams)
+from manip_sim.startup import import_mujoco, run_program
 
 _HELP = """\
 usage: sim_node [--help] [--ros-args -p NAME:=VALUE ...]
@@ -33,12 +32,7 @@ def main() -> int:
     :returns: exit code: 0 after SIGINT, SIGTERM, SIGHUP or --help, 1 on failure, 2 for a wrong
         argument
     """
-    exit_on_signals()
-    open_standard_streams()
-    try:
-        return _run()
-    finally:
-        ignore_end_signals()
+    return run_program(_run)
 
 
 def _run() -> int:

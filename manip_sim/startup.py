@@ -14,6 +14,25 @@ import select
 import signal
 import sys
 
+TYPE_CHECKING = False  # As in typing, whose import would take longer than all others here.
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def run_program(program: Callable[[], int]) -> int:
+    """
+    Run a program that SIGINT, SIGTERM and SIGHUP end with code 0, from the first line on.
+
+    :param program: imports what takes long, then takes over by :class:`EndSignals`
+    :returns: its exit code
+    """
+    exit_on_signals()
+    open_standard_streams()
+    try:
+        return program()
+    finally:
+        ignore_end_signals()
+
 
 def open_standard_streams() -> None:
     """
@@ -35,7 +54,7 @@ def exit_on_signals() -> None:
     """
     Let SIGINT, SIGTERM and SIGHUP end the process at once with code 0, as long as it only imports.
 
-    That is for the first line of a program, until there are :class:`EndSignals`.
+    That is until there are :class:`EndSignals`.
     """
     for number in _end_signals():
         signal.signal(number, lambda *_: os._exit(0))
@@ -69,6 +88,22 @@ def ignore_end_signals() -> None:
     for number in _end_signals():
         signal.signal(number, signal.SIG_IGN)
     sys.unraisablehook = hook
+
+
+def leave(code: int, *abandoned: str) -> int:
+    """
+    Return an exit code, or end the process at once if a thread runs that cannot be ended in it.
+
+    A normal exit of Python would close OpenGL while a thread renders, or unload what compiles.
+
+    :param abandoned: names of such threads
+    """
+    import threading
+    if any(thread.name in abandoned for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
 def _end_signals() -> list[signal.Signals]:

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import sys
 
-from manip_sim.startup import (
-    EndSignals, exit_on_signals, ignore_end_signals, import_mujoco, open_standard_streams)
+from manip_sim.startup import EndSignals, import_mujoco, run_program
 
 _NAMES = ('pick_cube', 'hand_over')
 
@@ -23,7 +22,7 @@ def pick_cube() -> int:
 
     :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP or when it is held, else 1
     """
-    return _start('pick_cube')
+    return run_program(lambda: _run('pick_cube'))
 
 
 def hand_over() -> int:
@@ -32,16 +31,7 @@ def hand_over() -> int:
 
     :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP or when it is done, else 1
     """
-    return _start('hand_over')
-
-
-def _start(name: str) -> int:
-    exit_on_signals()
-    open_standard_streams()
-    try:
-        return _run(name)
-    finally:
-        ignore_end_signals()
+    return run_program(lambda: _run('hand_over'))
 
 
 def _run(name: str) -> int:
@@ -67,7 +57,7 @@ def _run(name: str) -> int:
 
 if __name__ == '__main__':
     if sys.argv[1:2] and sys.argv[1] in _NAMES:
-        sys.exit(_start(sys.argv[1]))
+        sys.exit(run_program(lambda: _run(sys.argv[1])))
     print(f'usage: python3 -m manip_sim.examples {"|".join(_NAMES)} [--ros-args ...]',
           file=sys.stderr)
     sys.exit(2)

@@ -27,6 +27,7 @@ MAX_CPU_S, MAX_WALL_S, MAX_MEMORY_BYTES = 3, 60.0, 4 * 1024**3
 _REMEMBERED = 1000
 
 _passed: dict[bytes, None] = {}
+_running: set[subprocess.Popen[bytes]] = set()
 
 
 def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
@@ -63,16 +64,25 @@ def _tried(work: bytes, cpu_s: int) -> str:
     with subprocess.Popen([sys.executable, '-c', program], env=environment, cwd='/',
                           stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                           stderr=subprocess.DEVNULL) as process:
+        _running.add(process)
         try:
             told, _ = process.communicate(work, timeout=MAX_WALL_S)
         except subprocess.TimeoutExpired:
             process.kill()
+        finally:
+            _running.discard(process)
     if process.returncode == 0:
         return told.decode()
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return f'takes more than {cpu_s} s to compile, and may not'
     return (f'cannot be compiled: MuJoCo crashes, or needs more than '
             f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
+
+
+def give_up() -> None:
+    """End the processes in which models are compiled: this one is ending."""
+    for process in list(_running):
+        process.kill()
 
 
 def main() -> None:

@@ -19,6 +19,24 @@ T = TypeVar('T')
 THREAD_NAME = 'background'
 
 
+def begin(work: Callable[[], T], at_end: Callable[[], None] = lambda: None) -> Future[T]:
+    """
+    Begin some work in a thread of its own.
+
+    :param at_end: is called when the outcome is known
+    """
+    outcome: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(work())
+        except BaseException as error:  # It is raised by whoever asks for the result.
+            outcome.set_exception(error)
+        at_end()
+    threading.Thread(target=run, name=THREAD_NAME, daemon=True).start()
+    return outcome
+
+
 async def in_background(node: Node, work: Callable[[], T]) -> T:
     """
     Return the result of some work; to be awaited in a callback.
@@ -26,18 +44,11 @@ async def in_background(node: Node, work: Callable[[], T]) -> T:
     :param node: its executor runs the callback
     :param work: is called in a thread of its own
     """
-    outcome: Future[T] = Future()
-
-    def run() -> None:
-        try:
-            outcome.set_result(work())
-        except BaseException as error:  # It is raised in the callback.
-            outcome.set_exception(error)
+    def wake() -> None:
         if node.executor is not None:
             with contextlib.suppress(InvalidHandle):  # The executor has ended.
                 node.executor.wake()
-    threading.Thread(target=run, name=THREAD_NAME, daemon=True).start()
-    return await _Outcome(outcome)
+    return await _Outcome(begin(work, wake))
 
 
 class _Outcome:

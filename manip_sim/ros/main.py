@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import gc
-import os
 import sys
 import threading
 import warnings
@@ -17,13 +16,14 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
+from manip_sim.models import trial
 from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros import background
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.overrides import for_other_nodes, without_source
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
-from manip_sim.startup import EndSignals
+from manip_sim.startup import EndSignals, leave
 
 #: Period at which the main thread checks whether the other threads still run [s].
 _WATCH_S = 0.5
@@ -58,18 +58,8 @@ def run(arguments: Sequence[str]) -> int:
         code = _fail(str(error))
     finally:
         rclpy.try_shutdown()
-    return _leave(code)
-
-
-def _leave(code: int) -> int:
-    """Return an exit code, or end the process at once if a thread cannot be ended in it."""
-    if any(thread.name in (camera_thread.THREAD_NAME, background.THREAD_NAME)
-           for thread in threading.enumerate()):
-        # A normal exit of Python would close OpenGL while it renders, or unload what compiles.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    return code
+    trial.give_up()
+    return leave(code, camera_thread.THREAD_NAME, background.THREAD_NAME)
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:

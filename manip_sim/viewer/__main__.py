@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import sys
 
-from manip_sim.startup import (
-    exit_on_signals, ignore_end_signals, import_mujoco, open_standard_streams, use_one_blas_thread)
+from manip_sim.startup import import_mujoco, run_program, use_one_blas_thread
 
 TYPE_CHECKING = False  # As in typing, whose import would take longer than all others here.
 if TYPE_CHECKING:
@@ -31,12 +30,7 @@ def main() -> int:
 
     :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP, 1 if it cannot start
     """
-    exit_on_signals()
-    open_standard_streams()
-    try:
-        return _run()
-    finally:
-        ignore_end_signals()
+    return run_program(_run)
 
 
 def _run() -> int:

@@ -14,6 +14,7 @@ from types import SimpleNamespace as Plain
 from xml.sax.saxutils import quoteattr
 
 from geometry_msgs.msg import PoseStamped
+from harness import START_S
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -26,9 +27,10 @@ from manip_sim.interface.composition import spawn_files
 from manip_sim.models import held_models, trial
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.resources import asset_path, share_directory
-from manip_sim.ros import main, spawning_services
-from manip_sim.ros.background import in_background
+from manip_sim.ros import spawning_services
+from manip_sim.ros.background import begin, in_background, THREAD_NAME
 from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.startup import leave
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))
 from opened_files import OpenedFiles  # noqa: E402
@@ -128,14 +130,29 @@ def test_an_object_that_is_made_in_the_background_comes(serve, client, tmp_path)
 
 def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
     node, going, ended = Plain(executor=None), threading.Event(), []
-    monkeypatch.setattr(main.os, '_exit', ended.append)
+    monkeypatch.setattr(os, '_exit', ended.append)
     waiting = in_background(node, lambda: going.wait(60.0))
     waiting.send(None)
-    assert main._leave(3) == 3 and ended == [3]
+    assert leave(3, 'others') == 3 and ended == []
+    assert leave(3, 'others', THREAD_NAME) == 3 and ended == [3]
     going.set()
     with pytest.raises(StopIteration):
         while True:
             waiting.send(None)
+
+
+def test_what_is_tried_is_given_up_by_a_process_that_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(trial, 'MAX_CPU_S', 60)
+    (tmp_path / 'm.stl').write_bytes(slow_mesh(100_000))
+    (tmp_path / 'o.xml').write_text(MESH)
+    held = held_models.hold_model(tmp_path / 'o.xml', FilesBelow([tmp_path], 'spawn_roots'))
+    loading = begin(held.load)
+    while not trial._running:
+        assert not loading.done()
+    trial.give_up()
+    with pytest.raises(ManipSimError, match='to compile, and may not'):
+        loading.result(START_S)
+    assert not trial._running
 
 
 @pytest.mark.parametrize('folders', [[], ['']])

@@ -5,7 +5,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+from pathlib import Path
 import re
+import signal
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -16,6 +20,7 @@ from std_msgs.msg import UInt8MultiArray
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from page_client import page_client  # noqa: E402
 from test_viewer import end, start_viewer  # noqa: E402
 
 
@@ -103,3 +108,54 @@ def test_malformed_messages_are_logged_once_a_second_and_the_viewer_goes_on(clie
         output, errors = end(process)
     assert process.returncode == 0
     assert 'Traceback' not in errors + output
+
+
+def trials(process):
+    """Return the processes in which another one compiles models."""
+    found = []
+    for status in Path('/proc').glob('[0-9]*/stat'):
+        try:
+            parent = status.read_text().rpartition(')')[2].split()[1]
+            # As soon as it is a program of its own.
+            if parent == str(process.pid) and b'trial' in (status.parent / 'cmdline').read_bytes():
+                found.append(int(status.parent.name))
+        except OSError:  # It has just ended.
+            continue
+    return found
+
+
+@pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason='needs /proc')
+def test_a_model_that_takes_long_is_checked_beside_the_page_and_given_up_at_the_end(client):
+    # MuJoCo works for half a minute on it.
+    slow = archive('<mujoco><worldbody><body name="b"><flexcomp name="f" type="grid" dim="3" '
+                   'count="27 27 27" spacing="1 1 1" mass="1"/></body></worldbody></mujoco>')
+    hostile = HostileNode(lambda what: what)
+    process, address = start_viewer('--node', NAME)
+    held = []
+
+    async def look_at_the_check():
+        async with page_client(address) as page:
+            def shows(state):
+                return any(re.search(state, found) for found in page.texts.values())
+            running = r'[0-9] s, [0-9.]+ × real time'
+            await page.read_until(lambda: shows(running))
+            hostile.model.publish(UInt8MultiArray(data=slow))
+            await page.read_until(lambda: bool(trials(process)))
+            held.extend(trials(process))
+            # It does not end by itself any more.
+            os.kill(held[0], signal.SIGSTOP)
+            await page.read_until(lambda: shows(running + ', checking a new model'))
+            # What comes meanwhile is shown.
+            page.texts.clear()
+            await page.read_until(lambda: shows(running))
+    try:
+        asyncio.run(look_at_the_check())
+        _, errors = end(process)
+        assert (process.returncode, errors) == (0, '')
+        client.spin_until(lambda: not Path(f'/proc/{held[0]}').exists(), 60.0)
+    finally:
+        hostile.close()
+        process.kill()
+        for pid in held:
+            if Path(f'/proc/{pid}').exists():
+                os.kill(pid, signal.SIGKILL)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from std_msgs.msg import String, UInt8MultiArray
 
 from manip_sim.errors import MessageError, ModelError
 from manip_sim.models.archive import load_archive, MAX_ARCHIVE_BYTES
+from manip_sim.ros.background import begin
 from manip_sim.viewer.page.robots import (
     commanded_joints, declared_limits, limit_of, Part, Robot)
 from manip_sim.viewer.ros import contents
@@ -41,6 +43,7 @@ class Discovery:
     :ivar model: its ``mujoco.MjModel``, or None
     :ivar layout: what it offers, when the names of all its joints are known; else None
     :ivar models: how many models have come
+    :ivar checking: the model that is checked and compiled in the background, or None
     """
 
     def __init__(self, node: Node, readers: Readers, simulation: str) -> None:
@@ -55,6 +58,7 @@ class Discovery:
         self._limits: dict[str, Mapping[str, Mapping[str, float]]] = {}
         self._archive = f'/{simulation}/mjcf_archive'
         self._newest, self._tried = b'', b''
+        self.checking: Future[Any] | None = None
         readers.subscribe(UInt8MultiArray, self._archive, self._take_archive, _LATCHED,
                           most=MAX_ARCHIVE_BYTES)
 
@@ -66,21 +70,23 @@ class Discovery:
     def _take_archive(self, message: UInt8MultiArray) -> None:
         self._newest = bytes(message.data)
 
-    def _load_model(self) -> None:
-        """Compile the newest model; of many that come, only this one."""
-        if self._newest == self._tried:
-            return
-        self._tried = self._newest
-        try:
-            self.model = load_archive(self._newest)
-        except ModelError as error:
-            self._readers.reject(self._archive, error)
-        else:
-            self.models += 1
+    def load_model(self) -> None:
+        """Take a model that has been compiled; begin with the newest one of all that came."""
+        if self.checking is not None and self.checking.done():
+            checked, self.checking = self.checking, None
+            try:
+                self.model = checked.result()
+            except ModelError as error:
+                self._readers.reject(self._archive, error)
+            else:
+                self.models += 1
+        if self.checking is None and self._newest != self._tried:
+            self._tried = self._newest
+            self.checking = begin(partial(load_archive, self._newest))
 
     def look(self) -> None:
         """Check which model and topics the node has; to be called from time to time."""
-        self._load_model()
+        self.load_model()
         if not self.is_there:
             self.forget()
             return

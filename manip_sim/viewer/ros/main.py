@@ -17,8 +17,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
+from manip_sim.models import trial
 from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
-from manip_sim.startup import EndSignals
+from manip_sim.ros import background
+from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.page.access import Access
 from manip_sim.viewer.page.server import close_server, open_server, page_address
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
@@ -50,10 +52,11 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         else:
             _serve(node, readers, simulation, executor, options, ended)
         executor.shutdown()
-        return 0
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+    trial.give_up()
+    return leave(0, background.THREAD_NAME)
 
 
 def _start_ros(arguments: Sequence[str]) -> Node:

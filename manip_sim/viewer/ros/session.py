@@ -88,6 +88,7 @@ class Session:
 
         :param now_s: wall time [s]
         """
+        self._discovery.load_model()
         if now_s >= self._next_look_s:
             self._next_look_s = now_s + _LOOK_S
             self._look()
@@ -150,6 +151,8 @@ class Session:
         if not self._was_there:
             if self._layout is None and self._shown and not self._discovery.is_there:
                 return 'gone', f'{name} is gone; waiting for it to come back', None
+            if self._discovery.checking is not None:
+                return 'waiting', f'checking the model of {name}', None
             return 'waiting', f'waiting for the node {name}', None
         latest = self._states.latest
         if not latest.joints:
@@ -158,8 +161,9 @@ class Session:
         if silent_s > _SILENT_S:
             return 'trouble', f'no states for {silent_s:.0f} s', None
         time_s = next(iter(latest.joints.values())).time_s
+        new = '' if self._discovery.checking is None else ', checking a new model'
         if self._paused:
-            return 'paused', f'paused at {time_s:.2f} s', True
+            return 'paused', f'paused at {time_s:.2f} s{new}', True
         factor = self._pace.factor
-        text = f'{time_s:.1f} s' + ('' if factor is None else f', {factor:.3f} × real time')
+        text = f'{time_s:.1f} s' + ('' if factor is None else f', {factor:.3f} × real time') + new
         return ('trouble' if self._level else 'running'), text, False
