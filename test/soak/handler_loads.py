@@ -41,11 +41,17 @@ from manip_sim.simulation.goals import Goal, GoalError
 _OBJECTS = 3
 _FILES = {'can.xml': MJCF, 'ball.yaml': BALL, 'not.xml': '<mujoco>', 'self.xml':
           '<mujoco><include file="self.xml"/></mujoco>'}
+#: Beside the folder of those files, so that nobody may read them; in PLACE are all folders.
+_PRIVATE = {'private.xml': MJCF,
+            'private_part.xml': '<mujocoinclude><geom size="0.1"/></mujocoinclude>'}
 _URIS = (*_FILES, 'missing.xml', '/etc/passwd', '../can.xml', 'package://no/can.xml',
-         'http://host/can.xml', *TEXTS)
-_PARTS = ('', '<geom size="0.1"/>', '<geom size="-1"/>', '<joint range="1 0"/>', '<freejoint/>',
-          '<geom type="mesh" mesh="m"/>', '<replicate count="1000000000"><geom size="1"/>'
-          '</replicate>', '<body><geom size="nan"/></body>', '<plugin plugin="p"/>', '&a;', '<')
+         'http://host/can.xml', '../private.xml', 'PLACE/private.xml', 'file://PLACE/private.xml',
+         'private_link.xml', 'with_private.xml', *TEXTS)
+_PARTS = (
+    '', '<geom size="0.1"/>', '<geom size="-1"/>', '<joint range="1 0"/>', '<freejoint/>',
+    '<geom type="mesh" mesh="m"/>', '<body><geom size="nan"/></body>', '<plugin plugin="p"/>',
+    '<replicate count="1000000000"><geom size="1"/></replicate>',
+    '<include file="PLACE/private_part.xml"/>', '&a;', '<')
 
 
 def _grown(before: Usage) -> str:
@@ -70,9 +76,23 @@ def _text(rng: random.Random) -> str:
     return text
 
 
-def _spawn(rng: random.Random, number: int) -> dict[str, Any]:
-    uri = rng.choice(_URIS) if rng.random() < 0.3 else ''
-    text = _text(rng) if not uri or rng.random() < 0.1 else ''
+def _write_files(place: str) -> Path:
+    """Write all files, and return the folder of those that may be read."""
+    folder = Path(place, 'roots')
+    folder.mkdir()
+    for name, text in _FILES.items():
+        (folder / name).write_text(text)
+    for name, text in _PRIVATE.items():
+        Path(place, name).write_text(text)
+    (folder / 'private_link.xml').symlink_to(Path(place, 'private.xml'))
+    (folder / 'with_private.xml').write_text(MJCF.replace(
+        '<geom', '<include file="../private_part.xml"/><geom'))
+    return folder
+
+
+def _spawn(rng: random.Random, number: int, place: str) -> dict[str, Any]:
+    uri = rng.choice(_URIS).replace('PLACE', place) if rng.random() < 0.3 else ''
+    text = _text(rng).replace('PLACE', place) if not uri or rng.random() < 0.1 else ''
     fields = spawn_request(
         text, uri, name=_mostly(rng, f'o{number}', ('', 'cube', *TEXTS)),
         allow_renaming=rng.random() < 0.5, namespace=_mostly(rng, '', ('/', 'a')),
@@ -84,16 +104,18 @@ def _spawn(rng: random.Random, number: int) -> dict[str, Any]:
 def spawns(count: int, seed: int) -> Row:
     """Ask for anything to be spawned and deleted; each request gets an answer."""
     rng, codes = random.Random(seed), Counter[str]()
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in _FILES.items():
-            Path(folder, name).write_text(text)
-        served = Standard(folder)
+    with tempfile.TemporaryDirectory() as place:
+        served = Standard(_write_files(place))
         try:
             begin, before = time.monotonic(), Usage.of(os.getpid())
             for number in range(count):
                 if number == count // 10:
                     before = Usage.of(os.getpid())
-                answer = served.call('spawn_entity', **_spawn(rng, number))
+                fields = _spawn(rng, number, place)
+                answer = served.call('spawn_entity', **fields)
+                uri, text = fields['uri'], fields['resource_string']
+                if answer.entity_name and ('private' in uri or '<include' in text):
+                    raise SoakError(f'a private file was read: {uri}{text}')
                 codes['spawned' if answer.entity_name else 'rejected'] += 1
                 if not answer.entity_name and not answer.result.error_message.isprintable():
                     raise SoakError(f'the reason is no line: {answer.result.error_message!r}')
