@@ -4,7 +4,8 @@
 """The simulation of a world: no clock, no threads, no ROS; time is a count of physics steps."""
 
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.saved_state import SimulationState
 from manip_sim.simulation.simulation import Simulation
 from manip_sim.simulation.state import State, Wrench
 
-__all__ = ['SimulatedRobot', 'Simulation', 'State', 'Wrench']
+__all__ = ['SimulatedRobot', 'Simulation', 'SimulationState', 'State', 'Wrench']
