@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from manip_sim.simulation.commands import (
-    Command, GripperCommand, JointTrajectory, Status, STOPPED, TrajectoryStop)
+from manip_sim.simulation.commands import Command, Status, STOPPED, TrajectoryStop
+from manip_sim.simulation.ledger import takes_from
 
 
 class CommandBuffer:
@@ -36,7 +36,7 @@ class CommandBuffer:
         kept = []
         stop = isinstance(command, TrajectoryStop)
         for older in self._waiting:
-            rest = older.without(command.indices) if _rivals(older, command) else older
+            rest = older.without(command.indices) if takes_from(command, older) else older
             if rest is None:
                 command = _counting(older, command)
                 older.handle.end(*(STOPPED if stop else (Status.REPLACED,)))
@@ -87,15 +87,3 @@ def _counting(older: Command, newer: Command) -> Command:
         return newer
     copied = np.array_equal(older.goal, newer.goal)
     return replace(newer, messages=older.messages + (0 if copied else newer.messages))
-
-
-def _rivals(older: Command, newer: Command) -> bool:
-    """Tell whether a command removes its joints from an older one."""
-    if isinstance(newer, GripperCommand):
-        return isinstance(older, GripperCommand) and older.parts == newer.parts
-    if isinstance(older, GripperCommand):
-        return False
-    if isinstance(newer, TrajectoryStop) or (isinstance(newer, JointTrajectory)
-                                             and newer.start_ns):
-        return isinstance(older, JointTrajectory)
-    return True

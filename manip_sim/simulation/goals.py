@@ -11,7 +11,8 @@ from enum import Enum, IntEnum
 from typing import Any
 
 from manip_sim.errors import CommandError
-from manip_sim.simulation.commands import Command, CommandHandle, Status
+from manip_sim.simulation.commands import Command, Status
+from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
 
@@ -71,14 +72,16 @@ class Goal(ABC):
 
     :param robot: the robot that is commanded
     :param command: the command, not yet applied
+    :param ledger: that it will be in
     :ivar robot: the robot that is commanded
     :ivar command: the command
     :ivar outcome: how it has ended, or None; set once
     :ivar view: progress for feedback, or None; replaced, never changed in place
     """
 
-    def __init__(self, robot: SimulatedRobot, command: Command) -> None:
+    def __init__(self, robot: SimulatedRobot, command: Command, ledger: Ledger) -> None:
         self.robot = robot
+        self._ledger = ledger
         self.command = command
         self.outcome: Outcome | None = None
         self.view: Any = None
@@ -105,7 +108,7 @@ class Goal(ABC):
         elif handle.status in (Status.ABORTED, Status.REPLACED):
             self.abort(handle.reason or _NEWER)
         else:
-            rival = self._rival()
+            rival = self._ledger.rival(self.command)
             if rival is None:
                 self._judge(simulation)
             else:
@@ -136,10 +139,6 @@ class Goal(ABC):
     @abstractmethod
     def _look(self, simulation: Simulation) -> None:
         """Observe the present instant, and replace :attr:`view`."""
-
-    @abstractmethod
-    def _rival(self) -> CommandHandle | None:
-        """Return what took joints or the gripper from the command, or None."""
 
     @abstractmethod
     def _judge(self, simulation: Simulation) -> None:

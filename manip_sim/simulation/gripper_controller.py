@@ -15,6 +15,7 @@ from manip_sim.simulation.formatting import Formatter
 from manip_sim.simulation.gripper_actuators import GripperActuators
 from manip_sim.simulation.gripper_force import ForceLimit
 from manip_sim.simulation.gripper_joints import GripperJoints
+from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.parts import Part
 
 #: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
@@ -42,7 +43,7 @@ class GripperController:
     :param part: the gripper
     :param timestep_s: of the physics [s]
     :ivar joints: those that take position commands
-    :ivar owner: the handle of the last command, or of what has ended it
+    :ivar commands: the command that has not ended, and who took the actuators last
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
 
@@ -57,8 +58,7 @@ class GripperController:
         self._formatter = Formatter(part.gripper, len(part.actuators))
         self.joints = GripperJoints(model, part.name, self._actuators)
         self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
-        self._running: Command | None = None
-        self.owner = CommandHandle(Status.DONE)
+        self.commands = Ledger(len(part.actuators))
         self._forget()
 
     def _forget(self) -> None:
@@ -110,8 +110,8 @@ class GripperController:
     def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the fingers where they are."""
         reason = 'the simulation was reset'
-        self._end(Status.ABORTED, reason)
-        self.owner = CommandHandle(Status.ABORTED, reason)
+        self.commands.end(Status.ABORTED, reason)
+        self.commands.release(self.indices, Status.ABORTED, reason)
         self._force.set(0.0)
         self._forget()
         mujoco.mj_fwdPosition(self._model, data)
@@ -121,9 +121,9 @@ class GripperController:
 
     def apply(self, command: Command, data: mujoco.MjData) -> None:
         """Apply a command; it takes effect with the next :meth:`tick`."""
-        self._end(Status.REPLACED)
-        self._running = command
-        self.owner = command.handle
+        self.commands.end(Status.REPLACED)  # Also one of a gripper without actuators.
+        self.commands.take(command, self.indices)
+        self.commands.running.append(command)
         command.handle.status = Status.RUNNING
         self._force.set(command.max_effort if isinstance(command, GripperGrasp) else 0.0)
         if isinstance(command, GripperAction):
@@ -170,18 +170,10 @@ class GripperController:
         :param handle: of the command
         :param reason: why, for the handle
         """
-        handle.end(Status.ABORTED, reason)
-        if self.owner is not handle:
-            return
-        self._running, self.owner = None, CommandHandle(Status.ABORTED, reason)
-        if self._moving and not self._pressing.any():
+        own = self.commands.withdraw(handle, reason)
+        if own.size and self._moving and not self._pressing.any():
             self._action, self._in_step = None, False
             self._set_goal(self._actuators.setpoints(data), to_end=False)
-
-    def _end(self, status: Status, reason: str = '', error: FloatArray | None = None) -> None:
-        if self._running is not None:
-            self._running.handle.end(status, reason, error)
-            self._running = None
 
     def _set_goal(self, goal: FloatArray, to_end: bool) -> None:
         low, high = self._actuators.ranges.T
@@ -215,7 +207,8 @@ class GripperController:
         waits = self._to_end.any(axis=1) & ~self._pressing
         self._moving = self._action is not None or not there.all() or bool(waits.any())
         if not self._moving:
-            self._end(Status.DONE, error=self._goal - place)
+            for command in list(self.commands.running):
+                self.commands.finish(command, self._goal - place)
 
     def _target(self, data: mujoco.MjData, place: FloatArray, setpoints: FloatArray) -> FloatArray:
         """Return the goals, beyond the end of the range where the full force is requested."""

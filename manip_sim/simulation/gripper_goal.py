@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.errors import CommandError
 from manip_sim.simulation.joint_command_parser import check_names
-from manip_sim.simulation.commands import CommandHandle, GripperGrasp, Status
+from manip_sim.simulation.commands import GripperGrasp, Status
 from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.robot import SimulatedRobot
@@ -96,16 +96,12 @@ class GripperGoal(Goal):
         super().__init__(robot, GripperGrasp(
             robot=robot.robot_model, parts=frozenset([part]), indices=gripper.indices,
             joints=(joint,), values=values, clamped=clamped, max_effort=request.max_effort,
-            max_velocity=request.max_velocity))
+            max_velocity=request.max_velocity), gripper.commands)
         self._gripper = gripper
         self._joint, self._position = joint, float(values[0])
         span = high - low
         self._near = _REACHED * span if math.isfinite(span) else _REACHED_ENDLESS
         self._still_since_ns: int | None = None
-
-    def _rival(self) -> CommandHandle | None:
-        owner = self._gripper.owner
-        return None if owner is self.command.handle else owner
 
     def _look(self, simulation: Simulation) -> None:
         joint, time_ns = simulation.data.joint(self._joint), simulation.time_ns

@@ -15,7 +15,6 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
-from manip_sim.simulation.active_commands import ActiveCommands
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
 from manip_sim.simulation.cartesian.hands import Hand
@@ -23,6 +22,7 @@ from manip_sim.simulation.command_timeouts import CommandTimeouts
 from manip_sim.simulation.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.simulation.controlled_joints import ControlledJoints
+from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
@@ -55,7 +55,7 @@ class JointController(ControlledJoints):
         self.cartesian = CartesianController(
             model, data, hands or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
-        self.commands = ActiveCommands(len(self.names))
+        self.commands = Ledger(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
@@ -310,9 +310,7 @@ class JointController(ControlledJoints):
                 self._time_out(part)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
-        self.commands.running.remove(command)
-        measured = data.qpos[self._servos.qpos[command.indices]]
-        command.handle.end(Status.DONE, error=goal - measured)
+        self.commands.finish(command, goal - data.qpos[self._servos.qpos[command.indices]])
 
     def _time_out(self, part: str) -> None:
         indices = self.indices_of(part)

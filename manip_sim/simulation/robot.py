@@ -399,10 +399,8 @@ class SimulatedRobot:
 
         :param reason: why, for the handles
         """
-        for command in (*self.joints.commands.running, *self.joints.commands.waiting):
-            command.handle.end(Status.ABORTED, reason)
-        for gripper in self.grippers.values():
-            gripper.owner.end(Status.ABORTED, reason)
+        for ledger in (self.joints.commands, *(g.commands for g in self.grippers.values())):
+            ledger.end(Status.ABORTED, reason)
 
     def reset(self) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""

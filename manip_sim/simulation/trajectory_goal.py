@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation.joint_command_parser import check_names
-from manip_sim.simulation.commands import CommandHandle, JointTrajectory, Status
+from manip_sim.simulation.commands import JointTrajectory, Status
 from manip_sim.simulation.goals import Goal, GoalCode, GoalError
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.simulation import Simulation
@@ -104,7 +104,7 @@ class TrajectoryGoal(Goal):
         except CommandError as error:
             raise GoalError(GoalCode.INVALID_GOAL, str(error)) from error
         assert isinstance(command, JointTrajectory)
-        super().__init__(robot, command)
+        super().__init__(robot, command, robot.joints.commands)
         self._last = command.trajectory.positions[-1].copy()
         _check_end(part, self.names, request, self._last, self._end)
         self._goal_time_s = request.goal_time_s
@@ -128,10 +128,7 @@ class TrajectoryGoal(Goal):
     @property
     def _has_started(self) -> bool:
         return (self.command.handle.status is not Status.WAITING
-                and not self.robot.joints.commands.awaits(self.command.handle))
-
-    def _rival(self) -> CommandHandle | None:
-        return self.robot.joints.commands.rival(self.command)
+                and not self._ledger.awaits(self.command.handle))
 
     def _judge(self, simulation: Simulation) -> None:
         assert self.view is not None

@@ -298,3 +298,18 @@ def test_the_page_on_control_modes_shows_the_example(file):
     page = IMPEDANCE.parents[2] / 'docs' / 'how_to' / 'add_control_mode.md'
     _, _, code = (IMPEDANCE / file).read_text().partition('\n\n')  # After the licence.
     assert code in page.read_text()
+
+
+def test_a_saved_state_in_impedance_mode_is_continued_bit_by_bit(impedance):
+    impedance(stiffness=50.0, damping=15.0)
+    first, second = Simulation(compose('Panda')), Simulation(compose('Panda'))
+    first.robot.set_control_mode('arm', 'impedance')
+    first.robot.apply(*first.robot.parse.joint_command(ARM[:1], position=[0.5]))
+    first.advance(50)
+    second.restore(first.save())
+    for simulation in (first, second):
+        simulation.robot.apply(*simulation.robot.parse.joint_command(ARM[1:2], position=[0.3]))
+        simulation.advance(100)
+        simulation.robot.set_control_mode('arm', 'position')
+        simulation.advance(100)
+    assert first.digest() == second.digest()
