@@ -322,7 +322,11 @@ class SimulatedRobot:
 
     def trajectory_reference(self, handle: CommandHandle
                              ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Return position, velocity and acceleration of a trajectory that runs, or None."""
+        """
+        Return position, velocity and acceleration of a trajectory that runs, or None.
+
+        :param handle: of the trajectory's command
+        """
         return self.joints.commands.reference(handle, self._clock.control_s)
 
     # ------------------------------------------------------------------ in the physics loop
