@@ -4,6 +4,7 @@
 """The layers: ros on simulation on models, and nothing upward; what modules and tests are like."""
 
 import ast
+import importlib
 from pathlib import Path
 import sys
 
@@ -99,3 +100,14 @@ def test_every_test_that_may_be_skipped_says_why(path):
                 assert 'reason' in reasons, f'{path}:{node.lineno}'
             elif node.func.attr == 'skip':
                 assert node.args or 'reason' in reasons, f'{path}:{node.lineno}'
+
+
+def test_the_pictures_of_the_architecture_are_those_of_the_code(monkeypatch):
+    monkeypatch.syspath_prepend(TESTS_FOLDER.parent / 'docs')
+    drawn = importlib.import_module('draw_architecture')
+    for path, content in drawn.pictures():
+        assert path.read_text() == content, 'run python docs/draw_architecture.py'
+    for place, _ in (*drawn.COMMAND, *drawn.STATE):
+        assert not place.endswith('.py') or (PACKAGE / place).is_file(), place
+    rooms = {name for floor in drawn.FLOORS for name in floor}
+    assert rooms == {path.name for path in PACKAGE.iterdir() if (path / '__init__.py').is_file()}
