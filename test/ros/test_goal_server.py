@@ -11,7 +11,7 @@ from harness import Client, Served
 import pytest
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 pytest.importorskip('test_msgs', reason='test_msgs is not installed (ros-jazzy-test-msgs)')
 
@@ -111,6 +111,22 @@ def test_goal_succeeds_and_its_client_hears_of_it_twenty_times_a_second(swinger)
     assert 10 <= len(swinger.told) <= 26
     times = [time_ms for _, time_ms in swinger.told]
     assert times == sorted(set(times))
+
+
+def test_a_goal_of_a_paused_simulation_has_no_feedback(swinger):
+    handle = swinger.send(50)
+    swinger.client.spin_until(lambda: len(swinger.told) > 2)
+    assert swinger.client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=True)).success
+    states = swinger.client.listen(JointState, 'joint_states')
+    # What was on its way has come.
+    swinger.client.spin_until(lambda: len(states) > 3)
+    told, seen = len(swinger.told), len(states)
+    swinger.client.spin_until(lambda: len(states) > seen + 5)
+    assert len(swinger.told) == told
+    assert swinger.client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False)).success
+    swinger.client.spin_until(lambda: len(swinger.told) > told)
+    swinger.wait(handle.cancel_goal_async())
+    assert swinger.result(handle) == CANCELED
 
 
 def test_goal_that_is_rejected_changes_nothing_and_is_counted_and_told(served, swinger):

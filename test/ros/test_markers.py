@@ -3,11 +3,15 @@
 
 """Markers of contacts and wrenches: forces add up to a weight, what went is gone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
-from manip_sim.ros.markers import FORCE_SCALE, TORQUE_SCALE
+from manip_sim.ros import markers
+from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.markers import FORCE_SCALE, MarkerPublisher, TORQUE_SCALE
 from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.simulation.poses import Pose
 
@@ -46,6 +50,8 @@ def test_forces_on_a_cube_add_up_to_its_weight_and_go_with_it(shown, client):
     np.testing.assert_allclose([point(p) for p in points.points], starts)
     np.testing.assert_allclose(starts[:, 2], 0.8, atol=1e-3)
     assert {m.header.frame_id for m in arrays[-1].markers} == {'world'}
+    # The length of an arrow's head is that of the type.
+    assert {m.scale.z for m in arrays[-1].markers if m.type == Marker.ARROW} == {0.0}
     # Each message replaces the one before.
     assert all(a.markers[0].action == Marker.DELETEALL for a in arrays)
     stamps = [nanoseconds_of(a.markers[0].header.stamp) for a in arrays]
@@ -77,3 +83,17 @@ def test_an_arrow_shows_the_push_on_a_tool_in_world(shown, client):
     np.testing.assert_allclose(origin, [frame], atol=1e-3)
     np.testing.assert_allclose(torque[0] / TORQUE_SCALE,
                                np.cross(data.xipos[hand] - frame, push), atol=0.02)
+
+
+def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(client, monkeypatch):
+    positions, forces = np.eye(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    monkeypatch.setattr(markers, 'read_contacts',
+                        lambda *_: SimpleNamespace(position=positions, force=forces))
+    publisher = MarkerPublisher(client.node, {}, 'world', RejectionLog(client.node.get_logger()))
+    received = client.listen(MarkerArray, 'client/markers')
+    client.spin_until(publisher.look)
+    publisher.publish(SimpleNamespace(time_ns=0, model=None, data=None))
+    client.spin_until(lambda: bool(received))
+    starts, vectors = arrows(received[0], 'contact_forces')
+    np.testing.assert_allclose(starts, positions[[0, 2]])
+    np.testing.assert_allclose(vectors, FORCE_SCALE * forces[[0, 2]])

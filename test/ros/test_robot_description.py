@@ -4,6 +4,7 @@
 """``robot_description``: latched, of every robot, in agreement with what the node publishes."""
 
 import json
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 from geometry_msgs.msg import PoseStamped
@@ -15,6 +16,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from test_model_files import write_arm
+
+from manip_sim.interface.scope import Scope
+from manip_sim.ros import robot_description
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -115,3 +119,17 @@ def test_the_dynamics_of_all_robots_are_latched_as_json(node, client):
         assert joint['position_range'] == (
             model.joint(name).range.tolist() if model.joint(name).limited[0] else None)
     assert told['joints']['ur_elbow_joint']['velocity_limit'] == pytest.approx(np.pi, abs=0.01)
+
+
+@pytest.mark.parametrize(('scope', 'note'), [
+    ('left', 'left: robot_description: no a; no b'), ('', 'robot_description: no a; no b')])
+def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, monkeypatch):
+    monkeypatch.setattr(robot_description, 'urdfs_of', lambda *_: {
+        'robot0': SimpleNamespace(xml='<robot/>', notes=['no a', 'no b'])})
+    published, notes = [], []
+    node = SimpleNamespace(notes=notes, create_publisher=lambda kind, topic, qos: SimpleNamespace(
+        publish=lambda message: published.append((topic, message.data))))
+    robot_description.DescriptionPublisher(
+        node, None, {Scope(scope): SimpleNamespace(name='robot0')}).publish()
+    assert notes == [note]
+    assert published == [(f'{scope}/robot_description'.lstrip('/'), '<robot/>')]

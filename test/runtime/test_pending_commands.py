@@ -9,7 +9,7 @@ from manip_sim.errors import CommandError
 from manip_sim.runtime.pending_commands import PendingCommands
 from manip_sim.simulation.commands import Status
 
-SHOWN_NS, NEXT_NS = 20_000_000, 30_000_000
+SHOWN_NS, NEXT_NS = 3_600_020_000_000, 3_600_030_000_000
 
 
 @pytest.fixture
@@ -59,8 +59,8 @@ def test_only_the_state_that_was_shown_last_can_be_answered(pending, answer):
     shown(pending)
     for stamp_ns in (SHOWN_NS - 1, NEXT_NS):
         with pytest.raises(CommandError, match=r'^lockstep: the command answers the state of '
-                                               r'0\.0[0-9]* s, the present state is that of '
-                                               r'0\.020000000 s$'):
+                                               r'3600\.0[0-9]* s, the present state is that '
+                                               r'of 3600\.020000000 s$'):
             answer(stamp_ns)
     assert not pending.complete
     # What gives no stamp answers whatever is shown.
