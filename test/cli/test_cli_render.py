@@ -31,7 +31,7 @@ def process(renderer, tmp_path_factory):
                                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE)
     yield process
-    assert process.communicate(timeout=60.0) == ('', '')
+    assert process.communicate(timeout=300.0) == ('', '')
 
 
 @pytest.fixture

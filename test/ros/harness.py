@@ -126,7 +126,7 @@ class Served:
 
     def close(self) -> None:
         self.executor.end()
-        self.thread.join(timeout=60.0)
+        self.thread.join(timeout=300.0)
         # A node that is still spun cannot be destroyed, and would be seen by the next test.
         assert not self.thread.is_alive()
         self.executor.shutdown()

@@ -139,6 +139,6 @@ class HostileNode:
     def close(self) -> None:
         """End the node."""
         rclpy.shutdown(context=self.context)
-        self._thread.join(timeout=60.0)
+        self._thread.join(timeout=300.0)
         self.executor.shutdown()
         self.node.destroy_node()

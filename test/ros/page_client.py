@@ -18,7 +18,7 @@ import websockets
 import zstandard
 
 #: How long to wait for something on the page [s].
-_PATIENCE_S = 60.0
+_PATIENCE_S = 300.0
 
 
 class PageClient:

@@ -147,7 +147,7 @@ class PageRunner:
         elif words[:2] == ['manip_sim', 'render']:
             # In a process of its own: MuJoCo chooses how it renders when it is imported.
             subprocess.run([sys.executable, '-m', 'manip_sim.cli', *rest], check=True,
-                           timeout=60.0, stdout=subprocess.DEVNULL)
+                           timeout=300.0, stdout=subprocess.DEVNULL)
         elif first == 'manip_sim':
             assert manip_sim(rest) == 0, words
         elif first == 'sim_node':
@@ -155,7 +155,7 @@ class PageRunner:
         elif first in PROGRAMS:
             assert f"'{first}': " in SETUP and (ROOT / 'test' / 'ros' / PROGRAMS[first]).exists()
         elif first == 'make':
-            subprocess.run(['make', '--dry-run', *rest], cwd=ROOT, check=True, timeout=30.0,
+            subprocess.run(['make', '--dry-run', *rest], cwd=ROOT, check=True, timeout=300.0,
                            stdout=subprocess.DEVNULL)
         elif words[:2] == ['pip', 'install']:
             for extra in re.findall(r'[\w-]+', words[2].partition('[')[2]):
@@ -247,7 +247,7 @@ class PageRunner:
             if thread.is_alive():
                 # In the client's thread: a shutdown from here takes the executor away under it.
                 rclpy.get_global_executor().create_task(end)
-            thread.join(timeout=30.0)
+            thread.join(timeout=300.0)
             rclpy.try_shutdown()
         assert not errors, errors
         assert not thread.is_alive()

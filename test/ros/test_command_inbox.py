@@ -39,10 +39,10 @@ def took_s(function):
 def test_a_wake_ends_the_wait_that_is_or_the_next_one(inbox):
     inbox = inbox[0]
     inbox.wake()
-    assert took_s(lambda: inbox.wait(20.0)) < 10.0
+    assert took_s(lambda: inbox.wait(300.0)) < 150.0
     assert took_s(lambda: inbox.wait(0.05)) >= 0.04
     threading.Timer(0.1, inbox.wake).start()
-    assert took_s(lambda: inbox.wait(20.0)) < 10.0
+    assert took_s(lambda: inbox.wait(300.0)) < 150.0
 
 
 def test_messages_are_taken_by_who_waits_and_not_by_the_executor(node, inbox, client):

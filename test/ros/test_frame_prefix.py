@@ -19,11 +19,11 @@ def test_commands_take_frames_as_the_messages_of_the_node_call_them(prefix, serv
     target.header.frame_id = f'{prefix}world'
     goal = target.pose.position.z = target.pose.position.z + 0.05
     client.publish('right/target_pose', target)
-    client.spin_until(lambda: abs(poses[-1].pose.position.z - goal) < 1e-3, timeout_s=20.0)
+    client.spin_until(lambda: abs(poses[-1].pose.position.z - goal) < 1e-3)
     twist = TwistStamped()
     twist.header.frame_id, twist.twist.linear.z = f'{prefix}robot0_base', 0.05
 
     def has_moved():
         client.publish('right/target_twist', twist)
         return poses[-1].pose.position.z > goal + 0.01
-    client.spin_until(has_moved, timeout_s=20.0)
+    client.spin_until(has_moved)

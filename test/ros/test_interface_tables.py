@@ -55,8 +55,7 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
             return {name: _either(kinds[0].replace('/msg/', '/'))
                     for name, kinds in seen('manip_sim', '/')
                     if name not in OF_ROS and '/_action/' not in name}
-        client.spin_until(lambda found=found, wanted=wanted: len(found()) >= len(wanted),
-                          timeout_s=30.0)
+        client.spin_until(lambda found=found, wanted=wanted: len(found()) >= len(wanted))
         assert found() == wanted
     services = dict(client.node.get_service_names_and_types_by_node('manip_sim', '/'))
     assert {as_seen(s.name): s.type for s in SERVICES}.items() <= {

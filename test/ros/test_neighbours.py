@@ -29,7 +29,7 @@ from sensor_msgs.msg import JointState
 rclpy.init()
 node = rclpy.create_node('never_reads')
 node.create_subscription(JointState, 'joint_states', print, 1000)
-time.sleep(30.0)
+time.sleep(300.0)
 """
 
 NEVER_ACKNOWLEDGES = """
@@ -70,7 +70,7 @@ def test_two_clients_may_control_the_simulation_at_once(serve, client):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(timeout=100.0)
+        thread.join(timeout=300.0)
     assert not failures
     assert not node.thread.paused
     first = client.state()

@@ -41,7 +41,7 @@ def test_a_signal_ends_the_process_cleanly_at_any_moment(number, delay_s, sim_pr
     node.send_signal(number)
     _, errors = node.communicate(timeout=300.0)
     # On a machine that is slow a start takes long too.
-    assert time.monotonic() - asked < 5.0 + 2.0 * (asked - begin)
+    assert time.monotonic() - asked < 5.0 + 10.0 * (asked - begin)
     assert node.returncode == 0, errors
     assert 'Traceback' not in errors
 
@@ -149,7 +149,7 @@ sys.exit(__main__.main())
 
 def test_the_first_state_waits_for_no_description_and_one_that_fails_ends_the_node():
     done = subprocess.run([sys.executable, '-c', DESCRIBES], text=True, capture_output=True,
-                          timeout=60.0)
+                          timeout=300.0)
     assert done.stdout == 'True True\n'
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == 'sim_node: no archive of this world'

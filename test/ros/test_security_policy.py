@@ -107,7 +107,7 @@ def test_ros_from_wheels_has_no_security_and_a_node_that_needs_it_does_not_start
     done = subprocess.run(
         [sys.executable, '-m', 'manip_sim', '--ros-args', '--enclave', '/manip_sim'], env={
             **os.environ, 'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': strategy,
-            'ROS_SECURITY_KEYSTORE': str(tmp_path)}, capture_output=True, text=True, timeout=60)
+            'ROS_SECURITY_KEYSTORE': str(tmp_path)}, capture_output=True, text=True, timeout=300.0)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == (
         "sim_node: error creating node: This Fast DDS version doesn't have the security libraries")

@@ -16,7 +16,7 @@ def test_the_soak_scripts_run_and_lose_nothing():
          'time', 'requests', 'viewer', 'spawns', 'actions', '--messages', '500',
          '--flood', '0.1', '--stops', '2', '--starts', '4', '--hours', '0.003',
          '--requests', '300', '--viewer', '300', '--spawns', '150', '--goals', '500'],
-        capture_output=True, text=True, timeout=160.0)
+        capture_output=True, text=True, timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith('|')]
     assert len(rows) == 2 + 12

@@ -53,7 +53,7 @@ def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):
     monkeypatch.delenv('ROS_LOG_DIR', raising=False)
     monkeypatch.delenv('ROS_HOME', raising=False)
     node = process()
-    _, errors = node.communicate(timeout=30.0)
+    _, errors = node.communicate(timeout=300.0)
     assert node.returncode == 1
     assert len(errors.splitlines()) == 1, errors
     assert '/proc/nobody' in errors
@@ -65,7 +65,7 @@ def first_joint_and_warnings(process, client, *arguments):
     node = process('--ros-args', *arguments)
     joint = client.state().name[0]
     node.send_signal(signal.SIGINT)
-    _, errors = node.communicate(timeout=30.0)
+    _, errors = node.communicate(timeout=300.0)
     assert node.returncode == 0
     # That other processes slow the machine is no matter of the arguments.
     return joint, [line for line in errors.splitlines()

@@ -37,11 +37,11 @@ def connect(client):
 @pytest.fixture
 def until(client):
     """Return a function that lets a hardware run its cycles until a condition holds."""
-    def run(hardware, condition, timeout_s=20.0):
+    def run(hardware, condition):
         def cycle():
             hardware.cycle()
             return condition()
-        client.spin_until(cycle, timeout_s)
+        client.spin_until(cycle)
     return run
 
 

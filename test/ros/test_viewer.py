@@ -29,7 +29,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 ARGUMENTS = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
              '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist']
 #: A browser on a busy machine without a graphics card is slow [ms].
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 VIEWER = [sys.executable, '-m', 'manip_sim.viewer']
 
 
@@ -252,7 +252,7 @@ def test_the_window_of_mujoco_ends_cleanly_too(node):
 
 
 def run_viewer(*arguments, environment=None):
-    return subprocess.run([*VIEWER, *arguments], capture_output=True, text=True, timeout=60.0,
+    return subprocess.run([*VIEWER, *arguments], capture_output=True, text=True, timeout=300.0,
                           env=environment, check=False)
 
 

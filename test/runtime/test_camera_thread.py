@@ -20,7 +20,7 @@ from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.spawning import plan_with, plan_without
 
-WAIT_S = 30.0
+WAIT_S = 300.0
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.2, 'position': [3.0, 0.0, 1.0],
         'rgba': [0.0, 0.0, 1.0, 1.0]}
 EYE = {'name': 'eye', 'position': [2.0, 0.0, 1.0], 'fovy': 60}

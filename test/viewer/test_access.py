@@ -34,7 +34,7 @@ def server():
 
 
 def get(server, path, headers):
-    connection = http.client.HTTPConnection('127.0.0.1', server.get_port(), timeout=20.0)
+    connection = http.client.HTTPConnection('127.0.0.1', server.get_port(), timeout=300.0)
     try:
         connection.putrequest('GET', path, skip_host=True)
         for name, value in headers:

@@ -24,7 +24,7 @@ sys.exit(main())
 
 def without(module, *arguments):
     return subprocess.run([sys.executable, '-c', WITHOUT, module, *arguments], text=True,
-                          capture_output=True, timeout=60.0, check=False)
+                          capture_output=True, timeout=300.0, check=False)
 
 
 def test_without_viser_it_says_what_to_install():
@@ -59,7 +59,7 @@ def test_without_a_screen_the_process_says_so_in_one_line():
     if sys.platform != 'linux':
         pytest.skip('other systems have a screen')
     done = subprocess.run([sys.executable, '-m', 'manip_sim.viewer', '--native'], text=True,
-                          capture_output=True, timeout=60.0, check=False, env=bare)
+                          capture_output=True, timeout=300.0, check=False, env=bare)
     assert done.returncode == 1
     assert done.stderr.startswith('sim_view: --native needs a screen')
     assert done.stderr.count('\n') == 1
@@ -67,5 +67,5 @@ def test_without_a_screen_the_process_says_so_in_one_line():
 
 def test_an_unknown_option_is_a_wrong_command_line():
     done = subprocess.run([sys.executable, '-m', 'manip_sim.viewer', '--prot', '1'], text=True,
-                          capture_output=True, timeout=60.0, check=False)
+                          capture_output=True, timeout=300.0, check=False)
     assert done.returncode == 2
