@@ -26,7 +26,7 @@ from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 _IMPRATIO = 10.0
 #: Iterations after the solver that take the rest of that out, so that grasped objects do not creep
 #: (mujoco.readthedocs.io, modeling, "Preventing slip"), and when they may end sooner.
-_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-10
+_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-7
 #: MuJoCo 3.17; versions up to 3.15 do not compile a composed world without visual shapes.
 _DISCARDS_VISUALS = 3017000
 
