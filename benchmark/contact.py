@@ -4,13 +4,15 @@
 """
 What grippers feel and hold: press, drag, hold and shake, as a table.
 
-    python3 benchmark/contact.py [NAME ...]
+    python3 benchmark/contact.py [--topics] [NAME ...]
 
-Each gripper is mounted on a Panda at a table, hands with five fingers on a GR1.
+Each gripper is mounted on a Panda at a table, hands with five fingers on a GR1; each robot has its
+own gripper. With ``--topics`` a client of a node in lock-step presses, see ``pressing.py``.
 
-- press: an admittance controller of 100 Hz lowers the hand at 20 mm/s until it touches, presses
-  with 10 N, and slides at 30 mm/s: the greatest force in one step at the touch, and the greatest
-  error of ``external_wrench`` from 1.5 s after touch and after the start of sliding on.
+- touch: an admittance controller of 100 Hz lowers the hand at 20 mm/s until it touches, and
+  presses with 10 N: the greatest force in a step, wherever in a control period the touch falls.
+- press: then it slides at 30 mm/s: the greatest error of ``external_wrench`` from 1.5 s after the
+  touch and after the start of sliding on.
 - drag: in effort mode, the target so far below the table that the hand presses with 8 N, along x
   and y, to and fro, at 5, 20 and 50 mm/s: the share of steps without contact at the worst, and
   where; the friction at the most.
@@ -22,8 +24,12 @@ Each gripper is mounted on a Panda at a table, hands with five fingers on a GR1.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
+import os
+from pathlib import Path
 import sys
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -36,17 +42,22 @@ from manip_sim.simulation import Simulation
 
 TIMESTEP_S, STEPS = 0.002, 5
 PERIOD_S = TIMESTEP_S * STEPS
-#: What each gripper may carry [kg], and the edge of the cube [m]; the load is 80 % of it.
+#: What each gripper may carry [kg], and the edge of the cube [m]; the load is 80 % of it. Where it
+#: says so, the figure of the maker could not be checked.
 PAYLOADS = {
-    # Franka Emika, Panda data sheet: payload of the arm.
+    # The arm's payload, as Franka Emika states it for the Panda.
     'PandaGripper': (3.0, 0.04),
-    # Rethink Robotics, electric parallel gripper: 5 lb.
+    # 5 lb: Machine Design, "Baxter: A robot for the rest of us", 16 October 2012.
     'RethinkGripper': (2.3, 0.04),
-    # Robotiq, 2F-85 and 2F-140 manual: 5 kg and 2.5 kg; 3-Finger: 2.5 kg with the fingertips.
+    # Not checked: 5 kg, 2.5 kg and, with the fingertips, 2.5 kg in Robotiq's manuals.
     'Robotiq85Gripper': (5.0, 0.05), 'Robotiq140Gripper': (2.5, 0.05),
     'RobotiqThreeFingerGripper': (2.5, 0.06), 'RobotiqThreeFingerDexterousGripper': (2.5, 0.06),
-    # Kinova, Jaco data sheet: payload of the arm, 1.6 kg.
+    # Not checked: the arm's payload, 1.6 kg in Kinova's data sheet of the Jaco.
     'JacoThreeFingerGripper': (1.6, 0.05), 'JacoThreeFingerDexterousGripper': (1.6, 0.05)}
+#: Robots that are measured with their own grippers; Panda and GR1 are with those that they carry.
+ROBOTS = ['UR5e', 'IIWA', 'Sawyer', 'Kinova3', 'Jaco', 'Baxter']
+#: Hands that press through topics: the plainest, and that whose fingers give most.
+TOPIC_GRIPPERS = ('PandaGripper', 'JacoThreeFingerGripper')
 DIRECTIONS = {'x': (1.0, 0.0), '-x': (-1.0, 0.0), 'y': (0.0, 1.0), '-y': (0.0, -1.0)}
 
 
@@ -54,18 +65,20 @@ class Bench:
     """
     A gripper on a robot.
 
-    :param gripper: its name
+    :param name: of a gripper, or of a robot that has its own
     :param arena: where
     :param objects: descriptions of objects
     """
 
-    def __init__(self, gripper, arena='table', objects=()):
-        five_fingers = gripper.startswith('Fourier')
-        self.arm = 'left' if gripper == 'FourierLeftHand' else 'right'
-        self.simulation = Simulation(compose(
-            'GR1' if five_fingers else 'Panda', gripper={self.arm: gripper},
-            arena=TableArena(table_height_m=1.04) if five_fingers else arena,
-            timestep_s=TIMESTEP_S, objects=objects))
+    def __init__(self, name, arena=None, objects=()):
+        five_fingers = name.startswith('Fourier')
+        self.arm = 'left' if name == 'FourierLeftHand' else 'right'
+        robot, gripper = ((name, 'default') if name in ROBOTS else
+                          ('GR1' if five_fingers else 'Panda', {self.arm: name}))
+        # Nothing else may touch the table.
+        table = TableArena(cube=False, table_height_m=1.04 if five_fingers else 0.8)
+        self.simulation = Simulation(compose(robot, gripper, arena=arena or table,
+                                             timestep_s=TIMESTEP_S, objects=objects))
         self.robot = self.simulation.robot
         self.model, self.data = self.simulation.model, self.simulation.data
         self.reader = self.robot.end_effectors[self.arm]
@@ -104,6 +117,12 @@ class Bench:
         """Command the position of the hand, as it is turned at the start."""
         self.robot.apply(self.robot.parse_cartesian.pose(
             self.arm, list(position), list(self.quat_xyzw)), period_s=PERIOD_S)
+
+    def move(self, along, rise, steps):
+        """Let the hand move along y and z [m/s] for a control period."""
+        self.robot.apply(self.robot.parse_cartesian.twist(
+            self.arm, [0.0, along, rise], [0.0, 0.0, 0.0]), period_s=steps * TIMESTEP_S)
+        self.simulation.advance(steps)
 
     def gap(self):
         """Return how far the hand is above the table [m]."""
@@ -144,13 +163,13 @@ class Admittance:
     :param damping: of its law [N s/m]
     """
 
-    def __init__(self, force_n, period_s, damping=2500.0):
+    def __init__(self, force_n: float, period_s: float, damping: float = 2500.0) -> None:
         self._force_n, self._damping = force_n, damping
         # The law of a mass of 10 kg, exactly for a force that holds for a period.
         self._gain = -math.expm1(-damping / 10.0 * period_s)
         self.speed, self.touched = 0.0, False
 
-    def velocity(self, measured_n):
+    def velocity(self, measured_n: float) -> float:
         """Return how fast the hand shall rise [m/s]."""
         self.touched = self.touched or measured_n > 0.1
         if self.touched:
@@ -162,36 +181,50 @@ class Admittance:
         return -self.speed
 
 
-def press(gripper, force_n=10.0, rate_hz=100.0, slide=0.03, seconds=3.0, settle=1.5):
-    """Return peak at the touch, and the greatest errors still and sliding [N]."""
-    bench = Bench(gripper)
+def touch_down(name, force_n=10.0):
+    """Return the greatest force in a step, wherever in a control period the touch falls [N]."""
+    bench = Bench(name)
+    bench.approach(0.01)
+    forces = [0.0]
+    record = bench.reader.external.record
+
+    def record_and_look():
+        record()
+        forces.append(bench.touch()[0])
+    # That is called in each step with contact.
+    monitor: Any = bench.reader.external
+    monitor.record = record_and_look
+    for part in range(4):
+        bench.go(bench.position + [0.0, 0.0, 0.02 * PERIOD_S * part / 4.0])
+        bench.wait(1.0)
+        controller, since = Admittance(force_n, PERIOD_S), 0
+        while since < 30:
+            bench.move(0.0, controller.velocity(bench.pushed_up()), STEPS)
+            since += controller.touched
+    return max(forces)
+
+
+def press(name, force_n=10.0, rate_hz=100.0, slide=0.03, seconds=3.0, settle=1.5):
+    """Return the greatest errors still and sliding [N]."""
+    bench = Bench(name)
     bench.approach(0.01)
     steps = round(1.0 / rate_hz / TIMESTEP_S)
     controller = Admittance(force_n, steps * TIMESTEP_S)
+    count = round(seconds * rate_hz)
     measured: list[float] = []
-    peak = 0.0
-    touched_at = None
-    while touched_at is None or len(measured) - touched_at < 2 * seconds * rate_hz:
+    for _ in range(round(10.0 * rate_hz)):
         rise = controller.velocity(bench.pushed_up())
-        if controller.touched and touched_at is None:
-            touched_at = len(measured)
-        since = 0.0 if touched_at is None else (len(measured) - touched_at) / rate_hz
-        along = slide if since > seconds else 0.0
-        bench.robot.apply(bench.robot.parse_cartesian.twist(
-            bench.arm, [0.0, along, rise], [0.0, 0.0, 0.0]), period_s=steps * TIMESTEP_S)
-        bench.simulation.advance(steps)
-        measured.append(bench.pushed_up())
-        peak = max(peak, bench.touch()[0]) if since < 0.3 else peak
-        if len(measured) > 10 * rate_hz:
-            return peak, math.nan, math.nan
-    errors = np.abs(np.array(measured[touched_at:]) - force_n)
-    half, settle = round(seconds * rate_hz), round(settle * rate_hz)
-    return peak, errors[settle:half].max(), errors[half + settle:].max()
+        bench.move(slide if len(measured) > count else 0.0, rise, steps)
+        if controller.touched:
+            measured.append(bench.pushed_up())
+    errors = np.abs(np.array(measured) - force_n)
+    late = round(settle * rate_hz)
+    return errors[late:count].max(), errors[count + late:2 * count].max()
 
 
-def drag(gripper, speeds=(0.005, 0.02, 0.05), seconds=0.5):
+def drag(name, speeds=(0.005, 0.02, 0.05), seconds=0.5):
     """Return the greatest share of steps without contact, where that was, and the friction."""
-    bench = Bench(gripper)
+    bench = Bench(name)
     bench.approach(0.003)
     touching = bench.position - [0.0, 0.0, bench.gap()]
     bench.robot.set_control_mode(bench.arm, 'effort')
@@ -200,7 +233,7 @@ def drag(gripper, speeds=(0.005, 0.02, 0.05), seconds=0.5):
     depth = min(0.005 * 8.0 / max(bench.touch()[0], 0.1), 0.04)
     below = touching - [0.0, 0.0, depth]
     rows = []
-    for name, direction in DIRECTIONS.items():
+    for axis, direction in DIRECTIONS.items():
         for speed in speeds:
             for height in (depth + 0.003, 0.0):
                 bench.go(below + [0.0, 0.0, height])
@@ -213,7 +246,7 @@ def drag(gripper, speeds=(0.005, 0.02, 0.05), seconds=0.5):
                     bench.simulation.advance(1)
                     forces.append(bench.touch())
             normal, friction = np.array(forces)[round(0.3 / TIMESTEP_S):].T
-            rows.append((np.mean(normal < 0.05), f'{speed * 1e3:g} mm/s {name}',
+            rows.append((np.mean(normal < 0.05), f'{speed * 1e3:g} mm/s {axis}',
                          friction.sum() / max(normal.sum(), 1e-9)))
     lost, where, _ = max(rows, key=lambda row: row[0])
     return lost, where, max(row[2] for row in rows)
@@ -250,14 +283,14 @@ def hold(gripper, seconds=6.0):
     return load_kg, creep, np.linalg.norm(in_hand() - begin)
 
 
-def row(gripper):
+def row(name):
     """Return a row of the table."""
-    peak, still, sliding = press(gripper)
-    lost, where, friction = drag(gripper)
-    cells = [f'`{gripper}`', f'{peak:.1f}', f'{still:.2f}', f'{sliding:.2f}',
+    peak, (still, sliding) = touch_down(name), press(name)
+    lost, where, friction = drag(name)
+    cells = [f'`{name}`', f'{peak:.1f}', f'{still:.2f}', f'{sliding:.2f}',
              f'{100.0 * lost:.1f}' + (f' ({where})' if lost else ''), f'{friction:.2f}']
-    if gripper in PAYLOADS:
-        load_kg, creep, shaken = hold(gripper)
+    if name in PAYLOADS:
+        load_kg, creep, shaken = hold(name)
         cells += [f'{load_kg:.2f}', f'{creep * 60e3:.4f}', f'{shaken * 1e3:.3f}']
     else:
         cells += ['-', '-', '-']
@@ -265,23 +298,58 @@ def row(gripper):
 
 
 HEADER = """\
-| gripper | touch [N] | press, still [N] | press, sliding [N] | no contact [%] | friction | load [kg] | creep [mm/min] | shake [mm] |
+| gripper or robot | touch [N] | press, still [N] | press, sliding [N] | no contact [%] | friction | load [kg] | creep [mm/min] | shake [mm] |
 |---|---|---|---|---|---|---|---|---|"""  # noqa: E501
+TOPICS_HEADER = """\
+| gripper | force [N] | rate [Hz] | press, still [N] | press, sliding [N] |
+|---|---|---|---|---|"""
+
+
+def press_over_topics():
+    """Print a row for each force and rate: a client presses, a node in another process answers."""
+    sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
+    from domains import reserve_domain  # Of the tests.
+    os.environ.update(ROS_DOMAIN_ID=str(reserve_domain()[0]),
+                      ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+    import pressing
+    import rclpy
+    from targets.processes import start_node
+    rclpy.init()
+    node = rclpy.create_node('pressing')
+
+    def spin_until(condition):
+        while not condition():
+            rclpy.spin_once(node, timeout_sec=0.1)
+    print(TOPICS_HEADER)
+    for gripper, force_n, rate_hz in itertools.product(
+            TOPIC_GRIPPERS, (5.0, 10.0, 20.0), (100.0, 500.0)):
+        parameters = {**pressing.PARAMETERS, 'gripper': gripper, 'publish_rate': rate_hz}
+        with start_node(*(f'{name}:={value}' for name, value in parameters.items())):
+            still, sliding = pressing.press(node, spin_until, force_n, rate_hz)
+        print(f'| `{gripper}` | {force_n:g} | {rate_hz:g} | {still:.2f} | {sliding:.2f} |',
+              flush=True)
+    rclpy.shutdown()
 
 
 def main():
     """Measure and print a table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = [name for name in gripper_names() if name != 'NullGripper']
-    parser.add_argument('name', nargs='*', metavar='NAME', help='grippers (default: all)')
-    chosen = parser.parse_args().name or names
-    for name in chosen:
+    names = [*(name for name in gripper_names() if name != 'NullGripper'), *ROBOTS]
+    parser.add_argument('--topics', action='store_true', help='press through topics instead')
+    parser.add_argument('name', nargs='*', metavar='NAME',
+                        help=f'grippers, or robots of {", ".join(ROBOTS)} (default: all)')
+    options = parser.parse_args()
+    if options.topics:
+        press_over_topics()
+        return 0
+    for name in options.name:
         if name not in names:
-            print(f"unknown gripper '{name}': {describe_choices(name, names)}", file=sys.stderr)
+            print(f"unknown gripper or robot '{name}': {describe_choices(name, names)}",
+                  file=sys.stderr)
             return 1
     print(HEADER)
-    for name in chosen:
+    for name in options.name or names:
         print(row(name), flush=True)
     return 0
 
