@@ -4,10 +4,12 @@
 """What all tests share: MJCF files of a few lines, small robots and the Panda in an arena."""
 
 from collections import Counter
+import functools
 import importlib.util
 import json
 import os
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 
@@ -72,6 +74,23 @@ def pytest_collection_modifyitems(config, items):
     count = Counter(item.path for item in items)
     items.sort(key=lambda item: (rank.get(item.path, len(rank)), -count[item.path],
                                  str(item.path)))
+
+
+@pytest.fixture(scope='session')
+def install_example(tmp_path_factory):
+    """Return a function that installs a package of ``test/data`` by pip, and returns where."""
+    @functools.cache
+    def install(name):
+        folder = tmp_path_factory.mktemp(name)
+        # The build writes into the source.
+        shutil.copytree(Path(__file__).parent / 'data' / name, folder / 'source')
+        done = subprocess.run(
+            [sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-index',
+             '--no-build-isolation', '--target', str(folder / 'site'), str(folder / 'source')],
+            capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return str(folder / 'site')
+    return install
 
 
 @pytest.fixture(autouse=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
+import logging
 from typing import Any
 
 import mujoco
@@ -18,6 +19,7 @@ from manip_sim.cli.listing import origin
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.scope import Scope
+from manip_sim.interface.sensors import offered_topics
 from manip_sim.interface.topics import actions_of, SERVICES, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.declared_limits import declared_velocity
@@ -29,6 +31,7 @@ from manip_sim.simulation.mechanism import actuated_joints, moved_joints
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.actuator_properties import effort_range
 
+_LOGGER = logging.getLogger('manip_sim')
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 Row = dict[str, Any]
 
@@ -47,6 +50,9 @@ def describe(composed: Composed) -> Row:
     declare_parts(parameters, [(scope, robot.parts) for scope, robot in served])
     cameras = declare_cameras(parameters, world, model)
     of_robots = [_of_robot(parameters, simulation, model, scope, robot) for scope, robot in served]
+    topics = topics_of_world(
+        [(scope, robot.parts, robot.joints.twist_indices is not None) for scope, robot in served],
+        simulation.entities.free_names, {name: images.depth for name, images in cameras.items()})
     return {
         'name': world.name,
         'arena': world.arena.arena_name,
@@ -57,10 +63,8 @@ def describe(composed: Composed) -> Row:
         'cameras': camera_rows(model),
         'objects': [{'name': name, 'mass_kg': float(model.body(name).subtreemass[0])}
                     for name in simulation.entities.free_names],
-        'topics': [asdict(topic) for topic in topics_of_world(
-            [(scope, robot.parts, robot.joints.twist_indices is not None)
-             for scope, robot in served], simulation.entities.free_names,
-            {name: images.depth for name, images in cameras.items()})],
+        'topics': [asdict(topic) for topic in (*topics, *(
+            offered.topic for offered in offered_topics(dict(served), topics, _LOGGER.warning)))],
         'services': [asdict(service) for service in SERVICES],
         'actions': [{**asdict(action), 'name': scope.topic(action.name)}
                     for scope, robot in served for action in actions_of(robot.parts)],

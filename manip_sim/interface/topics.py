@@ -252,7 +252,8 @@ def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
             if part.actuators and (part.gripper is not None) == (_GRIPPER in pattern.name)]
 
 
-def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
+def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] = TOPICS
+              ) -> list[Topic]:
     """
     Return the topics that the node has for a robot, but for those of objects and cameras.
 
@@ -260,11 +261,12 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool) -> list[Topic]:
 
     :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
     :param twist: whether the base takes a twist
+    :param rows: of the table
     """
     arms = [name.split('/')[0] for name, part in parts.items() if part.gripper is not None]
     found: list[Topic] = []
-    for per, rows in groupby(TOPICS, lambda row: row.per):
-        patterns = list(rows)
+    for per, group in groupby(rows, lambda row: row.per):
+        patterns = list(group)
         if not per:
             found += (row for row in patterns if twist or row.needs != 'twist')
         elif per in (PART, ARM):

@@ -40,6 +40,7 @@ from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
+from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
@@ -105,6 +106,7 @@ class SimNode(Node):
             cameras={name: images.depth for name, images in cameras.items()})
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots(frame_prefix)
+        offer_sensors(self, self._robots, self.simulation, self.thread, frame_prefix)
         self._show_world(world, frame_prefix)
         self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.entry_points import Offer, offers
+from manip_sim.entry_points import Offer, offers
 from manip_sim.simulation.servos import Servos
 
 #: The fields of ``sensor_msgs/JointState`` that may hold commands.

@@ -3,11 +3,6 @@
 
 """The control mode of another package that is installed, through the node's interface alone."""
 
-from pathlib import Path
-import shutil
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
@@ -16,21 +11,14 @@ from sensor_msgs.msg import JointState
 
 from manip_sim.simulation.modes import MODES
 
-EXAMPLE = Path(__file__).resolve().parents[1] / 'data' / 'impedance_mode'
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STIFFNESS, PUSH_N_M = 100.0, 3.0
 
 
 @pytest.fixture
-def installed(tmp_path, monkeypatch):
-    """Install the example with pip where Python finds it; the modes are put back afterwards."""
-    shutil.copytree(EXAMPLE, tmp_path / 'source')
-    done = subprocess.run(
-        [sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-index',
-         '--no-build-isolation', '--target', str(tmp_path / 'site'), str(tmp_path / 'source')],
-        capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    monkeypatch.syspath_prepend(str(tmp_path / 'site'))
+def installed(install_example, monkeypatch):
+    """Install the example; the modes are put back afterwards."""
+    monkeypatch.syspath_prepend(install_example('impedance_mode'))
     monkeypatch.setattr(MODES, '_modes', dict(MODES._modes))
     monkeypatch.setattr(MODES, '_offers', set())
 

@@ -1,0 +1,171 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Topics that other packages add: what makes their messages, and how these classes are found."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+import inspect
+from typing import Any, ClassVar
+import zlib
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import PUBLISHED, Topic, topics_of
+from manip_sim.entry_points import Offer, offers
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+GROUP = 'manip_sim.sensors'
+
+
+class TopicSource(ABC):
+    """
+    Makes the messages of a topic; one is created for each topic that the row stands for.
+
+    :param simulation: which it may read, but not change
+    :param robot: the robot whose topic it is; of a topic of the world the first robot
+    :param of: the part or arm that it is of, such as ``right``; empty if the name has neither
+    :cvar topic: its row; the name may hold ``<part>`` or ``<arm>``, or be private (``~/``)
+    :ivar frame: the ``frame_id`` of messages with a header
+    :ivar seed: the parameter ``seed``
+    """
+
+    topic: ClassVar[Topic]
+    frame = ''
+    seed = 0
+
+    def __init__(self, simulation: Simulation, robot: SimulatedRobot, of: str) -> None:
+        self.simulation = simulation
+        self.robot = robot
+        self.of = of
+
+    @abstractmethod
+    def write(self, message: Any, simulation: Simulation) -> bool | None:
+        """
+        Write the present instant into a new message, whose stamp and frame are there already.
+
+        It is called in the simulation's thread, at the end of a control period, while somebody
+        subscribes. Objects that come or go give the simulation another model.
+
+        :returns: False to publish no message
+        """
+
+
+class Sensor(TopicSource):
+    """
+    A topic of numbers: they are read, noise is added, then they are written into the message.
+
+    Noise depends on the parameter ``seed``, the topic and simulation time only, so that it is the
+    same whoever subscribes, and a state that is repeated has the same noise again.
+    """
+
+    @abstractmethod
+    def read(self, simulation: Simulation) -> FloatArray:
+        """Return the exact numbers of the present instant, in SI units, shape (n,)."""
+
+    def add_noise(self, values: FloatArray, random: np.random.Generator) -> FloatArray:
+        """Return numbers with noise, shape (n,); by default those that were read."""
+        return values
+
+    @abstractmethod
+    def fill(self, message: Any, values: FloatArray) -> None:
+        """Write numbers into a new message, whose stamp and frame are there already."""
+
+    def write(self, message: Any, simulation: Simulation) -> None:
+        """
+        Read, add noise, and write the message.
+
+        :raises ModelError: if what was read is not a row of finite numbers
+        """
+        name = f'{self.topic.name} {self.robot.name} {self.of}'
+        random = np.random.default_rng(
+            (self.seed, zlib.crc32(name.encode()), simulation.time_ns))
+        values = np.asarray(self.add_noise(self.read(simulation), random), dtype=np.float64)
+        if values.ndim != 1 or not np.isfinite(values).all():
+            raise ModelError(f'must read a row of finite numbers, got {values!r:.60}')
+        self.fill(message, values)
+
+
+class Offered:
+    """
+    A topic that another package adds to a node.
+
+    :param offer: the entry point
+    :param source: its class
+    :param robot: the robot
+    :ivar topic: its row, filled in
+    :ivar offer: the entry point
+    """
+
+    def __init__(self, topic: Topic, offer: Offer, source: type[TopicSource],
+                 robot: SimulatedRobot) -> None:
+        self.topic = topic
+        self.offer = offer
+        self._source = source
+        self._robot = robot
+
+    def create(self, simulation: Simulation, seed: int = 0) -> TopicSource:
+        """
+        Return what makes the messages.
+
+        :param seed: the parameter ``seed``
+        :raises ModelError: if that raises anything
+        """
+        try:
+            source = self._source(simulation, self._robot, self.topic.of)
+            source.seed = seed
+            return source
+        except Exception as error:  # A class of another package may raise anything.
+            raise ModelError(f'{type(error).__name__}: {error}') from error
+
+
+def offered_topics(robots: Mapping[Scope, SimulatedRobot], listed: Iterable[Topic],
+                   warn: Callable[[str], object]) -> list[Offered]:
+    """
+    Return the topics that other packages add; one that cannot be used does not hide the others.
+
+    :param robots: by the scope of their topics
+    :param listed: the topics that are there already
+    :param warn: is called with a line about each class that cannot be used
+    """
+    owners: dict[str, object] = dict.fromkeys((topic.name for topic in listed), 'manip_sim')
+    found: list[Offered] = []
+    for offer in offers(GROUP).values():
+        try:
+            source = _load(offer)
+            for topic, robot in _filled_in(source.topic, robots):
+                owner = owners.setdefault(topic.name, offer)
+                if owner is not offer:
+                    raise ModelError(f"its topic '{topic.name}' is that of {owner}")
+                if topic.name not in {other.topic.name for other in found}:
+                    found.append(Offered(topic, offer, source, robot))
+        except ManipSimError as error:
+            warn(f'sensor {offer} cannot be used: {error}')
+            found = [other for other in found if other.offer is not offer]
+    return found
+
+
+def _load(offer: Offer) -> type[TopicSource]:
+    source = offer.load()
+    if not (inspect.isclass(source) and issubclass(source, TopicSource)
+            and not inspect.isabstract(source)):
+        raise ModelError(f'must be a class that derives from Sensor or TopicSource and has their '
+                         f'methods, got {source!r:.60}')
+    topic = getattr(source, 'topic', None)
+    if not (isinstance(topic, Topic) and topic.direction == PUBLISHED and not topic.needs
+            and topic.type.count('/') == 1):
+        raise ModelError(f'its topic must be a row that is published, got {topic!r:.200}')
+    return source
+
+
+def _filled_in(row: Topic, robots: Mapping[Scope, SimulatedRobot]
+               ) -> Iterator[tuple[Topic, SimulatedRobot]]:
+    for scope, robot in robots.items():
+        for topic in topics_of(robot.parts, twist=True, rows=[row]):
+            yield replace(topic, name=scope.topic(topic.name)), robot

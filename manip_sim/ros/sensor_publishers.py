@@ -1,0 +1,111 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publish the topics that other packages add; what they raise stops the topic, not the node."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rclpy.serialization import serialize_message
+
+from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.interface.scope import Scope
+from manip_sim.interface.sensors import Offered, offered_topics
+from manip_sim.quoting import one_line
+from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.messages import stamp_of
+from manip_sim.ros.outputs import create_output, message_class
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+
+class SensorPublisher:
+    """
+    The publisher of a topic of another package.
+
+    :param node: the node
+    :param log: counts and logs what the other package raises
+    :param offered: the topic
+    :param simulation: what is read
+    :param frame_prefix: prefix of the names of frames
+    :raises ModelError: if its class or the first message cannot be made
+    """
+
+    def __init__(self, node: Any, log: RejectionLog, offered: Offered, simulation: Simulation,
+                 frame_prefix: str) -> None:
+        self._log = log
+        self._offered = offered
+        self._frame_prefix = frame_prefix
+        seed = node.get_parameter('seed').value
+        try:
+            self._class = message_class(offered.topic)
+            # A trial, by an instance of its own, which may remember what it has published.
+            self._source = offered.create(simulation, seed)
+            serialize_message(self._message(simulation) or self._class())
+            self._source = offered.create(simulation, seed)
+        except ManipSimError:
+            raise
+        except Exception as error:  # Code of another package may raise anything.
+            raise ModelError(f'{type(error).__name__}: {error}') from error
+        node.table.append(offered.topic)
+        self._output = create_output(node, log, offered.topic)
+        self._works = True
+
+    def _message(self, simulation: Simulation) -> Any:
+        """Return the message of the present instant, or None."""
+        message = _checked(self._class)
+        if hasattr(message, 'header'):
+            message.header.stamp = stamp_of(simulation.time_ns)
+            message.header.frame_id = self._source.frame and (
+                self._frame_prefix + self._source.frame)
+        return None if self._source.write(message, simulation) is False else message
+
+    def look(self) -> bool:
+        """Tell whether there are subscribers, and messages for them."""
+        return self._works and self._output.heard
+
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the present instant; after a failure nothing is published any more."""
+        if not self._works:
+            return
+        try:
+            message = self._message(simulation)
+            if message is not None:
+                self._output.publish(message)
+        except Exception as error:  # Code of another package may raise anything.
+            self._works = False
+            self._log.failure('sensors', f'{self._offered.topic.name} ends, sensor '
+                              f'{self._offered.offer}', error)
+
+
+def _checked(message_class: Any) -> Any:
+    """Return a message that checks its fields; rclpy would serialize a wrong type as garbage."""
+    message = message_class(check_fields=True)
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        if hasattr(value, 'get_fields_and_field_types'):
+            setattr(message, name, _checked(type(value)))
+    return message
+
+
+def offer_sensors(node: Any, robots: Mapping[Scope, SimulatedRobot], simulation: Simulation,
+                  thread: SimulationThread, frame_prefix: str) -> None:
+    """
+    Publish the topics that other packages add; log those that cannot be used.
+
+    :param node: the node, with its ``table`` and ``rejections``
+    :param robots: by the scope of their topics
+    :param simulation: what is read
+    :param thread: runs it
+    :param frame_prefix: prefix of the names of frames
+    """
+    warn = node.get_logger().warning
+    for offered in offered_topics(robots, node.table, lambda line: warn(one_line(line))):
+        try:
+            publisher = SensorPublisher(node, node.rejections, offered, simulation, frame_prefix)
+        except ManipSimError as error:
+            warn(one_line(f'{offered.topic.name}: sensor {offered.offer} cannot be used: {error}'))
+        else:
+            thread.observe(publisher.publish, look=publisher.look)
