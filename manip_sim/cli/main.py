@@ -49,15 +49,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     :param arguments: the command line, by default that of the process
     :returns: the exit code
     """
-    options = parse(arguments)
-    _choose_renderer(options.command)
-    command = importlib.import_module(f'manip_sim.cli.{options.module}')
+    words = sys.argv[1:] if arguments is None else arguments
+    _choose_renderer(words[0] if words else '')
     try:
+        options = parse(arguments)
+        command = options.verb or importlib.import_module(f'manip_sim.cli.{options.module}')
         text, code = command.run(options)
     except ManipSimError as error:
         return _fail(str(error))
     except OSError as error:
-        return _fail(f'{error.filename or options.command}: {error.strerror or error}')
+        return _fail(f'{error.filename or words[0]}: {error.strerror or error}')
     return _tell(text) or int(code)
 
 

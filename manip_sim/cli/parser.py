@@ -7,12 +7,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import logging
 import math
 from pathlib import Path
 import shutil
+import sys
 import textwrap
 from typing import Any, NoReturn
 
+from manip_sim.cli.verb import GROUP, OfferedVerb
+from manip_sim.errors import ModelError
+from manip_sim.entry_points import offers
 from manip_sim.resources import package_version
 
 #: The options of a composition; None where they are not given.
@@ -42,7 +47,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     Ends the process with exit code 2 if it is wrong, and 0 after ``--help`` and ``--version``.
 
     :param arguments: the words, by default those of the process
+    :raises ModelError: if it is for a verb of another package that cannot be used
     """
+    words = sys.argv[1:] if arguments is None else list(arguments)
     parser = _Parser(
         prog='manip_sim', allow_abbrev=False,
         description='See what robots, grippers, bases and arenas there are, and what is composed '
@@ -54,11 +61,29 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):
         add(commands)
-    options, left = parser.parse_known_args(arguments)
+    if not (words and words[0] in commands.choices):
+        _add_verbs(commands, words)
+    options, left = parser.parse_known_args(words)
     problem = _unknown(left, options) or _conflict(options)
     if problem:
         commands.choices[options.command].error(problem)
     return options
+
+
+def _add_verbs(commands: Any, words: Sequence[str]) -> None:
+    """Add the verbs of other packages; one that cannot be used is logged, unless it is asked."""
+    for name, offer in offers(GROUP).items():
+        try:
+            if name in commands.choices:
+                raise ModelError(f'{offer} is ignored: manip_sim has a command of that name')
+            verb = OfferedVerb(offer)
+            parser = _command(commands, name, '', verb.summary)
+            parser.set_defaults(verb=verb)
+            verb.add_arguments(parser)
+        except ModelError as error:
+            if words[:1] == [name]:
+                raise ModelError(f'command {error}') from error
+            logging.getLogger('manip_sim').warning('command %s', error)
 
 
 def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
@@ -102,7 +127,7 @@ def _command(commands: Any, name: str, module: str, summary: str, more: str = ''
     parser = commands.add_parser(
         name, help=summary, allow_abbrev=False, description=textwrap.fill(description, width),
         formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'{example}\n{_EXIT_CODES}')
-    parser.set_defaults(module=module)
+    parser.set_defaults(module=module, verb=None)
     return parser
 
 
@@ -123,7 +148,7 @@ def _add_describe(commands: Any) -> None:
         'terminal.',
         'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
     parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
-    _add_composition(parser)
+    add_composition(parser)
 
 
 def _add_export(commands: Any) -> None:
@@ -144,7 +169,7 @@ def _add_export(commands: Any) -> None:
     parser.add_argument('--ros2-control', action='store_true',
                         help='add a <ros2_control> tag to a .urdf, for the setup in '
                         'config/topic_based_ros2_control.yaml')
-    _add_composition(parser)
+    add_composition(parser)
 
 
 def _add_render(commands: Any) -> None:
@@ -163,7 +188,7 @@ def _add_render(commands: Any) -> None:
     parser.add_argument('--elevation', type=_number, metavar='DEGREES',
                         help='show one side; looking down is negative')
     parser.add_argument('--camera', metavar='NAME', help='show what a camera of the model sees')
-    _add_composition(parser)
+    add_composition(parser)
 
 
 def _add_check(commands: Any) -> None:
@@ -175,10 +200,11 @@ def _add_check(commands: Any) -> None:
         'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
         '          manip_sim check my_robot.xml')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
-    _add_composition(parser)
+    add_composition(parser)
 
 
-def _add_composition(parser: argparse.ArgumentParser) -> None:
+def add_composition(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a composition, which ``compose_from`` reads."""
     group = parser.add_argument_group(
         'composition', "Names are those of 'manip_sim list'.")
     group.add_argument('--robot', metavar='NAME', help='(default: Panda)')

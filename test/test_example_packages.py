@@ -1,0 +1,25 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The example packages of ``test/data``: they are short, and the guides show them."""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+GUIDES = {'hand_imu': 'add_sensor.md', 'touched_bodies': 'add_sensor.md',
+          'reach_command': 'add_verb.md', 'impedance_mode': 'add_control_mode.md'}
+
+
+@pytest.mark.parametrize('name', GUIDES)
+def test_an_example_package_is_short_and_its_guide_shows_its_module(name):
+    files = [path.read_text() for path in (ROOT / 'test/data' / name).iterdir() if path.is_file()]
+    assert len(files) == 2 and sum(len(text.splitlines()) for text in files) <= 60
+    guide = (ROOT / 'docs/how_to' / GUIDES[name]).read_text()
+    code = (ROOT / 'test/data' / name / f'{name}.py').read_text().partition('\n\n')[2]
+    assert code in guide
+
+
+def test_every_example_package_has_a_guide():
+    assert set(GUIDES) == {path.parent.name for path in (ROOT / 'test/data').glob('*/*.toml')}
