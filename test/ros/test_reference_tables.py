@@ -54,8 +54,9 @@ def test_topics_are_documented_with_their_types(serve, client):
     found = set()
     for node in robots:
         name, namespace = node.get_name(), node.get_namespace()
-        for topics in (client.node.get_publisher_names_and_types_by_node(name, namespace),
-                       client.node.get_subscriber_names_and_types_by_node(name, namespace)):
+        # Another node discovers some of them later than the first state.
+        for topics in (node.get_publisher_names_and_types_by_node(name, namespace),
+                       node.get_subscriber_names_and_types_by_node(name, namespace)):
             found |= {(general(topic), without_control_msgs(kinds[0].replace('/msg/', '/')))
                       for topic, kinds in topics
                       if topic not in OF_ROS and '/_action/' not in topic}
@@ -73,9 +74,9 @@ def test_topics_are_documented_with_their_types(serve, client):
 
 
 def test_services_are_documented_with_their_types(serve, client):
-    serve()
+    node = serve()
     client.state()
-    services = client.node.get_service_names_and_types_by_node('manip_sim', '/')
+    services = node.get_service_names_and_types_by_node('manip_sim', '/')
     found = {(general(name), kinds[0].replace('/srv/', '/')) for name, kinds in services
              if kinds[0].startswith('std_srvs')}
     assert found == documented({'std_srvs'})
@@ -87,7 +88,7 @@ def test_actions_are_documented_with_their_types():
 
 def test_the_model_is_latched(serve, client):
     serve()
-    client.state()
+    client.spin_until(lambda: client.node.count_publishers('/manip_sim/mjcf') > 0)
     info = client.node.get_publishers_info_by_topic('/manip_sim/mjcf')[0]
     assert info.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
 

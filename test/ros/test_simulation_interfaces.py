@@ -125,9 +125,9 @@ def test_the_features_are_those_that_work(serve, client):
 
 
 def test_the_services_are_documented_with_their_types(serve, client):
-    serve()
+    node = serve()
     client.state()
-    services = client.node.get_service_names_and_types_by_node('manip_sim', '/')
+    services = node.get_service_names_and_types_by_node('manip_sim', '/')
     found = {(name.replace('/manip_sim/', '~/'), kinds[0].replace('/srv/', '/'))
              for name, kinds in services if kinds[0].startswith('simulation_interfaces/')}
     page = Path(__file__).resolve().parents[2] / 'docs' / 'reference' / 'services.md'

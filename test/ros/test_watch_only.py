@@ -10,6 +10,7 @@ import time
 
 from hostile_node import HostileNode, NAME
 import pytest
+from rclpy.node import NodeNameNonExistentError
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
@@ -17,6 +18,7 @@ from page_client import page_client  # noqa: E402
 from test_viewer import end, start_viewer  # noqa: E402
 
 CAMERA = 'front/color/image_raw'
+COMMANDS = {'/arm/joint_command', '/right/target_pose'}
 #: What every node publishes, and a viewer that only watches too.
 OF_EVERY_NODE = {'/rosout', '/parameter_events'}
 
@@ -43,16 +45,30 @@ async def use_everything(address, hostile):
         return {label for _, label in page.inputs.values()}
 
 
+def names_at_the_viewer(names_and_types_by_node):
+    """Return the names of one kind that the viewer has, none as long as it is not discovered."""
+    try:
+        return {name for name, _ in names_and_types_by_node('sim_view', '/')}
+    except NodeNameNonExistentError:
+        return set()
+
+
 @pytest.mark.parametrize('options', [['--no-commands'], []], ids=['watch', 'drive'])
 def test_a_page_that_only_watches_can_send_nothing(client, options):
     hostile = HostileNode(lambda what: what)
     process, address = start_viewer('--node', NAME, *options)
     try:
         labels = asyncio.run(use_everything(address, hostile))
-        publishers, clients = (
-            {name for name, _ in found('sim_view', '/')} for found in (
-                client.node.get_publisher_names_and_types_by_node,
-                client.node.get_client_names_and_types_by_node))
+        node = client.node
+        # Our node discovers the viewer by itself; what it listens to last is known last.
+        client.spin_until(lambda: f'/{CAMERA}' in names_at_the_viewer(
+            node.get_subscriber_names_and_types_by_node))
+        if not options:
+            client.spin_until(lambda: len(names_at_the_viewer(
+                node.get_client_names_and_types_by_node)) >= 4 and names_at_the_viewer(
+                    node.get_publisher_names_and_types_by_node) > COMMANDS)
+        publishers, clients = (names_at_the_viewer(found) for found in (
+            node.get_publisher_names_and_types_by_node, node.get_client_names_and_types_by_node))
         if options:
             assert hostile.taken == []
             assert publishers <= OF_EVERY_NODE
@@ -61,7 +77,7 @@ def test_a_page_that_only_watches_can_send_nothing(client, options):
         else:  # The same does a lot where it may.
             assert {type(taken).__name__ for taken in hostile.taken} == {
                 'JointState', 'PoseStamped', 'SetBool_Request', 'Trigger_Request'}
-            assert publishers > {'/arm/joint_command', '/right/target_pose'}
+            assert publishers > COMMANDS
             assert len(clients) == 4
     finally:
         hostile.close()
