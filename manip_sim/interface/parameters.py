@@ -21,7 +21,7 @@ from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.modes import default_mode, MODES
-from manip_sim.simulation.streams import STREAM_INTERVAL_S
+from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5

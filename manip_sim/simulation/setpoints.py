@@ -5,10 +5,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.simulation.streams import RampEstimator, StreamEstimator
+from manip_sim.simulation.message_clock import MessageClock
+from manip_sim.simulation.profiles import (
+    braking_velocity, low_pass, ramp, velocity_before_the_end, way_of_ramp, within)
+from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoal, WaitingGoals
 
 #: Time constant of each of the two low-pass stages that smooth what is caught up [s].
 _SMOOTHING_S = 0.02
@@ -18,6 +23,22 @@ _SMOOTHING_INTERVALS, _SMOOTHING_JITTERS = 1.0, 20.0
 _STREAM_ACCELERATION = 1.5
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
 _ARRIVED = 1e-10
+#: Where the range ends is looked for this far ahead, beside the way of braking [s].
+_AHEAD_S = 0.1
+
+
+class _Terms(NamedTuple):
+    """What the way that is caught up depends on from message to message, each of shape (n,)."""
+
+    #: By how much setpoints are later than the goals of streams [s], and which follow them.
+    lag_s: FloatArray
+    follows: BoolArray
+    #: Time constants of the low-pass stages [s].
+    smoothing_s: FloatArray
+    #: Limits of the sum of velocities, and of what is caught up beside the reference.
+    top: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
 
 
 class SetpointGenerator:
@@ -45,42 +66,37 @@ class SetpointGenerator:
     :ivar moving: whether any setpoint moves or is about to
     """
 
-    #: Only counted.
-    not_in_digest = ('limited',)
+    #: Only counted, or computed from the rest.
+    not_in_digest = ('limited', '_terms', '_inside_now')
 
     def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
                  acceleration_limit: FloatArray) -> None:
         count = len(velocity_limit)
         self._low, self._high = position_range.T.copy()
-        self._velocity_limit = velocity_limit
-        #: Nearer than this to an end of the range, velocities may have to be limited.
-        self._ends = velocity_limit**2 / acceleration_limit + 0.1 * velocity_limit
-        self._acceleration_limit = acceleration_limit
+        self._velocity_limit, self._acceleration_limit = velocity_limit, acceleration_limit
         self.limited = np.zeros(count, dtype=np.int64)
         self._estimator, self._ramp_estimator = StreamEstimator(count), RampEstimator(count)
+        # Positions between which no end of the range is near at any velocity.
+        self._inside = self._away_from_ends(velocity_limit)
         self._begin()
 
     def _begin(self) -> None:
         count = len(self._low)
-
-        def zeros() -> FloatArray:
-            return np.zeros(count)
-
-        self.position, self.velocity, self.acceleration = zeros(), zeros(), zeros()
+        self.position, self.velocity, self.acceleration = np.zeros((3, count))
         self.moving = False
         # Whether there is something to catch up.
         self._catches = False
-        self._seeks, self._brakes = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        # Goals that have come at the present instant, how many, when they were sent.
-        self._waits, self._waiting_goal = np.zeros(count, dtype=bool), zeros()
-        self._waiting, self._stamp_s, self._period_s = zeros(), zeros(), 0.0
+        self._seeks, self._brakes = np.zeros((2, count), dtype=bool)
+        self._waiting = WaitingGoals(count)
         # What is caught up: velocity before and after each low-pass stage.
-        self._raw, self._stage1, self._stage2 = zeros(), zeros(), zeros()
+        self._stages = np.zeros((3, count))
         # The reference: its velocity, what it ramps to and how fast, and until when.
-        self._reference, self._reference_goal = zeros(), zeros()
+        self._reference, self._reference_goal, self._goal = np.zeros((3, count))
         self._ramp, self._bound = self._acceleration_limit.copy(), self._acceleration_limit.copy()
-        self._until_s = np.full(count, np.inf)
-        self._goal = zeros()
+        self._until_s, self._next_end_s = np.full(count, np.inf), np.inf
+        # The terms, and the same positions for the references; None until they are needed.
+        self._terms: _Terms | None = None
+        self._inside_now: tuple[FloatArray, FloatArray] | None = None
         self.now_s = 0.0
 
     def reset(self, position: FloatArray) -> None:
@@ -104,22 +120,19 @@ class SetpointGenerator:
         :param hold_s: how long setpoints go on at the velocity of a stream after a message was
             due [s]; 0: two message intervals; None: no change
         """
-        if longest_s is not None:
-            for clock in (self._estimator.clock, self._ramp_estimator.clock):
-                clock.longest_s[indices] = longest_s
-        if hold_s is not None:
-            self._estimator.hold_s[indices] = hold_s
+        for estimator in (self._estimator, self._ramp_estimator):
+            estimator.clocks.set(indices, longest_s, hold_s)
 
     @property
     def lost(self) -> IntArray:
         """How many messages of streams seem to have been lost, shape (n,)."""
-        return np.asarray(self._estimator.clock.lost + self._ramp_estimator.clock.lost)
+        return np.asarray(self._estimator.lost + self._ramp_estimator.lost)
 
     def at_rest(self, indices: IntArray) -> bool:
         """Tell whether all of the given setpoints rest at their goals."""
         if not self.moving:
             return True
-        if self._waits[indices].any() or self._reference[indices].any():
+        if np.count_nonzero(self._reference[indices]) or self._waiting.brings(indices):
             return False
         return bool(self._resting()[indices].all())
 
@@ -154,13 +167,15 @@ class SetpointGenerator:
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
         limit = self._acceleration_limit[indices]
-        ramp, own = self._ramp_estimator.take(
-            indices, velocity, self.velocity[indices], self.now_s, period_s, limit, messages,
-            stamp_s)
+        slope, own = np.empty((2, len(indices)))
+        for clock, places in self._ramp_estimator.clocks.of(indices, self.now_s):
+            slope[places], own[places] = self._ramp_estimator.take(
+                clock, velocity[places], self.velocity[clock.where], self.now_s, period_s,
+                limit[places], messages, stamp_s)
         self._come_to(indices, velocity)
         bound = np.maximum(limit, _STREAM_ACCELERATION * own)
         self._bound[indices] = np.maximum(bound, self._bound[indices])
-        self._ramp[indices] = np.clip(ramp, 1e-9, bound)
+        self._ramp[indices] = np.minimum(np.maximum(slope, 1e-9), bound)
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
         """
@@ -199,14 +214,20 @@ class SetpointGenerator:
 
     def _come_to(self, indices: IntArray, velocity: FloatArray) -> None:
         self._reference[indices] = self.velocity[indices]
-        for stage in (self._raw, self._stage1, self._stage2):
-            stage[indices] = 0.0
-        self._seeks[indices] = self._brakes[indices] = self._waits[indices] = False
+        self._stages[:, indices] = 0.0
+        self._seeks[indices] = self._brakes[indices] = False
         self._reference_goal[indices] = velocity
         self._ramp[indices] = self._acceleration_limit[indices]
         self._until_s[indices] = np.inf
         self._estimator.forget(indices)
+        if self._waiting:
+            self._waiting.withdraw(indices)
+        self._start()
+
+    def _start(self) -> None:
+        """Move, by other goals than before."""
         self.moving = self._catches = True
+        self._inside_now = self._terms = None
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float, messages: int = 1,
               stamp_s: float = 0.0) -> None:
@@ -220,39 +241,42 @@ class SetpointGenerator:
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        repeated = self._waits[indices] & (self._waiting_goal[indices] == goal)
-        self._waiting[indices] = np.where(self._waits[indices], self._waiting[indices], 0.0) + (
-            0.0 if repeated.all() else messages)
-        self._waits[indices], self._waiting_goal[indices] = True, goal
-        self._stamp_s[indices], self._period_s = stamp_s, period_s
+        self._waiting.add(WaitingGoal(indices, goal, messages, stamp_s, period_s))
         self.moving = self._catches = True
 
     def _take_goals(self) -> None:
         """Take in the goals that came at this instant."""
-        estimator, indices = self._estimator, np.flatnonzero(self._waits)
-        self._waits[indices], self._brakes[indices], self._seeks[indices] = False, False, True
-        # What the reference of a setpoint does that is no stream becomes a way to its goal.
-        first = indices[~estimator.streams(indices, self.now_s)]
-        for stage in (self._raw, self._stage1, self._stage2):
-            stage[first] += self._reference[first]
-        self._reference[first] = 0.0
-        goal, limit = self._waiting_goal[indices], self._acceleration_limit[indices]
-        estimator.take(indices, goal, self.now_s, self._period_s, limit, self._waiting[indices],
-                       self._stamp_s[indices])
-        top, wanted = self._velocity_limit[indices], estimator.velocity[indices]
-        velocity = _within(wanted, -top, top)
-        self.limited[indices] += velocity != wanted
+        for waiting in self._waiting.take_all():
+            for clock, places in self._estimator.clocks.of(waiting.indices, self.now_s):
+                self._take(clock, waiting, waiting.goal[places])
+        self._next_end_s = float(self._until_s.min(initial=np.inf))
+        self._start()
+
+    def _take(self, clock: MessageClock, waiting: WaitingGoal, goal: FloatArray) -> None:
+        estimator, at = self._estimator, clock.where
+        self._brakes[at], self._seeks[at] = False, True
+        if not clock.continues(self.now_s):
+            # What the reference of a setpoint does that is no stream becomes a way to its goal.
+            self._stages[:, at] += self._reference[at]
+            self._reference[at] = 0.0
+        limit = self._acceleration_limit[at]
+        estimator.take(clock, goal, self.now_s, waiting.period_s, limit, waiting.messages,
+                       waiting.stamp_s)
+        top, wanted = self._velocity_limit[at], estimator.velocity[at]
+        velocity = within(wanted, -top, top)
+        self.limited[at] += velocity != wanted
         # A message that is early or late has more or less of its interval left.
-        clock, interval_s = estimator.clock, estimator.interval_s[indices]
-        left_s = clock.sent_s[indices] + interval_s - self.now_s
-        bound = np.maximum(limit, _STREAM_ACCELERATION * estimator.acceleration[indices])
-        self._bound[indices] = np.maximum(bound, self._bound[indices])
-        change = np.abs(velocity - self._reference[indices])
-        self._goal[indices], self._reference_goal[indices] = goal, velocity
-        self._ramp[indices] = np.clip(
-            change / (_within(left_s, 0.5 * interval_s, 1.5 * interval_s)
-                      + clock.slack_s[indices]), 1e-9, bound)
-        self._until_s[indices] = estimator.until_s[indices]
+        interval_s = max(clock.interval_s, waiting.period_s)
+        left_s = clock.sent_s + interval_s - self.now_s
+        bound = limit
+        if clock.on_time:
+            bound = np.maximum(limit, _STREAM_ACCELERATION * estimator.acceleration[at])
+            self._bound[at] = np.maximum(bound, self._bound[at])
+        change = np.abs(velocity - self._reference[at])
+        self._goal[at], self._reference_goal[at] = goal, velocity
+        ramp_s = min(max(left_s, 0.5 * interval_s), 1.5 * interval_s) + clock.slack_s
+        self._ramp[at] = np.minimum(np.maximum(change / ramp_s, 1e-9), bound)
+        self._until_s[at] = clock.until_s
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
         """
@@ -263,6 +287,7 @@ class SetpointGenerator:
         self.set_velocity(indices, np.zeros(len(indices)))
         self._goal[indices] = goal
         self._seeks[indices] = self._brakes[indices] = True
+        self._terms = None
 
     def advance(self, duration_s: float) -> None:
         """
@@ -270,46 +295,76 @@ class SetpointGenerator:
 
         :param duration_s: length of the interval [s]
         """
-        if self._waits.any():
+        if self._waiting:
             self._take_goals()
-        self._end_streams()
-        begin, low_pass = self.velocity, self._stage2
+        if self._next_end_s <= self.now_s + 1e-9:
+            self._end_streams()
+        begin, reference, position = self.velocity, self._reference, self.position
         # What is missing is computed before anything moves.
         missing = self._missing() if self._catches else None
-        velocity, travel = self._advance_reference(duration_s)
-        room = np.minimum(self._high - self.position, self.position - self._low)
-        if missing is not None or (room < self._ends).any():
+        velocity, travel = ramp(reference, self._reference_goal, self._ramp, duration_s)
+        near = duration_s >= _AHEAD_S or self._is_near_ends(missing is not None)
+        if missing is not None or near:
+            before = self._stages[2]
             if missing is not None:
                 self._catch_up(missing, duration_s)
-            velocity, travel = self._limit(velocity, travel, low_pass, duration_s)
+            velocity, travel = self._limit(velocity, travel, before, near, duration_s)
         else:
             self._reference = velocity.copy()
-        self.position = _within(self.position + travel, self._low, self._high)
+        position = position + travel
+        self.position = within(position, self._low, self._high) if near else position
         self.velocity, self.acceleration = velocity, (velocity - begin) / duration_s
         self.now_s += duration_s
-        if not (self._catches or velocity.any() or self._reference_goal.any()):
+        if not (self._catches or np.count_nonzero(velocity)
+                or np.count_nonzero(self._reference_goal)):
             self._arrive()
 
-    def _limit(self, reference: FloatArray, travel: FloatArray, low_pass: FloatArray,
+    def _away_from_ends(self, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return positions between which nothing that is not faster has to brake."""
+        way = velocity**2 / self._acceleration_limit + _AHEAD_S * velocity
+        return self._low + way, self._high - way
+
+    def _is_near_ends(self, catches: bool) -> bool:
+        low, high = self._inside
+        if not np.count_nonzero((self.position < low) | (self.position > high)):
+            return False
+        if catches:
+            return True
+        if self._inside_now is None:
+            self._inside_now = self._away_from_ends(
+                np.maximum(np.abs(self._reference), np.abs(self._reference_goal)))
+        low, high = self._inside_now
+        return bool(np.count_nonzero((self.position < low) | (self.position > high)))
+
+    def _limit(self, reference: FloatArray, travel: FloatArray, before: FloatArray, near: bool,
                duration_s: float) -> tuple[FloatArray, FloatArray]:
         """
         Return the velocity after an interval, with all that is caught up, and the way in it.
 
         :param reference: velocity of the references after it, and ``travel`` their way in it
-        :param low_pass: what was caught up before it, as velocity
+        :param before: what was caught up before it, as velocity
+        :param near: whether some are near the end of their range
         """
-        begin, plain = self.velocity, reference + self._stage2
+        begin, caught_up = self.velocity, self._stages[2]
+        plain = reference + caught_up
         # A velocity that was commanded has been limited before.
-        top = np.where(self._seeks, self._velocity_limit, np.inf)
-        velocity = self._before_the_range_ends(_within(plain, -top, top), duration_s)
+        top = self._get_terms().top
+        velocity = within(plain, -top, top)
+        if near:
+            velocity = velocity_before_the_end(
+                velocity, begin, self.position - self._low, self._high - self.position,
+                self._bound, duration_s)
         change = self._bound * duration_s
-        velocity = _within(velocity, begin - change, begin + change)
-        # What the limits take away is not caught up at once.
+        velocity = within(velocity, begin - change, begin + change)
         held = velocity != plain
-        self._catches |= bool(held.any())
-        self._reference = np.where(held & ~self._seeks, velocity, reference)
-        self._stage2 = np.where(held & self._seeks, velocity - reference, self._stage2)
-        even = held | (low_pass != 0.0) | (self._stage2 != 0.0)
+        if np.count_nonzero(held):
+            # What the limits take away is not caught up at once.
+            self._catches = True
+            reference = np.where(held & ~self._seeks, velocity, reference)
+            self._stages[2] = caught_up = np.where(
+                held & self._seeks, velocity - reference, caught_up)
+        self._reference = reference.copy()
+        even = held | (before != 0.0) | (caught_up != 0.0)
         return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel)
 
     def _arrive(self) -> None:
@@ -317,7 +372,7 @@ class SetpointGenerator:
             self.moving = False
             self._bound = self._acceleration_limit.copy()
             self.position[self._seeks] = self._goal[self._seeks]
-            for part in (self._raw, self._stage1, self._stage2, self.velocity, self.acceleration):
+            for part in (self._stages, self.velocity, self.acceleration):
                 part[:] = 0.0
         else:
             self._catches = True
@@ -341,102 +396,61 @@ class SetpointGenerator:
         :param measured: where the joints are [rad or m], shape (n,)
         :param lead: how far a setpoint may be from there [rad or m], shape (n,)
         """
-        near = _within(self.position, measured - lead, measured + lead)
+        near = within(self.position, measured - lead, measured + lead)
         held = near != self.position
-        if held.any():
+        if np.count_nonzero(held):
             self.position, self._catches = near, True
-            for part in (self._raw, self._stage1, self._stage2, self._reference, self.velocity,
-                         self.acceleration):
+            self._stages[:, held] = 0.0
+            for part in (self._reference, self.velocity, self.acceleration):
                 part[held] = 0.0
 
     def _resting(self) -> BoolArray:
-        pace = np.maximum.reduce([
-            np.abs(self._raw), np.abs(self._stage1), np.abs(self._stage2),
-            np.abs(self._reference), np.abs(self._reference_goal)])
+        pace = np.maximum.reduce(np.abs([
+            *self._stages, self._reference, self._reference_goal]))
         away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
         return np.maximum(pace, away) < _ARRIVED
 
     def _end_streams(self) -> None:
         ended = self._until_s <= self.now_s + 1e-9
-        if ended.any():
-            self._reference_goal[ended] = 0.0
-            self._ramp[ended] = self._acceleration_limit[ended]
-            self._until_s[ended] = np.inf
+        self._reference_goal[ended] = 0.0
+        self._ramp[ended] = self._acceleration_limit[ended]
+        self._until_s[ended] = np.inf
+        self._next_end_s = float(self._until_s.min(initial=np.inf))
+        self._inside_now = self._terms = None
 
-    def _smoothing_s(self) -> FloatArray:
-        """Return the time constants with which ways are caught up, shape (n,)."""
-        estimator = self._estimator
-        stream_s = np.maximum(_SMOOTHING_INTERVALS * estimator.interval_s,
-                              _SMOOTHING_JITTERS * estimator.clock.jitter_s)
-        return np.where(np.isfinite(self._until_s) & (self._reference_goal != 0.0),
-                        np.maximum(stream_s, _SMOOTHING_S), _SMOOTHING_S)
+    def _get_terms(self) -> _Terms:
+        if self._terms is None:
+            estimator, goal, top = self._estimator, self._reference_goal, self._velocity_limit
+            follows = np.isfinite(self._until_s)
+            stream_s = np.maximum(np.maximum(_SMOOTHING_INTERVALS * estimator.interval_s,
+                                             _SMOOTHING_JITTERS * estimator.jitter_s),
+                                  _SMOOTHING_S)
+            self._terms = _Terms(
+                1.5 * estimator.interval_s, follows,
+                np.where(follows & (goal != 0.0), stream_s, _SMOOTHING_S),
+                np.where(self._seeks, top, np.inf), -top - goal, top - goal)
+        return self._terms
 
     def _missing(self) -> FloatArray:
         """Return how far setpoints will be behind where they follow, or rest, of themselves."""
-        self._brakes &= self._reference != 0.0
-        estimator, goal = self._estimator, self._reference_goal
-        age_s = np.where(np.isfinite(self._until_s),
-                         self.now_s - estimator.clock.sent_s - 1.5 * estimator.interval_s, 0.0)
-        change = goal - self._reference
-        ramp = -change * np.abs(change) / (2.0 * self._ramp)
-        low_pass = self._smoothing_s() * (self._stage1 + self._stage2)
-        return np.where(self._seeks & ~self._brakes,
-                        self._goal + goal * age_s - self.position - ramp - low_pass, 0.0)
+        terms, goal, reference = self._get_terms(), self._reference_goal, self._reference
+        age_s = np.where(terms.follows, self.now_s - self._estimator.sent_s - terms.lag_s, 0.0)
+        missing = (self._goal + goal * age_s - self.position
+                   - way_of_ramp(reference, goal, self._ramp)
+                   - terms.smoothing_s * (self._stages[1] + self._stages[2]))
+        seeks = self._seeks
+        if np.count_nonzero(self._brakes):
+            self._brakes &= reference != 0.0
+            seeks = seeks & ~self._brakes
+        return np.where(seeks, missing, 0.0)
 
     def _catch_up(self, missing: FloatArray, duration_s: float) -> None:
-        limit, top = self._acceleration_limit, self._velocity_limit
-        raw = braking_velocity(missing, limit, duration_s)
+        limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages
         change = limit * duration_s
-        raw = _within(raw, self._raw - change, self._raw + change)
-        raw = _within(raw, -top - self._reference_goal, top - self._reference_goal)
-        # Two first-order stages, each of which averages what goes into it over the interval.
-        share = duration_s / (self._smoothing_s() + duration_s / 2.0)
-        stage1 = self._stage1 + share * (raw - self._stage1)
-        stage2 = self._stage2 + share * ((self._stage1 + stage1) / 2.0 - self._stage2)
-        pace = np.maximum(np.maximum(np.abs(missing), np.abs(raw)),
-                          np.maximum(np.abs(stage1), np.abs(stage2)))
-        self._catches = bool(pace.max(initial=0.0) >= _ARRIVED or self._brakes.any())
-        if not self._catches:
-            raw, stage1, stage2 = np.zeros_like(raw), np.zeros_like(raw), np.zeros_like(raw)
-        self._raw, self._stage1, self._stage2 = raw, stage1, stage2
-
-    def _advance_reference(self, duration_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the velocity of the references after an interval, and their way in it."""
-        begin = self._reference
-        change = self._reference_goal - begin
-        ramp_s = np.minimum(np.abs(change) / self._ramp, duration_s)
-        end = begin + np.copysign(self._ramp * ramp_s, change)
-        return end, np.asarray(end * duration_s - (end - begin) / 2.0 * ramp_s)
-
-    def _before_the_range_ends(self, velocity: FloatArray, duration_s: float) -> FloatArray:
-        """Return velocities, at the end of an interval, that allow braking within the range."""
-        change = self._bound * duration_s / 2.0
-        highest, lowest = (
-            np.sqrt(np.maximum(change**2 + 2.0 * self._bound * np.maximum(
-                distance - towards * duration_s / 2.0, 0.0), 0.0)) - change
-            for distance, towards in (
-                (np.minimum(self._high - self.position, 1e6), self.velocity),
-                (np.minimum(self.position - self._low, 1e6), -self.velocity)))
-        return _within(velocity, -lowest, highest)
-
-
-def _within(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    # np.clip takes several times as long for arrays as short as these.
-    return np.asarray(np.minimum(np.maximum(values, low), high))
-
-
-def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float) -> FloatArray:
-    """
-    Return the highest velocity in the next interval that still allows braking before the goal.
-
-    The distance left after the interval is that of a constant deceleration, v^2 / (2 a), so the
-    intervals that follow may be of any length.
-
-    :param distance: to the goal, with sign [rad or m], shape (n,)
-    :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
-    :param interval_s: [s]
-    """
-    size, change = np.minimum(np.abs(distance), 1e6), limit * interval_s
-    # The root of v^2 + 2 change v = 2 limit size, written so that it is exact for small sizes.
-    return np.asarray(np.sign(distance) * 2.0 * limit * size / (
-        change + np.sqrt(change**2 + 2.0 * limit * size)))
+        raw = within(braking_velocity(missing, limit, duration_s),
+                     stages[0] - change, stages[0] + change)
+        raw = within(raw, terms.lowest, terms.highest)
+        stages = low_pass(stages, raw, terms.smoothing_s, duration_s)
+        self._catches = bool(max(np.abs(missing).max(initial=0.0), np.abs(stages).max(initial=0.0))
+                             >= _ARRIVED or np.count_nonzero(self._brakes))
+        self._stages = stages if self._catches else np.zeros_like(stages)

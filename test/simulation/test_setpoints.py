@@ -6,7 +6,8 @@
 import numpy as np
 import pytest
 
-from manip_sim.simulation.setpoints import braking_velocity, SetpointGenerator
+from manip_sim.simulation.profiles import braking_velocity
+from manip_sim.simulation.setpoints import SetpointGenerator
 
 V, A = 2.0, 8.0
 ONE = np.array([0])

@@ -13,11 +13,22 @@ PERIOD_S, LIMIT = 0.01, np.array([10.0])
 JOINT = np.array([0])
 
 
+class Estimator(StreamEstimator):
+    """An estimator of one coordinate."""
+
+    def __init__(self):
+        super().__init__(1)
+        ((self.clock, _),) = self.clocks.of(JOINT, 0.0)
+
+    def take_one(self, goal, now_s, messages=1, stamp_s=0.0):
+        self.take(self.clock, np.array([goal]), now_s, PERIOD_S, LIMIT, messages, stamp_s)
+
+
 def taken(*goals, interval_s=PERIOD_S):
     """Return an estimator that has seen goals at even intervals."""
-    estimator = StreamEstimator(1)
+    estimator = Estimator()
     for number, goal in enumerate(goals):
-        estimator.take(JOINT, np.array([goal]), number * interval_s, PERIOD_S, LIMIT)
+        estimator.take_one(goal, number * interval_s)
     return estimator
 
 
@@ -39,19 +50,19 @@ def test_a_stream_of_constant_velocity_has_that_velocity():
 
 
 def test_a_message_that_was_lost_does_not_change_the_velocity():
-    estimator = StreamEstimator(1)
+    estimator = Estimator()
     for number in (*range(12), *range(14, 20)):
-        estimator.take(JOINT, np.array([0.0015 * number]), number * PERIOD_S, PERIOD_S, LIMIT)
+        estimator.take_one(0.0015 * number, number * PERIOD_S)
         assert estimator.velocity == pytest.approx(0.15 if number else 0.0)
     assert estimator.clock.interval_s == pytest.approx(PERIOD_S)
 
 
 def test_a_message_that_was_late_does_not_change_the_velocity():
-    estimator = StreamEstimator(1)
+    estimator = Estimator()
     for number in range(40):
         late_s = 0.013 if number == 25 else 0.0
-        estimator.take(JOINT, np.array([0.0015 * number]), number * PERIOD_S + late_s, PERIOD_S,
-                       LIMIT, *((2.0,) if number == 26 else ()))
+        estimator.take_one(0.0015 * number, number * PERIOD_S + late_s,
+                           messages=2 if number == 26 else 1)
         if number == 26:
             continue
         assert estimator.velocity == pytest.approx(0.15 if number else 0.0, rel=0.05)
@@ -59,24 +70,22 @@ def test_a_message_that_was_late_does_not_change_the_velocity():
 
 @pytest.mark.parametrize('speed', [0.05, 1.0, 30.0])
 def test_stamps_by_a_clock_of_any_speed_tell_the_velocity_in_simulation_time(speed):
-    random, estimator = np.random.default_rng(4), StreamEstimator(1)
+    random, estimator = np.random.default_rng(4), Estimator()
     velocities = []
     for number in range(600):
         sent_s = number * PERIOD_S
         arrived_s = sent_s + random.uniform(0.0, 0.9 * PERIOD_S)
-        estimator.take(JOINT, np.array([0.15 * sent_s]), arrived_s, PERIOD_S, LIMIT,
-                       stamp_s=1e5 + speed * sent_s)
+        estimator.take_one(0.15 * sent_s, arrived_s, stamp_s=1e5 + speed * sent_s)
         velocities.append(float(estimator.velocity[0]))
     assert velocities[500:] == pytest.approx([0.15] * 100, rel=0.03)
 
 
 def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
-    estimator, sent_s = StreamEstimator(1), 0.0
+    estimator, sent_s = Estimator(), 0.0
     random = np.random.default_rng(5)
     for number in range(100):
         sent_s += random.uniform(0.5, 1.5) * PERIOD_S
-        estimator.take(JOINT, np.array([0.15 * sent_s]), sent_s + 1e-3, PERIOD_S, LIMIT,
-                       stamp_s=1e5 + sent_s)
+        estimator.take_one(0.15 * sent_s, sent_s + 1e-3, stamp_s=1e5 + sent_s)
         if number > 1:
             assert estimator.velocity == pytest.approx(0.15, rel=1e-6)
 
@@ -122,3 +131,34 @@ def test_goals_of_an_even_timer_that_jitter_on_their_way_are_followed(rate):
     assert ratio == pytest.approx(1.0, abs=0.02)
     assert ripple < 0.02
     assert hardest < 1.5
+
+
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('mode', ['go_to', 'go_at'])
+def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
+    # Some joints start later, pause, and come twice; the oracle has each of them alone.
+    random, count = np.random.default_rng(seed), 5
+    limits = np.array([[-3.0, 3.0]]), np.array([2.2]), np.array([15.0])
+    together = SetpointGenerator(*(np.repeat(limit, count, axis=0) for limit in limits))
+    alone = [SetpointGenerator(*limits) for _ in range(count)]
+    together.set_stream(np.array([1, 3]), longest_s=0.5, hold_s=0.03)
+    for joint in (1, 3):
+        alone[joint].set_stream(JOINT, longest_s=0.5, hold_s=0.03)
+    begin, pause = random.integers(0, 30, (2, count))
+    for period in range(90):
+        awake = (period >= begin) & ((period < 30 + pause) | (period >= 45 + pause // 4))
+        goals = 0.1 * np.sin(0.1 * period * (1 + np.arange(count)))
+        joints = random.permutation(np.flatnonzero(awake))
+        for message in np.split(joints, np.sort(random.integers(0, count, 2))):
+            getattr(together, mode)(message, goals[message], PERIOD_S)
+        if random.random() < 0.2 and joints.size:
+            getattr(together, mode)(joints[:1], goals[joints[:1]], PERIOD_S)
+            getattr(alone[joints[0]], mode)(JOINT, goals[joints[:1]], PERIOD_S)
+        for joint, generator in enumerate(alone):
+            if awake[joint]:
+                getattr(generator, mode)(JOINT, goals[[joint]], PERIOD_S)
+        for generator in (together, *alone):
+            for _ in range(2):
+                generator.advance(PERIOD_S / 2)
+        np.testing.assert_allclose(
+            together.position, np.concatenate([one.position for one in alone]), atol=1e-12)

@@ -31,7 +31,7 @@ from manip_sim.simulation.commands import Status
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
-from manip_sim.simulation.streams import STREAM_INTERVAL_S
+from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012

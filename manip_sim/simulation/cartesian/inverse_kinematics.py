@@ -17,7 +17,7 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import dot, length, product
 from manip_sim.simulation.cartesian.displacements import displace
-from manip_sim.simulation.setpoints import braking_velocity
+from manip_sim.simulation.profiles import braking_velocity
 
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5

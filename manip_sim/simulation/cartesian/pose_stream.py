@@ -44,12 +44,13 @@ class PoseStream:
 
     def __init__(self) -> None:
         self._estimator = StreamEstimator(6)
+        ((self._clock, _),) = self._estimator.clocks.of(_ALL, 0.0)
         #: Sums of the translations and of the rotation vectors from pose to pose.
         self._sum = np.zeros(6)
         self._position, self._rotation = np.zeros(3), np.eye(3)
         #: Velocity that the reference comes to, how fast, and until when.
         self._velocity, self._slope = np.zeros(6), np.zeros(6)
-        self._ramp_end_s = np.full(6, -np.inf)
+        self._ramp_end_s = -np.inf
         self._waiting: _Pose | None = None
         self.moving = False
 
@@ -60,8 +61,7 @@ class PoseStream:
         :param longest_s: longest interval between messages [s]
         :param hold_s: how long the reference goes on after a message was due [s]; 0: two intervals
         """
-        self._estimator.clock.longest_s[:] = longest_s
-        self._estimator.hold_s[:] = hold_s
+        self._estimator.clocks.set(_ALL, longest_s, hold_s)
 
     def take(self, position: FloatArray, rotation: FloatArray, period_s: float, twist: FloatArray,
              limits: FloatArray, messages: int = 1, sent_s: float = 0.0) -> None:
@@ -92,41 +92,42 @@ class PoseStream:
         if self._waiting is not None:
             self._follow(self._waiting, now_s)
             self._waiting = None
-        elif now_s > self._estimator.until_s.max() + 1e-9:
+        elif now_s > self._clock.until_s + 1e-9:
             self.moving = False
 
     def _follow(self, pose: _Pose, now_s: float) -> None:
         estimator, limits = self._estimator, np.repeat(pose.limits, 3)
-        streams = bool(estimator.streams(_ALL, now_s).all())
+        clock = self._clock
+        streams = clock.continues(now_s)
         if streams:
             self._sum = self._sum + np.concatenate([
                 pose.position - self._position,
                 rotation_vector(product(pose.rotation, self._rotation.T))])
         before = self.twist(now_s) if self.moving and streams else pose.twist
         self._position, self._rotation = pose.position, pose.rotation
-        estimator.take(_ALL, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S, pose.messages,
+        estimator.take(clock, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S, pose.messages,
                        pose.sent_s)
-        velocity, interval_s = estimator.velocity.copy(), estimator.interval_s
+        velocity, interval_s = estimator.velocity.copy(), max(clock.interval_s, pose.period_s)
         for half, limit in zip((velocity[:3], velocity[3:]), pose.limits):
             half *= min(1.0, limit / max(length(half), 1e-12))
-        left_s = np.clip(estimator.clock.sent_s + interval_s - now_s, 0.5 * interval_s,
-                         1.5 * interval_s) + estimator.clock.slack_s
+        left_s = min(max(clock.sent_s + interval_s - now_s, 0.5 * interval_s),
+                     1.5 * interval_s) + clock.slack_s
         self._velocity, self._slope = velocity, (velocity - before) / left_s
         self._ramp_end_s, self.moving = now_s + left_s, streams
 
     def twist(self, now_s: float) -> FloatArray:
         """Return the velocity of the reference [m/s, rad/s], shape (6,)."""
-        return self._velocity - self._slope * np.maximum(self._ramp_end_s - now_s, 0.0)
+        return self._velocity - self._slope * max(self._ramp_end_s - now_s, 0.0)
 
     def acceleration(self, now_s: float) -> FloatArray:
         """Return the acceleration of the reference [m/s^2, rad/s^2], shape (6,)."""
-        return np.where(now_s < self._ramp_end_s - 1e-9, self._slope, 0.0)
+        return self._slope if now_s < self._ramp_end_s - 1e-9 else np.zeros(6)
 
     def pose(self, now_s: float) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation matrix of the reference."""
         if not self.moving:
             return self._position, self._rotation
-        estimator, left_s = self._estimator, np.maximum(self._ramp_end_s - now_s, 0.0)
-        age_s = now_s - estimator.clock.sent_s - 1.5 * estimator.interval_s
+        estimator, left_s = self._estimator, max(self._ramp_end_s - now_s, 0.0)
+        age_s = now_s - estimator.sent_s - 1.5 * estimator.interval_s
         way = self._velocity * age_s + self._slope * left_s**2 / 2.0
         return self._position + way[:3], product(rotation_of_vector(way[3:]), self._rotation)

@@ -1,0 +1,342 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+When the messages of streams were sent, and which coordinates have their messages in common.
+
+Nothing here knows what messages bring: a coordinate is any number that they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import copy
+import math
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+
+#: Messages no farther apart than this are a stream, unless it is told otherwise [s].
+STREAM_INTERVAL_S = 0.105
+#: The clock of a stream averages over so many messages at most.
+_MEMORY = 40.0
+#: Share of what is known of the speed of the stamps' clock that is kept from message to message.
+_RATE_KEPT = 0.98
+#: It is taken to run like simulation time as if so much time had told so [s].
+_SAME_S = 1.0
+#: Shares of a rise and of a fall of the jitter that its measure follows with each message.
+_ATTACK, _DECAY = 0.3, 0.03
+#: A deviation from the schedule below this share of the interval is none.
+_ON_TIME = 0.05
+#: After so many messages in a row that are late, or early, by half an interval, it starts again.
+_ASTRAY = 12
+#: So many messages in a row have to be on schedule before it is one.
+_TRUSTED = 8
+#: It then remembers its interval as if it had seen so many messages.
+_RESUMES = 6
+#: After so many messages in a row of which others before seem lost, the stream goes slower.
+_SKIPPED = 8
+#: Two predictions of a goal are as good if both are within this share of its step.
+_ALIKE = 0.01
+#: Share of a message's word in the average on whether goals follow the arrivals: 0.5 for unknown,
+#: 1 for yes. They do from the second value on, and no longer below the first.
+_SAYS, _FOLLOWS = 0.1, (0.55, 0.7)
+#: By this share of the interval such an arrival may be later before another seems lost.
+_PAUSE_LATER = 0.3
+#: Uncertainty of the count of messages by their times, at least [intervals].
+_TIME_SPREAD = 0.15
+#: Intervals by the schedule and by the arrivals that differ by less than this share are equal.
+_SAME_INTERVAL = 1e-6
+
+
+class MessageClock:
+    """
+    When the messages of a stream were sent: arrival times without jitter, lost messages counted.
+
+    A stream is taken to be sent at even intervals, whose length and phase are a line through the
+    arrival times, by least squares with a fading memory. Where the values follow the arrival times
+    instead, as those of a sender whose own timer jitters, these are the times of sending. Where
+    messages carry stamps, the differences of the stamps are the intervals.
+
+    :param longest_s: intervals up to this are a stream [s]
+    :param hold_s: how long a stream goes on after a message was due [s]; 0 for two intervals
+    :ivar where: indices of the coordinates that the messages bring, a slice where possible
+    :ivar interval_s: from message to message [s]
+    :ivar sent_s: when the last message would have come without jitter on its way [s]
+    :ivar elapsed_s: how long before it the last but one was sent [s]
+    :ivar slack_s: how far the last ones came off these times, lost ones included [s]
+    :ivar jitter_s: how far arrivals are off the times of sending [s]; zero for none
+    :ivar on_time: whether the last message was on the schedule, as others before it
+    :ivar until_s: when the stream ends that goes on without messages [s]
+    """
+
+    #: Another form of the indices.
+    not_in_digest = ('where',)
+
+    def __init__(self, longest_s: float = STREAM_INTERVAL_S, hold_s: float = 0.0) -> None:
+        self.longest_s, self.hold_s = longest_s, hold_s
+        self.indices = np.empty(0, dtype=np.int64)
+        self.where: slice | IntArray = slice(0)
+        self.interval_s = self.sent_s = self.elapsed_s = 0.0
+        self.jitter_s = self.slack_s = 0.0
+        self.on_time, self.until_s = False, -math.inf
+        self._arrived_s = -math.inf
+        self._messages = self._astray = self._skipped = self._together = self._even = 0
+        # The even schedule: when the last message was due by it, how far arrivals are off it.
+        self._due_s = self._spread_s = 0.0
+        # Whether values follow the arrival times, and the last two intervals by the schedule and
+        # by these, None unless they are of one stream.
+        self._follows, self._says = False, 0.5
+        self._before: tuple[tuple[float, float], tuple[float, float]] | None = None
+        self._stamped, self._stamp_s, self._stamp_interval_s = False, 0.0, 0.0
+        self._since_sum_s = self._stamps_sum_s = _SAME_S
+
+    def forget(self) -> None:
+        """Let the next message be the first of a stream."""
+        self._arrived_s = self.until_s = -math.inf
+
+    def continues(self, now_s: float) -> bool:
+        """Tell whether a message would continue the stream if it came now."""
+        return now_s - self._arrived_s <= self.longest_s or (
+            now_s <= self.until_s and self.interval_s <= self.longest_s)
+
+    def take(self, now_s: float, period_s: float, stamp_s: float, messages: int,
+             by_goal: Callable[[float, float], tuple[float, float]] | None = None,
+             errors: Callable[[FloatArray], FloatArray] | None = None) -> int:
+        """
+        Take in that messages came, of which the last one counts.
+
+        :param now_s: simulation time [s]
+        :param period_s: of a stream that begins, until the second message [s]
+        :param stamp_s: when the last one was sent, by any clock [s]; 0: unknown
+        :param messages: how many came since the last call, 1 or more
+        :param by_goal: returns how many intervals the goals moved on, times its certainty, and
+            that certainty; given the interval [s] and the largest number that is possible
+        :param errors: returns sums of squares of errors, and of the last step; given the factors
+            of the last steps in the prediction of the next one, shape (2, 2)
+        :returns: how many messages seem to have been lost
+        """
+        streams, since_s = self.continues(now_s), now_s - self._arrived_s
+        number = self._messages + 1 if streams else 1
+        known = number > 2
+        if known:
+            interval_s, jitter_s = self.interval_s, self._spread_s
+        else:
+            interval_s, jitter_s = (since_s / messages if streams else period_s), 0.0
+        follows = known and self._follows
+        count = messages
+        if follows:
+            late_s = since_s - _PAUSE_LATER * interval_s
+            count = max(round(late_s / interval_s), messages)
+        elif known:
+            count = self._count((now_s - self._due_s) / interval_s, jitter_s / interval_s,
+                                messages, interval_s, by_goal)
+        stamped, ticks = False, float(count)
+        if stamp_s or self._stamp_s:
+            # Between stamps time is counted by the sender's clock, without them by messages.
+            stamped, stamp_interval_s, stamp_ticks = self._read_stamps(
+                streams, since_s, stamp_s, messages)
+            if stamped:
+                interval_s, ticks = stamp_interval_s, stamp_ticks
+                count = max(round(ticks), 1)
+        off_s = now_s - self._due_s - ticks * interval_s if known else 0.0
+        size = abs(off_s)
+        # A line through the arrivals: these gains are those of least squares.
+        memory = min(float(number), _MEMORY)
+        gain = 2.0 * (2.0 * memory - 1.0) / (memory * (memory + 1.0))
+        slope = 0.0 if stamped else 6.0 / (memory * (memory + 1.0))
+        bound_s = max(3.0 * jitter_s, 0.25 * interval_s) if number > 4 else math.inf
+        pull_s = min(max(off_s, -bound_s), bound_s)
+        due_s = self._due_s + ticks * interval_s + gain * pull_s if known else now_s
+        elapsed_s = ticks * interval_s if streams else period_s
+        changed_s = max(interval_s + slope * pull_s / ticks, 0.2 * interval_s)
+        missed_s = max(elapsed_s - max(interval_s, period_s), 0.0)
+        slack_s = max(0.8 * self.slack_s if streams else 0.0,
+                      min(size + missed_s, 2.0 * interval_s))
+        rise = min(size, interval_s) - jitter_s
+        jitter_s += (_ATTACK if rise > 0.0 else _DECAY) * rise
+        even = (count == messages == self._together
+                and max(size, jitter_s) < _ON_TIME * interval_s)
+        self._even = self._even + 1 if streams and (even or stamped and self._stamped) else 0
+        self.on_time = self._even > (_MEMORY if stamped else _TRUSTED)
+        self._together, self._stamped = messages, stamped
+        far = int(math.copysign(size > 0.5 * max(interval_s, period_s), off_s))
+        self._astray = self._astray + far if far * self._astray > 0 else far
+        skips = streams and not stamped and count > messages
+        self._skipped = self._skipped + 1 if skips else 0
+        slower, again = self._skipped >= _SKIPPED, abs(self._astray) >= _ASTRAY
+        self.interval_s = changed_s * count / messages if slower else changed_s
+        self._due_s = now_s if again else due_s
+        self._messages = _RESUMES if again else number
+        self._astray = 0 if again else self._astray
+        self._skipped = 0 if slower else self._skipped
+        self._spread_s, self._arrived_s = jitter_s, now_s
+        intervals_s = elapsed_s, max(since_s, 1e-9) if streams else period_s
+        if stamped or not streams or errors is None:
+            self._follows, self._says, self._before = False, 0.5, None
+        else:
+            self._choose(number > 3, intervals_s, errors)
+        self._before = (intervals_s, self._before[0] if self._before else intervals_s)
+        if self._follows:
+            # The messages themselves are the schedule.
+            self.sent_s, self.elapsed_s, self.jitter_s, self.slack_s = (
+                now_s, intervals_s[1], 0.0, 0.0)
+        else:
+            self.sent_s, self.elapsed_s, self.jitter_s, self.slack_s = (
+                self._due_s, elapsed_s, jitter_s, slack_s)
+        return count - messages if skips else 0
+
+    def _choose(self, known: bool, intervals_s: tuple[float, float],
+                errors: Callable[[FloatArray], FloatArray]) -> None:
+        """
+        Choose between the even schedule and the arrival times by which one the values follow.
+
+        Which one does predicts the next value better from the last three.
+
+        :param known: whether so many have been seen
+        :param intervals_s: from the last message to this one by the schedule, and by their arrival
+        """
+        even_s, since_s = intervals_s
+        share, before = 0.5, self._before
+        if known and before and (abs(even_s - since_s) > _SAME_INTERVAL * even_s or any(
+                abs(a - b) > _SAME_INTERVAL * a for a, b in before)):
+            factors = []
+            for now_s, last_s, first_s in zip(intervals_s, *before):
+                # Constant acceleration from step to step.
+                bend = (now_s + last_s) / (last_s + first_s)
+                factors.append((now_s / last_s * (1.0 + bend), -now_s / first_s * bend))
+            by_even, by_arrival, step = errors(np.array(factors)).tolist()
+            alike = _ALIKE**2 * step
+            total = by_even + by_arrival + 2.0 * alike
+            share = (by_even + alike) / total if total > 0.0 else 0.5
+        self._says = self._says + _SAYS * (share - self._says) if known else 0.5
+        self._follows = known and self._says > _FOLLOWS[not self._follows]
+
+    def _read_stamps(self, streams: bool, since_s: float, stamp_s: float, messages: int
+                     ) -> tuple[bool, float, float]:
+        """
+        Read the time between messages from their stamps.
+
+        :returns: whether stamps tell it, the interval from message to message in simulation time
+            [s], and the number of such intervals, which need not be whole
+        """
+        stamped_s = stamp_s - self._stamp_s if streams else 0.0
+        stamped = stamp_s > 0.0 and self._stamp_s > 0.0 and stamped_s > 0.0
+        self._stamp_s = stamp_s
+        if not streams:
+            # How fast simulation time runs by the sender's clock: as fast, until messages tell.
+            self._since_sum_s = self._stamps_sum_s = _SAME_S
+            self._stamp_interval_s = 0.0
+        if not stamped:
+            return False, 0.0, 0.0
+        self._since_sum_s = _RATE_KEPT * self._since_sum_s + since_s
+        self._stamps_sum_s = _RATE_KEPT * self._stamps_sum_s + stamped_s
+        unit_s = self._stamp_interval_s or stamped_s / messages
+        ticks = stamped_s / unit_s
+        # The interval follows the sender's slowly, lost messages left out.
+        unit_s *= 1.0 + 0.1 * (ticks / max(round(ticks), 1) - 1.0)
+        self._stamp_interval_s = unit_s
+        return (True, unit_s * self._since_sum_s / self._stamps_sum_s, stamped_s / unit_s)
+
+    @staticmethod
+    def _count(late: float, jitter: float, messages: int, interval_s: float,
+               by_goal: Callable[[float, float], tuple[float, float]] | None) -> int:
+        """Return how many messages were sent, by the time and by how far the goals went."""
+        # A message may be as late as it likes, but not come before it is sent.
+        most = math.floor(late + 0.5 + min(2.0 * jitter, 1.0))
+        if most <= messages:
+            return messages
+        moved, certain = (by_goal or _unmoved)(interval_s, late + 1.0 + 3.0 * jitter)
+        by_time = 1.0 / (jitter + _TIME_SPREAD)**2
+        return max(min(round((late * by_time + moved) / (by_time + certain)), most), messages)
+
+
+def _unmoved(interval_s: float, most: float) -> tuple[float, float]:
+    return 0.0, 0.0
+
+
+class MessageClocks:
+    """
+    The clocks of coordinates, of which those that come in the same messages share one.
+
+    :param count: number of coordinates
+    """
+
+    def __init__(self, count: int) -> None:
+        self._of: list[MessageClock | None] = [None] * count
+        self._by_indices: dict[bytes, MessageClock] = {}
+        self._settings = [(STREAM_INTERVAL_S, 0.0)] * count
+
+    def begun_anew(self) -> MessageClocks:
+        """Return the clocks of no stream yet, with the settings of these."""
+        clocks = MessageClocks(len(self._of))
+        clocks._settings = self._settings
+        return clocks
+
+    def set(self, indices: IntArray, longest_s: float | None = None,
+            hold_s: float | None = None) -> None:
+        """
+        Change what counts as a stream, and how long one goes on that stops.
+
+        :param longest_s: longest interval between messages of a stream [s]; None: no change
+        :param hold_s: after a message was due [s]; 0: two intervals; None: no change
+        """
+        for index in indices.tolist():
+            before = self._settings[index]
+            self._settings[index] = (before[0] if longest_s is None else longest_s,
+                                     before[1] if hold_s is None else hold_s)
+        for clock, _ in self.of(indices, -math.inf):
+            clock.longest_s, clock.hold_s = self._settings[clock.indices[0]]
+
+    def forget(self, indices: IntArray) -> None:
+        """Let the next messages of some coordinates be the first of a stream."""
+        if self._by_indices:
+            for clock, _ in self.of(indices, -math.inf):
+                clock.forget()
+
+    def of(self, indices: IntArray, now_s: float
+           ) -> list[tuple[MessageClock, slice | IntArray]]:
+        """
+        Return the clocks for a message that comes now, and which of its coordinates are theirs.
+
+        Coordinates that do not continue a stream begin one together.
+
+        :param indices: of the coordinates that the message brings
+        """
+        clock = self._by_indices.get(indices.tobytes())
+        if clock is not None:
+            return [(clock, slice(None))]
+        shares: dict[MessageClock | tuple[float, float], list[int]] = {}
+        for place, index in enumerate(indices.tolist()):
+            known = self._of[index]
+            shares.setdefault(known if known is not None and known.continues(now_s)
+                              else self._settings[index], []).append(place)
+        return [(self._own(of, indices[places]), np.array(places))
+                for of, places in shares.items()]
+
+    def _own(self, of: MessageClock | tuple[float, float], indices: IntArray) -> MessageClock:
+        """Return a clock for these coordinates alone, which continues that of more of them."""
+        if not isinstance(of, MessageClock):
+            clock = MessageClock(*of)
+        else:
+            clock = of if len(of.indices) == len(indices) else copy.copy(of)
+        for index in indices.tolist():
+            other = self._of[index]
+            if other is not None and other is not clock:
+                self._place(other, other.indices[other.indices != index])
+            self._of[index] = clock
+        self._place(clock, indices)
+        return clock
+
+    def _place(self, clock: MessageClock, indices: IntArray) -> None:
+        key = clock.indices.tobytes()
+        if self._by_indices.get(key) is clock:
+            del self._by_indices[key]
+        clock.indices, clock.where = indices, indices
+        if not indices.size:
+            return
+        self._by_indices[indices.tobytes()] = clock
+        first, count = int(indices[0]), len(indices)
+        if np.array_equal(indices, np.arange(first, first + count)):
+            clock.where = slice(first, first + count)

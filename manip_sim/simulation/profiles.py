@@ -1,0 +1,97 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Laws of motion within limits, as functions of arrays without state, of any common shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+
+
+def within(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return values clipped to a range; np.clip takes several times as long for few of them."""
+    return np.asarray(np.minimum(np.maximum(values, low), high))
+
+
+def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float) -> FloatArray:
+    """
+    Return the highest velocity in the next interval that still allows braking before the goal.
+
+    The distance left after the interval is that of a constant deceleration, v^2 / (2 a), so the
+    intervals that follow may be of any length.
+
+    :param distance: to the goal, with sign [rad or m], shape (n,)
+    :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
+    :param interval_s: [s]
+    """
+    size, change = np.minimum(np.abs(distance), 1e6), limit * interval_s
+    # The root of v^2 + 2 change v = 2 limit size, written so that it is exact for small sizes.
+    return np.asarray(np.sign(distance) * 2.0 * limit * size / (
+        change + np.sqrt(change**2 + 2.0 * limit * size)))
+
+
+def ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray, interval_s: float
+         ) -> tuple[FloatArray, FloatArray]:
+    """
+    Let velocities come to others at constant accelerations.
+
+    :param begin: velocity at the beginning of an interval [rad/s or m/s], shape (n,)
+    :param goal: that it comes to, and stays [rad/s or m/s], shape (n,)
+    :param slope: size of the acceleration, above 0 [rad/s^2 or m/s^2], shape (n,)
+    :param interval_s: [s]
+    :returns: velocity at the end of the interval, and the way in it, each of shape (n,)
+    """
+    change = goal - begin
+    ramp_s = np.minimum(np.abs(change) / slope, interval_s)
+    change = np.copysign(slope * ramp_s, change)
+    end = begin + change
+    return end, np.asarray(end * interval_s - (end - begin) / 2.0 * ramp_s)
+
+
+def way_of_ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray) -> FloatArray:
+    """Return how much farther a velocity that ramps goes than if it were at its goal."""
+    change = goal - begin
+    return np.asarray(-change * np.abs(change) / (2.0 * slope))
+
+
+def low_pass(before: FloatArray, present: FloatArray, smoothing_s: FloatArray, interval_s: float
+             ) -> FloatArray:
+    """
+    Smooth velocities by first-order stages, each of which averages what goes into it.
+
+    :param before: velocities before an interval: the input, and after each stage, shape (k, n)
+    :param present: the input after the interval, shape (n,)
+    :param smoothing_s: time constant of each stage [s], shape (n,)
+    :param interval_s: [s]
+    :returns: velocities after the interval, shape (k, n); the first input counts in full
+    """
+    share = interval_s / (smoothing_s + interval_s / 2.0)
+    after = np.empty_like(before)
+    after[0] = mean = present
+    for stage in range(1, len(before)):
+        after[stage] = before[stage] + share * (mean - before[stage])
+        mean = (before[stage] + after[stage]) / 2.0
+    return after
+
+
+def velocity_before_the_end(velocity: FloatArray, begin: FloatArray, below: FloatArray,
+                            above: FloatArray, limit: FloatArray, interval_s: float
+                            ) -> FloatArray:
+    """
+    Return velocities, at the end of an interval, that allow braking before the range ends.
+
+    :param velocity: wanted there [rad/s or m/s], shape (n,)
+    :param begin: velocity at the beginning of the interval [rad/s or m/s], shape (n,)
+    :param below: how far the range goes on below the present position [rad or m], shape (n,)
+    :param above: how far it goes on above it [rad or m], shape (n,)
+    :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
+    :param interval_s: [s]
+    """
+    change = limit * interval_s / 2.0
+    highest, lowest = (
+        np.sqrt(np.maximum(change**2 + 2.0 * limit * np.maximum(
+            np.minimum(distance, 1e6) - towards * interval_s / 2.0, 0.0), 0.0)) - change
+        for distance, towards in ((above, begin), (below, -begin)))
+    return within(velocity, -lowest, highest)
