@@ -17,6 +17,8 @@ from manip_sim.viewer.page.cameras import CameraPanel  # noqa: E402
 from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.hand_target import HandTarget  # noqa: E402
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_inward  # noqa: E402
+from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
+from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
 from manip_sim.viewer.page.robots import Joint, Part, Robot  # noqa: E402
 
 RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}
@@ -70,6 +72,12 @@ class Gui:
 
     def add_button_group(self, label, options, **_):
         return self._add(label, options=options, value=options[0])
+
+    def add_dropdown(self, label, options, **_):
+        return self._add(label, options=options, value=options[0])
+
+    def add_uplot(self, data, series, title, **_):
+        return self._add(title, data=data, labels=[one['label'] for one in series])
 
     def add_folder(self, label, **_):
         return self._add(label)
@@ -262,3 +270,21 @@ def test_any_range_gives_a_slider(low, width):
     assert slider.step > 0.0
     panel.show(0.0, {'robot0_a': low + 0.7 * width}, {}, paused=False)
     assert slider.min <= slider.value <= slider.max
+
+
+def test_plots_show_what_was_measured_of_the_part_or_hand_that_is_chosen(rig):
+    panel, found = PlotPanel(rig.gui, [ROBOT]), rig.gui.found
+    for second in range(4):
+        # In another order than that of the part.
+        states = JointStates(['robot0_b', 'robot0_a'], *(
+            np.array([10.0 * kind + second, -second]) for kind in range(3)), float(second))
+        panel.show(float(second), Latest(
+            {'/left/': states}, wrenches={('/left/', 'right'): np.arange(6.0) + second}))
+        if second == 1:
+            times, a, b = found['velocity [rad/s]'].data
+            assert found['velocity [rad/s]'].labels == ['s', 'a', 'b']
+            np.testing.assert_array_equal([times, a, b], [[-1.0, 0.0], [0.0, -1.0], [10.0, 11.0]])
+            found['Show'].value = found['Show'].options[1]
+    assert found['velocity [rad/s]'].removed
+    np.testing.assert_array_equal(found['external torque [N m]'].data, [
+        [-1.0, 0.0], [5.0, 6.0], [6.0, 7.0], [7.0, 8.0]])
