@@ -249,9 +249,13 @@ class JointController(ControlledJoints):
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
         arrival = Arrival(period_s, command.messages, command.sent_ns % _STAMPS_NS * 1e-9)
-        for mode in set(command.modes):
-            chosen = np.array([own == mode for own in command.modes])
-            MODES[mode].command(self, command.indices[chosen], command.values[chosen], arrival)
+        modes = set(command.modes)
+        for mode in modes:
+            indices, values = command.indices, command.values
+            if len(modes) > 1:
+                chosen = np.array([own == mode for own in command.modes])
+                indices, values = indices[chosen], values[chosen]
+            MODES[mode].command(self, indices, values, arrival)
 
     def go_to(self, indices: IntArray, position: FloatArray, arrival: Arrival) -> None:
         """Let setpoints come to a position, or follow a stream of positions [rad or m]."""
