@@ -3,6 +3,7 @@
 
 """In lock-step the simulation's thread takes commands itself, where rclpy is known to allow it."""
 
+from importlib.metadata import PackageNotFoundError
 import threading
 import time
 
@@ -34,6 +35,16 @@ def took_s(function):
     begin = time.monotonic()
     function()
     return time.monotonic() - begin
+
+
+@pytest.mark.parametrize('found', ['0.1.0', None])
+def test_an_rclpy_that_is_not_known_leaves_commands_to_the_executor(found, node, monkeypatch):
+    def version(_):
+        if found is None:  # As where it was copied, and not installed.
+            raise PackageNotFoundError('rclpy')
+        return found
+    monkeypatch.setattr(command_inbox, 'version', version)
+    assert create_command_inbox(node, RejectionLog(node.get_logger())) is None
 
 
 def test_a_wake_ends_the_wait_that_is_or_the_next_one(inbox):
