@@ -104,7 +104,9 @@ def test_actuators_tell_what_they_are_in_the_files(described):
     ('<motor name="a" joint="joint1"/>', 'motor', None, np.pi),
     ('<velocity name="a" joint="joint1" kv="5" ctrlrange="-2 2"/>', 'velocity servo', None, 2.0),
     ('<position name="a" joint="joint1" kp="50" forcerange="-7 9"/>', 'position servo',
-     [-7.0, 9.0], np.pi)])
+     [-7.0, 9.0], np.pi),
+    ('<general name="a" joint="joint1" biastype="affine" biasprm="1 0 0"/>', 'other', None,
+     np.pi)])
 def test_limits_follow_from_the_kind_of_the_actuator(
         actuator, kind, effort, velocity, here, one_joint_arm, composing):
     composing('describe', one_joint_arm(actuator))

@@ -129,7 +129,8 @@ def test_a_model_that_takes_long_is_checked_beside_the_page_and_given_up_at_the_
     # MuJoCo works for half a minute on it.
     slow = archive('<mujoco><worldbody><body name="b"><flexcomp name="f" type="grid" dim="3" '
                    'count="27 27 27" spacing="1 1 1" mass="1"/></body></worldbody></mujoco>')
-    hostile = HostileNode(lambda what: what)
+    words = {}
+    hostile = HostileNode(lambda what: words.get(what, what))
     process, address = start_viewer('--node', NAME)
     held = []
 
@@ -148,6 +149,8 @@ def test_a_model_that_takes_long_is_checked_beside_the_page_and_given_up_at_the_
             # What comes meanwhile is shown.
             page.texts.clear()
             await page.read_until(lambda: shows(running))
+            words['state'] = 'paused'
+            await page.read_until(lambda: shows('paused at [0-9.]+ s, checking a new model'))
     try:
         asyncio.run(look_at_the_check())
         _, errors = end(process)

@@ -166,12 +166,23 @@ def test_the_range_of_a_slider_is_declared_or_a_turn(arm, declared, expected):
     assert joint.ranges['position'] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize('actuator', ['motor', 'velocity'])
+def test_a_gripper_takes_positions_where_its_actuator_is_a_position_servo(actuator, arm):
+    import mujoco
+    assert commanded_joints(arm, ['j'], {}, gripper=True)
+    other = mujoco.MjModel.from_xml_string(ARM.replace('position', actuator))
+    assert not commanded_joints(other, ['j'], {}, gripper=True)
+    assert commanded_joints(other, ['j'], {}, gripper=False)
+
+
+ARM = ('<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
+       '<actuator><position joint="j"/></actuator></mujoco>')
+
+
 @pytest.fixture
 def arm():
     import mujoco
-    return mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
-        '<actuator><position joint="j"/></actuator></mujoco>')
+    return mujoco.MjModel.from_xml_string(ARM)
 
 
 @given(st.lists(TEXTS | st.sampled_from([

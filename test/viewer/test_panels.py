@@ -20,6 +20,7 @@ from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_in
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
 from manip_sim.viewer.page.robots import Joint, Part, Robot  # noqa: E402
+from manip_sim.viewer.page.simulation_panel import SimulationPanel  # noqa: E402
 
 RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}
 ARM = Part('arm', (Joint('robot0_a', 'a', False, RANGES), Joint('robot0_b', 'b', False, RANGES)))
@@ -88,6 +89,9 @@ class Gui:
     def add_image(self, image, **_):
         return self._add('image', image=image)
 
+    def add_html(self, content):
+        return self._add('text', content=content)
+
     def add_transform_controls(self, name, **_):
         return self._add(name, visible=False, position=np.zeros(3),
                          wxyz=np.array([1.0, 0.0, 0.0, 0.0]))
@@ -114,6 +118,26 @@ def rig():
 
 def joint_panel(rig, mode):
     return JointPanel(rig.gui, ROBOT, ARM, mode, rig.sent, rig.events)
+
+
+@pytest.mark.parametrize(('group', 'button', 'call'), [
+    ('Simulation', 'Pause', ('pause', True)), ('Simulation', 'Resume', ('pause', False)),
+    ('Simulation', 'Step', ('step',)), ('Start again', 'Reset', ('reset',)),
+    ('Start again', 'Tare', ('tare',))])
+def test_a_button_of_the_simulation_asks_for_what_it_says(rig, group, button, call):
+    SimulationPanel(rig.gui, rig.sent, rig.events)
+    rig.gui.found[group].use(value=button)
+    assert rig.sent.taken() == []
+    rig.events.run()
+    assert rig.sent.taken() == [call]
+
+
+def test_a_paused_simulation_can_be_resumed_and_one_of_no_known_state_is_left_alone(rig):
+    panel = SimulationPanel(rig.gui, rig.sent, rig.events)
+    for paused, first in ((None, 'Pause'), (True, 'Resume'), (None, 'Resume'), (False, 'Pause')):
+        panel.show('waiting', 'waiting for <it>', paused)
+        assert rig.gui.found['Simulation'].options == (first, 'Step')
+    assert 'waiting for &lt;it&gt;' in rig.gui.found['text'].content
 
 
 def test_a_slider_sends_its_joint_alone_and_once(rig):

@@ -6,6 +6,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -69,3 +70,27 @@ def test_an_unknown_option_is_a_wrong_command_line():
     done = subprocess.run([sys.executable, '-m', 'manip_sim.viewer', '--prot', '1'], text=True,
                           capture_output=True, timeout=300.0, check=False)
     assert done.returncode == 2
+
+
+def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
+    pytest.importorskip('rclpy', reason='the viewer needs ROS 2')
+    from manip_sim.viewer.ros import main
+    rounds, logged = [], []
+
+    class Failing:
+        def __init__(self, *_, **__):
+            pass
+
+        def update(self, now_s):
+            rounds.append(now_s)
+            raise ValueError('another model')
+    for name in ('open_server', 'page_address', 'close_server'):
+        monkeypatch.setattr(main, name, lambda *_: None)
+    monkeypatch.setattr(main, 'Session', Failing)
+    readers = SimpleNamespace(log=SimpleNamespace(failure=lambda *told: logged.append(told)))
+    main._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None),
+                SimpleNamespace(allow_host=[], listen='', port=0, dark=False, no_commands=False),
+                SimpleNamespace(wait=lambda _: len(rounds) == 3))
+    assert len(rounds) == 3
+    assert [(kind, what, str(error)) for kind, what, error in logged] == [
+        ('callbacks', 'the page', 'another model')] * 3

@@ -106,7 +106,7 @@ def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
         raise ValueError(str(error)) from error
-    limits = {str(joint.get('name')): {key: float(limit.get(key, 0.0))
+    limits = {str(joint.get('name')): {key: float(limit.attrib[key])
                                        for key in _LIMITS if key in limit.attrib}
               for joint in root.iter('joint') if (limit := joint.find('limit')) is not None}
     if not all(math.isfinite(value) for of in limits.values() for value in of.values()):
