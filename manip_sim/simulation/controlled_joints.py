@@ -14,6 +14,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.simulation.modes import default_mode, MODES
 from manip_sim.simulation.parts import Part
+from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.state import ControllerState, JointReference
@@ -29,8 +30,7 @@ class ControlledJoints:
     """
     The joints that actuators drive, each with its servo, its setpoint and its control mode.
 
-    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``
-    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
+    :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :ivar names: of the driven joints, in the order of their indices
@@ -38,7 +38,7 @@ class ControlledJoints:
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, parts: Mapping[str, Part],
+    def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str]) -> None:
         driven = [(actuator, joint) for name in atomic for actuator, joint in
                   zip(parts[name].actuators, parts[name].driven_joints) if joint is not None]
@@ -48,7 +48,7 @@ class ControlledJoints:
                             for name, part in parts.items()}
         self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
         self.twist_indices = self._find_twist_joints(parts)
-        self._servos = Servos(model, data, [a for a, _ in driven], self.names)
+        self._servos = Servos(physics, [a for a, _ in driven], self.names)
         self._setpoints = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
@@ -63,10 +63,6 @@ class ControlledJoints:
         if any(len(indices) != 1 for indices in found):
             return None
         return self._indices_of['base'][[indices[0] for indices in found]]
-
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model that has these actuators and joints unchanged."""
-        self._servos.rebind(model)
 
     def indices_of(self, part: str) -> IntArray:
         """

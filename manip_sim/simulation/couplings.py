@@ -26,8 +26,9 @@ class JointCouplings:
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Iterable[int]) -> None:
-        self._model = model
         own = set(joints)
+        self._zeros = {j: float(model.qpos0[model.jnt_qposadr[j]]) for j in own}
+        self._ranges = {j: model.jnt_range[j].copy() for j in own if model.jnt_limited[j]}
         self._neighbours: dict[int, list[tuple[int, FloatArray, bool]]] = {j: [] for j in own}
         is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
         for equality in np.flatnonzero(is_joint & (model.eq_active0 != 0)):
@@ -36,10 +37,6 @@ class JointCouplings:
                 polynomial = model.eq_data[equality, :5].copy()
                 self._neighbours[leader].append((follower, polynomial, False))
                 self._neighbours[follower].append((leader, polynomial, True))
-
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model that has these joints unchanged."""
-        self._model = model
 
     def group(self, joint: int) -> frozenset[int]:
         """Return a joint and all that move with it."""
@@ -66,18 +63,17 @@ class JointCouplings:
             for other, polynomial, inverse in self._neighbours[joint]:
                 if other in known:
                     continue
-                offset = known[joint] - self._zero(joint)
+                offset = known[joint] - self._zeros[joint]
                 value = (self._solve(polynomial, offset, other) if inverse
                          else float(np.polyval(polynomial[::-1], offset)))
                 if value is not None:
-                    known[other] = value + self._zero(other)
+                    known[other] = value + self._zeros[other]
                     waiting.append(other)
         return known
 
     def ratios(self, joint: int) -> list[dict[int, float]]:
         """Return the velocities of coupled joints per that of one, at positions in its range."""
-        low, high = (self._model.jnt_range[joint] if self._model.jnt_limited[joint]
-                     else (self._zero(joint), self._zero(joint)))
+        low, high = self._ranges.get(joint, (self._zeros[joint], self._zeros[joint]))
         found = []
         for place in np.linspace(low + _STEP, high - _STEP, _PLACES):
             before = self.follow({joint: place - _STEP})
@@ -86,16 +82,13 @@ class JointCouplings:
                           for other in before if other in after})
         return found
 
-    def _zero(self, joint: int) -> float:
-        return float(self._model.qpos0[self._model.jnt_qposadr[joint]])
-
     def _solve(self, polynomial: FloatArray, value: float, joint: int) -> float | None:
         """Return the offset nearest to zero at which a polynomial has a value, or None."""
         if not polynomial[2:].any():
             return (value - polynomial[0]) / polynomial[1] if polynomial[1] else None
         roots = np.roots([*polynomial[:0:-1], polynomial[0] - value])
         real = roots.real[np.abs(roots.imag) < _STEP]
-        if self._model.jnt_limited[joint]:
-            low, high = self._model.jnt_range[joint] - self._zero(joint)
+        if joint in self._ranges:
+            low, high = self._ranges[joint] - self._zeros[joint]
             real = real[(real > low - _STEP) & (real < high + _STEP)]
         return float(real[np.argmin(np.abs(real))]) if len(real) else None

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.simulation.physics import Physics
 
 #: Integrators that treat the damping of actuators implicitly.
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
@@ -58,35 +59,35 @@ class ActuatorEfforts:
 
     Velocity gains of actuators other than ``affine`` biases, as of muscles, are not considered.
 
-    :param model: the compiled ``mujoco.MjModel``
-    :param data: the ``mujoco.MjData``, after ``mj_forward``
-    :param before: those of another model, whose degrees of freedom that have actuators come first
-        in both; None if no step came before
+    :param physics: of the world, after ``mj_forward``; :attr:`values` have to be read before
+        another model replaces that of the last step
     """
 
     #: Of the step that has passed; nothing in the next one depends on it.
     not_in_digest = ('_last', '_values')
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData,
-                 before: ActuatorEfforts | None = None) -> None:
-        self._model = model
-        self._data = data
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
         self._explicit_at_limits = _explicit_at_limits()
+        self._values: FloatArray | None = np.zeros(0)
+        physics.on_change(self._find_views)
+
+    def _find_views(self) -> None:
+        model, data, before = self._physics.model, self._physics.data, self.values
         # Views, which need not be fetched each time; a mode or a grasp changes the last three.
         self._views = (data.qfrc_actuator, data.actuator_force, data.actuator_velocity, data.qvel,
                        model.actuator_biasprm[:, 2], model.actuator_forcerange,
                        model.actuator_forcelimited)
         #: Those of the last step: as at its beginning, but the velocity at its end.
         self._last = tuple(view.copy() for view in self._views)
-        self._values: FloatArray | None = None
         self.restart()
-        if before is not None:
-            common = min(model.nv, len(before.values))
-            self.values[:common] = before.values[:common]
+        # Degrees of freedom that have actuators come first in both models.
+        common = min(model.nv, len(before))
+        self.values[:common] = before[:common]
 
     def restart(self) -> None:
         """Return to an instant without a step before it; after ``mj_forward``."""
-        self._values = self._data.qfrc_actuator.copy()
+        self._values = self._physics.data.qfrc_actuator.copy()
 
     def record(self) -> None:
         """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""
@@ -102,7 +103,7 @@ class ActuatorEfforts:
         return self._values
 
     def _acted(self) -> FloatArray:
-        model, data = self._model, self._data
+        model, data = self._physics.model, self._physics.data
         acted, force, velocity, end, damping, force_range, limited = self._last
         if int(model.opt.integrator) not in _IMPLICIT:
             return np.array(acted)

@@ -13,6 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
+from manip_sim.simulation.physics import Physics
 
 #: How many steps are kept before they are summed up.
 _ROWS = 64
@@ -31,15 +32,15 @@ class ExternalWrench:
     about the centre of mass of the tree. Their sum over the bodies of the tool is the negated
     reading of the sensor minus gravity and inertia of the tool.
 
-    :param model: the compiled ``mujoco.MjModel``
-    :param data: its ``mujoco.MjData``
+    :param physics: of the world
     :param site: of the frame of the sensor
     """
 
     #: Of the period that has passed; nothing in the next one depends on it.
     not_in_digest = ('_rows', '_centres', '_row', '_sum', '_mean', '_steps')
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, site: int) -> None:
+    def __init__(self, physics: Physics, site: int) -> None:
+        self._physics = physics
         self._site = site
         #: Sum over the steps that are no longer in the rows, and the number of rows in use.
         self._sum, self._row = _ZERO, 0
@@ -49,10 +50,10 @@ class ExternalWrench:
         self._tare = _ZERO
         self._cutoff_hz = 0.0
         self._filtered: FloatArray | None = None
-        self.rebind(model, data)
+        physics.on_change(self._find_tool)
 
-    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Continue with another model in which the tool is unchanged."""
+    def _find_tool(self) -> None:
+        model, data = self._physics.model, self._physics.data
         if self._mean is None:
             self._compute_mean()
         body = int(model.site_bodyid[self._site])

@@ -19,6 +19,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.declared_limits import declared_velocity
 from manip_sim.simulation.couplings import JointCouplings
 from manip_sim.simulation.parts import Part
+from manip_sim.simulation.physics import Physics
 
 _JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -30,7 +31,7 @@ class GripperActuators:
     """
     The actuators of a gripper, with their properties in arrays of shape (n, ...).
 
-    :param model: the compiled ``mujoco.MjModel``
+    :param physics: of the world
     :param part: the gripper
     :ivar ids: of the actuators
     :ivar is_servo: whether the actuator has a setpoint
@@ -45,8 +46,8 @@ class GripperActuators:
     :raises ModelError: naming an actuator without a range, or another on a servo's joint or tendon
     """
 
-    def __init__(self, model: mujoco.MjModel, part: Part) -> None:
-        self._model = model
+    def __init__(self, physics: Physics, part: Part) -> None:
+        self._physics, model = physics, physics.model
         self._part = part
         self.ids: IntArray = part.actuator_ids
         self.couplings = JointCouplings(model, [model.joint(j).id for j in part.joints])
@@ -65,11 +66,6 @@ class GripperActuators:
         self.speeds = np.array([self._speed(i) for i in range(len(self.ids))])
         self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
                                    ).reshape(-1, 2)
-
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model that has these actuators unchanged."""
-        self._model = model
-        self.couplings.rebind(model)
 
     def name(self, index: int) -> str:
         """Return the name of an actuator."""
@@ -123,7 +119,7 @@ class GripperActuators:
         :param positions: by id of the joint [rad or m]; the other joints stay where they are
         :returns: shape (n,), NaN where none of the joints takes part
         """
-        model, lengths = self._model, np.full(len(self.ids), np.nan)
+        model, lengths = self._physics.model, np.full(len(self.ids), np.nan)
         for index, terms in enumerate(self.terms):
             if any(joint in positions for joint, _ in terms):
                 lengths[index] = model.actuator_gear[self.ids[index], 0] * sum(
@@ -137,7 +133,7 @@ class GripperActuators:
 
         :param joint: its id
         """
-        model = self._model
+        model = self._physics.model
         low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
         for index, terms in enumerate(self.terms):
             if self.is_servo[index] and [other for other, _ in terms] == [joint]:
@@ -149,12 +145,12 @@ class GripperActuators:
 
     def why_no_setpoint(self, index: int) -> str:
         """Return why an actuator has no setpoint, in words."""
-        damping = self._model.actuator_biasprm[self.ids[index], 2]
+        damping = self._physics.model.actuator_biasprm[self.ids[index], 2]
         what = 'a velocity' if damping < 0.0 and self._bias[index, 1] == 0.0 else 'a force'
         return f"actuator '{self.name(index)}' is no position servo, its control is {what}"
 
     def _length_terms(self, index: int) -> list[tuple[int, float]]:
-        model, actuator = self._model, int(self.ids[index])
+        model, actuator = self._physics.model, int(self.ids[index])
         kind, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
         if kind in _JOINT and int(model.jnt_type[target]) in _SCALAR:
             return [(int(target), 1.0)]
@@ -169,20 +165,21 @@ class GripperActuators:
     def _check_shared(self) -> None:
         driven_by: dict[tuple[bool, int], int] = {}
         for index, actuator in enumerate(self.ids):
-            kind = int(self._model.actuator_trntype[actuator])
+            kind = int(self._physics.model.actuator_trntype[actuator])
             if kind not in (*_JOINT, _TENDON):
                 continue
-            key = kind == _TENDON, int(self._model.actuator_trnid[actuator, 0])
+            key = kind == _TENDON, int(self._physics.model.actuator_trnid[actuator, 0])
             first = driven_by.setdefault(key, index)
             if first != index and (self.is_servo[first] or self.is_servo[index]):
-                what = ('tendon', self._model.tendon) if key[0] else ('joint', self._model.joint)
+                model = self._physics.model
+                what = ('tendon', model.tendon) if key[0] else ('joint', model.joint)
                 raise ModelError(
                     f"actuators '{self.name(first)}' and '{self.name(index)}' of "
                     f"{self._part.name} both drive {what[0]} '{what[1](key[1]).name}' and one of "
                     'them is a position servo, which the other one disturbs: keep only one')
 
     def _range(self, index: int) -> tuple[float, float]:
-        model, actuator = self._model, int(self.ids[index])
+        model, actuator = self._physics.model, int(self.ids[index])
         low, high = (model.actuator_actrange[actuator] if self._integrates[index]
                      else model.actuator_ctrlrange[actuator])
         if low < high:
@@ -198,7 +195,7 @@ class GripperActuators:
 
     def _speed(self, index: int) -> float:
         """Return the greatest speed of a setpoint at which no joint exceeds its limit."""
-        model, actuator = self._model, int(self.ids[index])
+        model, actuator = self._physics.model, int(self.ids[index])
         if not self.is_servo[index]:
             return np.inf
         coefficient_of = dict(self.terms[index])
@@ -207,14 +204,14 @@ class GripperActuators:
             for ratios in self.couplings.ratios(joint):
                 length_rate = abs(sum(coefficient_of.get(other, 0.0) * ratio
                                       for other, ratio in ratios.items()))
-                limits = [float(declared_velocity(self._model, other)) / abs(ratio)
+                limits = [float(declared_velocity(self._physics.model, other)) / abs(ratio)
                           for other, ratio in ratios.items() if ratio]
                 fastest = min([fastest, *(limit * length_rate for limit in limits)])
         per_length = -self._bias[index, 1] / self._gain[index]
         return float(fastest * abs(model.actuator_gear[actuator, 0]) * per_length)
 
     def _overtravel(self, index: int) -> tuple[float, float]:
-        model, actuator = self._model, int(self.ids[index])
+        model, actuator = self._physics.model, int(self.ids[index])
         limits = []
         if model.actuator_forcelimited[actuator]:
             limits.append(model.actuator_forcerange[actuator])

@@ -17,6 +17,7 @@ from manip_sim.simulation.gripper_force import ForceLimit
 from manip_sim.simulation.gripper_joints import GripperJoints
 from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.parts import Part
+from manip_sim.simulation.physics import Physics
 
 #: Rate at which robosuite calls a gripper's ``format_action`` [Hz].
 GRIPPER_RATE_HZ = 20.0
@@ -39,7 +40,7 @@ class GripperController:
     than the fingers may move. If an action or a grasp leads to an end of the range and a finger is
     stopped before it, the setpoint goes on until the actuator exerts its full force.
 
-    :param model: the compiled ``mujoco.MjModel``, whose position servos have a setpoint activation
+    :param physics: of the world, whose position servos have a setpoint activation
     :param part: the gripper
     :param timestep_s: of the physics [s]
     :ivar joints: those that take position commands
@@ -47,16 +48,16 @@ class GripperController:
     :raises ModelError: if an actuator or ``format_action`` cannot be used
     """
 
-    def __init__(self, model: mujoco.MjModel, part: Part, timestep_s: float) -> None:
+    def __init__(self, physics: Physics, part: Part, timestep_s: float) -> None:
         if part.gripper is None:
             raise ValueError(f'{part.name} is not a gripper')
         self.part = part
-        self._model = model
+        self._physics = physics
         self._timestep_s = timestep_s
-        self._actuators = GripperActuators(model, part)
-        self._force = ForceLimit(model, self._actuators)
+        self._actuators = GripperActuators(physics, part)
+        self._force = ForceLimit(physics, self._actuators)
         self._formatter = Formatter(part.gripper, len(part.actuators))
-        self.joints = GripperJoints(model, part.name, self._actuators)
+        self.joints = GripperJoints(physics, part.name, self._actuators)
         self._tolerance = _SAME * np.ptp(self._actuators.ranges, axis=1)
         self.commands = Ledger(len(part.actuators))
         self._forget()
@@ -74,13 +75,6 @@ class GripperController:
         self._pace = np.full(count, np.inf)
         self._turned = False
         self._moving = False
-
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model in which the gripper is unchanged."""
-        self._model = model
-        self._actuators.rebind(model)
-        self.joints.rebind(model)
-        self._force.rebind(model)
 
     @property
     def faults(self) -> int:
@@ -114,7 +108,7 @@ class GripperController:
         self.commands.release(self.indices, Status.ABORTED, reason)
         self._force.set(0.0)
         self._forget()
-        mujoco.mj_fwdPosition(self._model, data)
+        mujoco.mj_fwdPosition(self._physics.model, data)
         self._goal = np.clip(self._actuators.place(data), *self._actuators.ranges.T)
         self._actuators.hold(data, self._goal)
         self._in_step = self._formatter.start_at(self._normalised(self._goal))

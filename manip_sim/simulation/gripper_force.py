@@ -5,25 +5,24 @@
 
 from __future__ import annotations
 
-
-import mujoco
 import numpy as np
 
 from manip_sim.simulation.gripper_actuators import GripperActuators
+from manip_sim.simulation.physics import Physics
 
 
 class ForceLimit:
     """
     The force limits of a gripper's actuators in the model.
 
-    :param model: the compiled ``mujoco.MjModel``; its ``actuator_forcerange`` is changed
+    :param physics: of the world; ``actuator_forcerange`` of its model is changed
     :param actuators: of the gripper
     """
 
-    def __init__(self, model: mujoco.MjModel, actuators: GripperActuators) -> None:
-        self._model = model
+    def __init__(self, physics: Physics, actuators: GripperActuators) -> None:
+        self._physics = physics
         self._actuators = actuators
-        ids = actuators.ids
+        ids, model = actuators.ids, physics.model
         self._limited = model.actuator_forcelimited[ids].copy()
         self._ranges = model.actuator_forcerange[ids].copy()
         # The range of an actuator without a force limit may be empty.
@@ -33,10 +32,6 @@ class ForceLimit:
             for actuator, terms in zip(ids, actuators.terms)])
         self._effort = 0.0
 
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model that has the present limits."""
-        self._model = model
-
     def set(self, effort: float) -> None:
         """
         Limit the force of each actuator so that it gives its first joint no more than an effort.
@@ -45,11 +40,11 @@ class ForceLimit:
         """
         if effort == self._effort:
             return
-        self._effort, ids = effort, self._actuators.ids
+        self._effort, ids, model = effort, self._actuators.ids, self._physics.model
         if effort:
             most = (effort / np.abs(self._per_effort))[:, None]
-            self._model.actuator_forcerange[ids] = np.clip(self._widest, -most, most)
-            self._model.actuator_forcelimited[ids] = 1
+            model.actuator_forcerange[ids] = np.clip(self._widest, -most, most)
+            model.actuator_forcelimited[ids] = 1
         else:
-            self._model.actuator_forcerange[ids] = self._ranges
-            self._model.actuator_forcelimited[ids] = self._limited
+            model.actuator_forcerange[ids] = self._ranges
+            model.actuator_forcelimited[ids] = self._limited

@@ -13,6 +13,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation.gripper_actuators import GripperActuators
+from manip_sim.simulation.physics import Physics
 
 #: A finger stands still if it would take longer than this to cross its range [s].
 _STILL_S = 40.0
@@ -22,14 +23,14 @@ class GripperJoints:
     """
     The joints of a gripper.
 
-    :param model: the compiled ``mujoco.MjModel``
+    :param physics: of the world
     :param part: the name of the gripper's part, for errors
     :param actuators: of the gripper
     :ivar names: of the joints that a position command may name
     """
 
-    def __init__(self, model: mujoco.MjModel, part: str, actuators: GripperActuators) -> None:
-        self._model = model
+    def __init__(self, physics: Physics, part: str, actuators: GripperActuators) -> None:
+        self._physics = physics
         self._part = part
         self._actuators = actuators
         self._ids = list(dict.fromkeys(
@@ -37,19 +38,15 @@ class GripperJoints:
             for joint, _ in terms))
         self.names: tuple[str, ...] = tuple(self._name(joint) for joint in self._ids)
 
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model in which the gripper is unchanged."""
-        self._model = model
-
     def _name(self, joint: int) -> str:
-        return str(self._model.joint(joint).name)
+        return str(self._physics.model.joint(joint).name)
 
     def _id(self, name: str) -> int:
-        return int(self._model.joint(name).id)
+        return int(self._physics.model.joint(name).id)
 
     def ranges(self, names: Sequence[str]) -> FloatArray:
         """Return the ranges of joints [rad or m], infinite where there is none, shape (n, 2)."""
-        found = [self._model.joint(name) for name in names]
+        found = [self._physics.model.joint(name) for name in names]
         return np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in found])
 
     def reach(self, name: str) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
+from manip_sim.simulation.physics import Physics
 
 C = TypeVar('C', bound=Command)
 #: Stamps are told apart modulo this, so that seconds of any clock keep their nanoseconds [ns].
@@ -40,8 +41,7 @@ class JointController(ControlledJoints):
     one joint, never disturb another. A joint in effort mode holds its position until it gets its
     first effort.
 
-    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``
-    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
+    :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
     :param hands: of the arms that take Cartesian commands, by arm
@@ -49,11 +49,11 @@ class JointController(ControlledJoints):
     :ivar commands: the commands that have not ended
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, parts: Mapping[str, Part],
+    def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], hands: Mapping[str, Hand] | None = None) -> None:
-        super().__init__(model, data, parts, atomic)
+        super().__init__(physics, parts, atomic)
         self.cartesian = CartesianController(
-            model, data, hands or {}, self.names, self._servos, self._setpoints)
+            physics, hands or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
         self.commands = Ledger(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
@@ -81,11 +81,6 @@ class JointController(ControlledJoints):
         """Whether :meth:`begin_period` and :meth:`tick` have nothing to do."""
         return not (self._setpoints.moving or self._written or self.commands.running
                     or self.commands.waiting or self._timeouts.pending)
-
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model that has these actuators and joints unchanged."""
-        super().rebind(model)
-        self.cartesian.rebind(model)
 
     @property
     def busy_parts(self) -> frozenset[str]:

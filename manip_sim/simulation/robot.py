@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
@@ -25,6 +24,7 @@ from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.modes import MODES, POSITION
 from manip_sim.simulation.parts import find_parts, Part
+from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.reflexes import Reflexes
 from manip_sim.simulation.state import ControllerState, State
 from manip_sim.simulation.wrench import EndEffectorReader
@@ -37,8 +37,7 @@ class SimulatedRobot:
     Commands are validated by :attr:`parse`, which only reads, and take effect with :meth:`apply`.
     It is made and advanced by a ``Simulation``, which owns the physics.
 
-    :param model: the compiled ``mujoco.MjModel``
-    :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``
+    :param physics: of the world at the start, after ``mj_forward``
     :param robot: a robot of the model
     :param efforts: of the actuators of the model
     :param clock: of the simulation
@@ -54,10 +53,9 @@ class SimulatedRobot:
     :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel,
-                 efforts: ActuatorEfforts, clock: Clock) -> None:
-        self._model = model
-        self._data = data
+    def __init__(self, physics: Physics, robot: RobotModel, efforts: ActuatorEfforts,
+                 clock: Clock) -> None:
+        self._physics, model = physics, physics.model
         self._efforts = efforts
         self._clock = clock
         self._timestep_s = self._period_s = float(model.opt.timestep)
@@ -65,13 +63,13 @@ class SimulatedRobot:
         self.parts: dict[str, Part] = find_parts(model, robot)
         atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
         self.end_effectors = {
-            name.split('/')[0]: EndEffectorReader(model, data, part.gripper)
+            name.split('/')[0]: EndEffectorReader(physics, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
         self.joints = JointController(
-            model, data, {name: p for name, p in self.parts.items() if p.gripper is None},
+            physics, {name: p for name, p in self.parts.items() if p.gripper is None},
             [part.name for part in atomic if part.gripper is None],
             find_hands(model, robot, self.parts, self.end_effectors))
-        self.grippers = {part.name: GripperController(model, part, self._timestep_s)
+        self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
         self.reflexes = Reflexes(
             part.name for part in atomic if part.gripper is None and part.actuators)
@@ -90,24 +88,6 @@ class SimulatedRobot:
         #: Addresses in ``qpos`` and ``qvel`` of the joints of each part, and of all joints.
         self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
-
-    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData,
-               efforts: ActuatorEfforts) -> None:
-        """
-        Continue with another model in which the robot is unchanged, at the same addresses.
-
-        :param model: the ``mujoco.MjModel``
-        :param data: its ``mujoco.MjData``, in the present state
-        :param efforts: of its actuators
-        """
-        self._model = model
-        self._data = data
-        self._efforts = efforts
-        self.joints.rebind(model)
-        for gripper in self.grippers.values():
-            gripper.rebind(model)
-        for reader in self.end_effectors.values():
-            reader.rebind(model, data)
 
     @property
     def name(self) -> str:
@@ -160,11 +140,11 @@ class SimulatedRobot:
                 command.handle.end(Status.DONE)
             elif isinstance(command, GripperCommand):
                 (part,) = command.parts
-                self.grippers[part].apply(command, self._data)
+                self.grippers[part].apply(command, self._physics.data)
             else:
                 if isinstance(command, JointTrajectory) and command.start_ns:
                     command = replace(command, start_s=clock.since_reset_s(command.start_ns))
-                self.joints.apply(command, self._data, clock.control_s, self._period_s)
+                self.joints.apply(command, self._physics.data, clock.control_s, self._period_s)
 
     def check_own(self, command: Command) -> None:
         """
@@ -188,9 +168,9 @@ class SimulatedRobot:
         self.check_own(command)
         if isinstance(command, GripperCommand):
             (part,) = command.parts
-            self.grippers[part].withdraw(command.handle, self._data, reason)
+            self.grippers[part].withdraw(command.handle, self._physics.data, reason)
         else:
-            self.joints.withdraw(command.handle, self._data, reason)
+            self.joints.withdraw(command.handle, self._physics.data, reason)
 
     def limits(self, part: str) -> FloatArray:
         """
@@ -212,7 +192,7 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part or mode
         """
         self._check_no_gripper(part)
-        self.joints.set_mode(part, mode, self._data)
+        self.joints.set_mode(part, mode, self._physics.data)
 
     def command_interfaces(self) -> dict[str, str]:
         """Return what the commands of each joint are: ``position``, ``velocity``, ``effort``."""
@@ -271,7 +251,7 @@ class SimulatedRobot:
     def tare_wrench(self) -> None:
         """Let the present external wrench of every arm read zero."""
         for reader in self.end_effectors.values():
-            reader.external.tare(self._data)
+            reader.external.tare(self._physics.data)
 
     def set_wrench_cutoff(self, arm: str, cutoff_hz: float) -> None:
         """
@@ -284,7 +264,7 @@ class SimulatedRobot:
         """
         if arm not in self.end_effectors:
             raise UnknownNameError('arm with a gripper', arm, self.end_effectors)
-        self.end_effectors[arm].external.set_cutoff(cutoff_hz, self._data)
+        self.end_effectors[arm].external.set_cutoff(cutoff_hz, self._physics.data)
 
     # ------------------------------------------------------------------ states
 
@@ -293,7 +273,7 @@ class SimulatedRobot:
         position, velocity, effort = self.measured().reshape(3, -1)
         return State(
             time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
-            end_effectors={arm: reader.read(self._data)
+            end_effectors={arm: reader.read(self._physics.data)
                            for arm, reader in self.end_effectors.items()})
 
     def measured(self, part: str | None = None) -> FloatArray:
@@ -304,12 +284,12 @@ class SimulatedRobot:
         :returns: each in the order of the joints' names, in SI units, shape (3 n,), a copy
         """
         qpos, dofs = self._addresses[part]
-        data = self._data
+        data = self._physics.data
         return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])
 
     def dynamics(self) -> dict[str, JointDynamics]:
         """Return inertia, damping, friction and limits of all scalar joints, by name."""
-        return joint_dynamics(self._model, self.joints, self.joint_names)
+        return joint_dynamics(self._physics.model, self.joints, self.joint_names)
 
     def controller_state(self, part: str) -> ControllerState:
         """
@@ -318,7 +298,7 @@ class SimulatedRobot:
         :param part: such as ``arm``
         :raises UnknownNameError: if there is no such part, or it is a gripper
         """
-        return self.joints.controller_state(part, self._data, self._efforts.values)
+        return self.joints.controller_state(part, self._physics.data, self._efforts.values)
 
     def trajectory_reference(self, handle: CommandHandle
                              ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -341,10 +321,10 @@ class SimulatedRobot:
         for part in self.reflexes.armed:
             if part not in self.reflexes.tripped:
                 self._check_reflex(part)
-        self.joints.begin_period(self._data, self._clock.control_s, period_s)
+        self.joints.begin_period(self._physics.data, self._clock.control_s, period_s)
 
     def _check_reflex(self, part: str) -> None:
-        indices, data, joints = self.joints.indices_of(part), self._data, self.joints
+        indices, data, joints = self.joints.indices_of(part), self._physics.data, self.joints
         dofs = joints.dofs(indices)
         shares = {'velocity': np.abs(data.qvel[dofs]) / joints.velocity_limits(indices),
                   'effort': np.abs(self._efforts.values[dofs]) / joints.efforts_allowed(indices)}
@@ -392,10 +372,10 @@ class SimulatedRobot:
 
         :param duration_s: length of the interval [s]
         """
-        self.joints.tick(self._data, self._clock.control_s, duration_s)
+        self.joints.tick(self._physics.data, self._clock.control_s, duration_s)
         for gripper in self.grippers.values():
             if gripper.moving:
-                gripper.tick(self._data, duration_s)
+                gripper.tick(self._physics.data, duration_s)
 
     def abort(self, reason: str) -> None:
         """
@@ -410,6 +390,6 @@ class SimulatedRobot:
         """Abort all commands and hold the joints where they are; modes stay."""
         self._period_s = self._timestep_s
         self.reflexes.reset()
-        self.joints.reset(self._data)
+        self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
-            gripper.reset(self._data)
+            gripper.reset(self._physics.data)

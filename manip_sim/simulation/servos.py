@@ -21,6 +21,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
+from manip_sim.simulation.physics import Physics
 
 #: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
@@ -48,9 +49,8 @@ class Servos:
     Effort limits apply to both. Stiffness and damping are those of the model if its actuators are
     position or velocity servos, and otherwise derived from the joint's inertia.
 
-    :param model: the compiled ``mujoco.MjModel``, prepared by ``add_setpoint_activation``; its
-        actuators and joint force limits are changed
-    :param data: at the start, after ``mj_forward``
+    :param physics: of the world at the start, prepared by ``add_setpoint_activation``; actuators
+        and joint force limits of its model are changed
     :param actuators: their names
     :param joints: the joint that each of them drives
     :ivar qpos: addresses of the joints in ``qpos``, shape (n,)
@@ -69,11 +69,12 @@ class Servos:
     #: Where results are written.
     not_in_digest = ('_effort_force', '_all_accelerations')
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, actuators: Sequence[str],
+    def __init__(self, physics: Physics, actuators: Sequence[str],
                  joints: Sequence[str]) -> None:
+        model, data = physics.model, physics.data
         check_single(actuators, joints)
         check_kinds(model, actuators)
-        self._model = model
+        self._physics = physics
         ids = self._ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
         joint_ids = np.array([model.joint(j).id for j in joints], dtype=np.int64)
         self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
@@ -102,7 +103,7 @@ class Servos:
         self.acceleration_limit = self._acceleration_limit(data, joint_ids)
         self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
-        self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
+        physics.on_change(self._make_room)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
         model.actuator_ctrllimited[ids] = 0
@@ -110,37 +111,39 @@ class Servos:
         self._set_gains(np.arange(len(ids)))
 
     def _soften(self) -> None:
-        share = (self._model.opt.timestep * self._damping
-                 * self._model.dof_invweight0[self.dofs])
+        model = self._physics.model
+        share = model.opt.timestep * self._damping * model.dof_invweight0[self.dofs]
         factor = np.minimum(1.0, _EXPLICIT_DAMPING / np.maximum(share, 1e-12))
         self._damping = self._damping * factor
         # A servo that was overdamped would become too soft if it kept its damping ratio.
-        enough = (self._damping / (2.0 * _SOFT_RATIO))**2 * self._model.dof_invweight0[self.dofs]
+        enough = (self._damping / (2.0 * _SOFT_RATIO))**2 * model.dof_invweight0[self.dofs]
         self._stiffness = np.maximum(self._stiffness * factor**2,
                                      np.minimum(self._stiffness, enough))
 
     def _position_range(self, joint_ids: IntArray) -> FloatArray:
-        limits: FloatArray = self._model.jnt_range[joint_ids].copy()
+        limits: FloatArray = self._physics.model.jnt_range[joint_ids].copy()
         limits[~self.limited] = _UNLIMITED
         return limits
 
     def _limit_effort(self, joint_ids: IntArray) -> FloatArray:
         # The limit is set at the joint, where it includes the gravity compensation.
-        limits = effort_range(self._model, joint_ids, self._ids)
+        model = self._physics.model
+        limits = effort_range(model, joint_ids, self._ids)
         limited = np.isfinite(limits).all(axis=1)
         limits = np.where(np.isfinite(limits), limits, (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))
-        self._model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
-        self._model.jnt_actfrclimited[joint_ids[limited]] = 1
+        model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
+        model.jnt_actfrclimited[joint_ids[limited]] = 1
         return limits
 
     def _acceleration_limit(self, data: mujoco.MjData, joint_ids: IntArray) -> FloatArray:
-        if self._model.nuser_jnt > 1:
-            declared = self._model.jnt_user[joint_ids, 1]
+        model = self._physics.model
+        if model.nuser_jnt > 1:
+            declared = model.jnt_user[joint_ids, 1]
         else:
             declared = np.zeros(len(joint_ids))
         if (declared > 0.0).all():
             return np.array(declared)
-        model, kind = self._model, self._model.jnt_type[joint_ids]
+        kind = model.jnt_type[joint_ids]
         random = np.random.default_rng(0)
         scratch = mujoco.MjData(model)
         low, high = np.clip(self.position_clamp(), -np.pi, np.pi).T
@@ -168,10 +171,10 @@ class Servos:
     def _inertia(self, data: mujoco.MjData) -> FloatArray:
         """Return the magnitudes of the driven joints' block of the inertia matrix, (n, n)."""
         inertia = np.empty((len(self.dofs), len(self.dofs)))
-        unit, column = np.zeros(self._model.nv), np.zeros(self._model.nv)
+        unit, column = np.zeros((2, self._physics.model.nv))
         for index, dof in enumerate(self.dofs):
             unit[dof] = 1.0
-            mujoco.mj_mulM(self._model, data, column, unit)
+            mujoco.mj_mulM(self._physics.model, data, column, unit)
             unit[dof] = 0.0
             inertia[index] = np.abs(column[self.dofs])
         return inertia
@@ -213,8 +216,8 @@ class Servos:
             stiffness, damping = (of_model[indices] for of_model in self._gains_of_model)
         else:
             stiffness, damping = _checked(gains, len(indices))
-            step_s = self._model.opt.timestep
-            share = step_s * self._model.dof_invweight0[self.dofs[indices]]
+            step_s = self._physics.model.opt.timestep
+            share = step_s * self._physics.model.dof_invweight0[self.dofs[indices]]
             most = _EXPLICIT_DAMPING / np.maximum(share, 1e-12)
             # At the highest stiffness, the highest damping is critical.
             stiffness = np.minimum(stiffness, most * _EXPLICIT_DAMPING / (4.0 * step_s))
@@ -229,7 +232,7 @@ class Servos:
         return True
 
     def _set_gains(self, indices: IntArray) -> None:
-        model, ids, effort = self._model, self._ids[indices], self._gives_effort[indices]
+        model, ids, effort = self._physics.model, self._ids[indices], self._gives_effort[indices]
         stiffness = self._stiffness[indices] / self._gear[indices]**2
         damping = self._damping[indices] / self._gear[indices]**2
         model.actuator_gainprm[ids, 0] = np.where(effort, 1.0, stiffness)
@@ -237,10 +240,8 @@ class Servos:
         model.actuator_biasprm[ids, 1] = np.where(effort, 0.0, -stiffness)
         model.actuator_biasprm[ids, 2] = np.where(effort, 0.0, -damping)
 
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model that has these actuators and joints unchanged."""
-        self._model = model
-        self._effort_force, self._all_accelerations = np.zeros(model.nv), np.zeros(model.nv)
+    def _make_room(self) -> None:
+        self._effort_force, self._all_accelerations = np.zeros((2, self._physics.model.nv))
 
     def start(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
               acceleration: FloatArray) -> None:
@@ -251,7 +252,7 @@ class Servos:
         """
         servos = np.flatnonzero(~self._gives_effort)
         # The integrator takes the damping at the end of a step.
-        ahead = velocity + self._model.opt.timestep * acceleration
+        ahead = velocity + self._physics.model.opt.timestep * acceleration
         goal = self._goal(data, position, ahead, acceleration)
         data.act[self._activation[servos]] = goal[servos]
         data.ctrl[self._ids[servos]] = 0.0
@@ -292,7 +293,7 @@ class Servos:
               acceleration: FloatArray) -> FloatArray:
         """Return the activations of servos with the force that the motion needs."""
         self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
-        mujoco.mj_mulM(self._model, data, self._effort_force, self._all_accelerations)
+        mujoco.mj_mulM(self._physics.model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity + self._effort_force[self.dofs]
         force += self._friction.at(velocity)
         # The bias force minus the weight, which the actuators carry already.

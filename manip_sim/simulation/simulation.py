@@ -24,11 +24,11 @@ from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.external_wrench import TouchWatch
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
+from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
-from manip_sim.simulation.spawning import (
-    carry_over, LiveWorld, Plan, plan_world, start_live)
+from manip_sim.simulation.spawning import Plan, plan_world
 from manip_sim.simulation.start_check import check_start
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
@@ -53,12 +53,10 @@ class Simulation:
 
     :param world: an arena with robots
     :param visual: keep the geoms that cannot collide, for rendering; they slow down each step
-    :ivar model: the ``mujoco.MjModel``
-    :ivar data: the ``mujoco.MjData``
+    :ivar physics: the only holder of model and data
     :ivar robots: the robots, with their commands and states, by name
     :ivar efforts: of the actuators in the last physics step
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
-    :ivar plan: what the world was compiled from
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
     """
@@ -70,8 +68,7 @@ class Simulation:
             *position_servos_without_dynamics(spec, world.gripper_actuators)])
         if world.gravity_compensation:
             compensate_free_robots(spec, world.robots)
-        live = start_live(plan_world(spec, tuple(world.objects), world.name))
-        self.plan, self.model, self.data = live.plan, live.model, live.data
+        self.physics = Physics(plan_world(spec, tuple(world.objects), world.name))
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.diverged: str | None = None
@@ -83,17 +80,18 @@ class Simulation:
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
-        self.efforts = ActuatorEfforts(self.model, self.data)
-        robots = [SimulatedRobot(self.model, self.data, robot, self.efforts, self._clock)
+        self.efforts = ActuatorEfforts(self.physics)
+        robots = [SimulatedRobot(self.physics, robot, self.efforts, self._clock)
                   for robot in world.robots]
         self.robots = {robot.name: robot for robot in robots}
-        self._look_at_model()
+        self.physics.on_change(self._look_at_model)
         self._settle_linkages()
         self._reset()
         self.start_defects = check_start(
             self.model, self.data, self._roots)
 
     def _look_at_model(self) -> None:
+        self._free_roots = FreeRoots(self.model, self._roots)
         self._divergence = DivergenceWatch(self.model, self.data)
         self._first_half = np.empty(mujoco.mj_stateSize(self.model, _FIRST_HALF))
         #: The state that the first half of a step was last computed for.
@@ -109,7 +107,8 @@ class Simulation:
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
         self._control = ControlState(
-            [self.efforts, *self.robots.values()], (Clock, CartesianParser, CommandParser))
+            [self.efforts, *self.robots.values()],
+            (Clock, Physics, CartesianParser, CommandParser))
 
     def change_objects(self, plan: Plan) -> None:
         """
@@ -117,13 +116,23 @@ class Simulation:
 
         :param plan: made from :attr:`plan`, by ``plan_with`` or ``plan_without``
         """
-        live = carry_over(LiveWorld(self.plan, self.model, self.data), plan)
-        self.plan, self.model, self.data = live.plan, live.model, live.data
-        self.efforts = ActuatorEfforts(self.model, self.data, self.efforts)
-        for robot in self.robots.values():
-            robot.rebind(self.model, self.data, self.efforts)
-        self._free_roots = FreeRoots(self.model, self._roots)
-        self._look_at_model()
+        _ = self.efforts.values  # They belong to a step of the model before.
+        self.physics.change(plan)
+
+    @property
+    def plan(self) -> Plan:
+        """What the world was compiled from."""
+        return self.physics.plan
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The ``mujoco.MjModel``."""
+        return self.physics.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The ``mujoco.MjData``."""
+        return self.physics.data
 
     @property
     def robot(self) -> SimulatedRobot:
@@ -371,7 +380,7 @@ class Simulation:
         """
         return SimulationState(
             versions=self._versions(), model=self.model.signature,
-            physics=self._physics().tobytes(), computed_from=self._computed_from.tobytes(),
+            physics=self._physics_state().tobytes(), computed_from=self._computed_from.tobytes(),
             computed_for=self._computed_for, gains=gains(self.model), control=self._control.save(),
             step_count=self._clock.step_count, control_steps=self._clock.control_steps,
             contacts_change=self._contacts_change, diverged=self.diverged)
@@ -413,7 +422,7 @@ class Simulation:
         It is the same for the same commands since the last reset, in any process, after any
         other episodes, and whatever was read meanwhile.
         """
-        digest = hashlib.sha256(self._physics().tobytes())
+        digest = hashlib.sha256(self._physics_state().tobytes())
         for name, content in gains(self.model).items():
             digest.update(name.encode() + content)
         for content in self._control.encoded():
@@ -424,7 +433,7 @@ class Simulation:
     def _versions() -> str:
         return f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'
 
-    def _physics(self) -> FloatArray:
+    def _physics_state(self) -> FloatArray:
         physics = np.empty(len(self._computed_from))
         mujoco.mj_getState(self.model, self.data, physics, PHYSICS)
         return physics

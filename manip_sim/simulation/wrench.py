@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-
 import mujoco
 import numpy as np
 
@@ -13,6 +12,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.external_wrench import ExternalWrench
+from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector, Wrench
 
@@ -23,37 +23,31 @@ class EndEffectorReader:
     """
     A reader of one gripper, whose addresses are resolved once.
 
-    :param model: the compiled ``mujoco.MjModel``
-    :param data: its ``mujoco.MjData``
+    :param physics: of the world
     :param gripper: a gripper of the model
     :ivar external: what the world exerts on the tool
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, gripper: GripperModel) -> None:
-        self._model = model
+    def __init__(self, physics: Physics, gripper: GripperModel) -> None:
+        self._physics, model = physics, physics.model
         sensors = gripper.important_sensors
         self._sensors = np.concatenate([
             model.sensor(sensors[name]).adr[0] + np.arange(3)
             for name in ('force_ee', 'torque_ee')])
         self._ft_frame = int(model.sensor(sensors['force_ee']).objid[0])
         self._grip_site = model.site(gripper.important_sites['grip_site']).id
-        self.external = ExternalWrench(model, data, self._ft_frame)
-
-    def rebind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Continue with another model in which the gripper is unchanged."""
-        self._model = model
-        self.external.rebind(model, data)
+        self.external = ExternalWrench(physics, self._ft_frame)
 
     @property
     def ft_frame(self) -> str:
         """Name of the frame of the wrenches."""
-        name: str = self._model.site(self._ft_frame).name
+        name: str = self._physics.model.site(self._ft_frame).name
         return name
 
     @property
     def grip_site(self) -> str:
         """Name of the frame of the poses and twists."""
-        name: str = self._model.site(self._grip_site).name
+        name: str = self._physics.model.site(self._grip_site).name
         return name
 
     def read(self, data: mujoco.MjData) -> EndEffector:
@@ -88,7 +82,7 @@ class EndEffectorReader:
         :returns: linear [m/s] and angular velocity [rad/s], shape (6,)
         """
         velocity = np.empty(6)
-        mujoco.mj_objectVelocity(self._model, data, _SITE, self._grip_site, velocity, 0)
+        mujoco.mj_objectVelocity(self._physics.model, data, _SITE, self._grip_site, velocity, 0)
         return np.concatenate([velocity[3:], velocity[:3]])
 
     def wrench(self, data: mujoco.MjData) -> FloatArray:

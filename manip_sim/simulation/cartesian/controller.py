@@ -28,6 +28,7 @@ from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.commands import Status
+from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
@@ -67,28 +68,26 @@ class CartesianController:
     :ivar period_s: length of the control period [s]
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hands: Mapping[str, Hand],
-                 names: Sequence[str], servos: Servos, setpoints: SetpointGenerator) -> None:
+    def __init__(self, physics: Physics, hands: Mapping[str, Hand], names: Sequence[str],
+                 servos: Servos, setpoints: SetpointGenerator) -> None:
+        self._physics = physics
         self._hands = hands
         self._names = names
         self._servos = servos
         self._setpoints = setpoints
-        self._posture = data.qpos[servos.qpos].copy()
+        self._posture = physics.data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
         self.settings = {arm: CartesianSettings() for arm in hands}
         self.reports = {arm: CartesianReport(arm) for arm in hands}
-        self.period_s = self._timestep_s = float(model.opt.timestep)
+        self.period_s = self._timestep_s = float(physics.model.opt.timestep)
         self._targets: dict[str, Target] = {}
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in hands}
-        self._operational = OperationalSpaceController(model, servos, self._posture)
-        self.rebind(model)
+        self._operational = OperationalSpaceController(physics, servos, self._posture)
+        physics.on_change(self._make_room)
 
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model in which the robot is unchanged."""
-        self._model = model
-        self._scratch: Any = mujoco.MjData(model) if self._hands else None
-        self._operational.rebind(model)
+    def _make_room(self) -> None:
+        self._scratch: Any = mujoco.MjData(self._physics.model) if self._hands else None
 
     def set(self, arm: str, name: str, value: float) -> None:
         """
@@ -154,7 +153,7 @@ class CartesianController:
         if before is not None and (before.twist is None or now_s > before.until_s + 1e-9):
             before = None
         target = self._targets[command.arm] = target_of(
-            command, self._hands[command.arm], self._model, data, before,
+            command, self._hands[command.arm], self._physics.model, data, before,
             now_s + self.settings[command.arm].twist_timeout)
         if isinstance(command, CartesianPose):
             self._continue_stream(command, target, streamed, data)
@@ -173,7 +172,7 @@ class CartesianController:
             gives = self._servos.gives_effort(command.indices)
             velocity = np.where(gives, data.qvel[dofs],
                                 self._setpoints.velocity[command.indices])
-            moved = product(self._hands[command.arm].tip.jacobian(self._model, data, dofs),
+            moved = product(self._hands[command.arm].tip.jacobian(self._physics.model, data, dofs),
                             velocity)
             _, axes = target.anchor.pose(data)
             twist = np.concatenate([product(axes.T, moved[:3]), product(axes.T, moved[3:])])
@@ -238,10 +237,10 @@ class CartesianController:
         scratch.qpos[:] = data.qpos
         # Velocities are sought for the end of the interval, so the arm is put where it is then.
         scratch.qpos[self._servos.qpos[indices]] = joints.position
-        mujoco.mj_kinematics(self._model, scratch)
-        mujoco.mj_comPos(self._model, scratch)
+        mujoco.mj_kinematics(self._physics.model, scratch)
+        mujoco.mj_comPos(self._physics.model, scratch)
         tip = self._hands[command.arm].tip
-        jacobian = tip.jacobian(self._model, scratch, self._servos.dofs[indices])
+        jacobian = tip.jacobian(self._physics.model, scratch, self._servos.dofs[indices])
         still = True
         if target.until_s == -math.inf:
             velocity = stop(joints, interval_s)

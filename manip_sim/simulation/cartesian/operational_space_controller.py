@@ -16,6 +16,7 @@ from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.cartesian.operational_space import wanted_motion
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
+from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.servos import Servos
 
 #: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
@@ -50,7 +51,7 @@ class OperationalSpaceController:
     """
     A controller that computes the efforts with which hands follow targets.
 
-    :param model: the compiled ``mujoco.MjModel``
+    :param physics: of the world
     :param servos: of all driven joints
     :param posture: positions that redundant arms are drawn to [rad], shape (n,)
     """
@@ -58,17 +59,16 @@ class OperationalSpaceController:
     #: Where results are written.
     not_in_digest = ('_forces', '_accelerations')
 
-    def __init__(self, model: mujoco.MjModel, servos: Servos, posture: FloatArray) -> None:
+    def __init__(self, physics: Physics, servos: Servos, posture: FloatArray) -> None:
+        self._physics = physics
         self._servos = servos
         self._posture = posture
         self._low, self._high = servos.position_clamp().T
         self._torque = servos.ranges['effort']
-        self.rebind(model)
+        physics.on_change(self._make_room)
 
-    def rebind(self, model: mujoco.MjModel) -> None:
-        """Continue with another model in which the robot is unchanged."""
-        self._model = model
-        self._accelerations, self._forces = np.zeros(model.nv), np.zeros(model.nv)
+    def _make_room(self) -> None:
+        self._accelerations, self._forces = np.zeros((2, self._physics.model.nv))
 
     def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
                now_s: float, duration_s: float, settings: CartesianSettings) -> EffortSolution:
@@ -89,13 +89,13 @@ class OperationalSpaceController:
         goal, along, acceleration = target.reference(data, now_s)
         twist = twist + along + acceleration / settings.damping
         error = pose_error(goal, tip.pose(data))
-        jacobian, velocity = tip.jacobian(self._model, data, dofs), data.qvel[dofs]
+        jacobian, velocity = tip.jacobian(self._physics.model, data, dofs), data.qvel[dofs]
         wanted = wanted_motion(
             jacobian, error, twist, settings, self._servos.velocity_limit[indices],
             self._low[indices] - position, self._high[indices] - position,
             self._posture[indices] - position)
         self._accelerations[dofs] = wanted.acceleration(velocity, settings.damping)
-        mujoco.mj_mulM(self._model, data, self._forces, self._accelerations)
+        mujoco.mj_mulM(self._physics.model, data, self._forces, self._accelerations)
         self._accelerations[dofs] = 0.0
         given = self._forces[dofs]
         # Gravity that is compensated needs no effort here.

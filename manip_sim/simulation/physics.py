@@ -1,0 +1,47 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The model of a running world and its data, which all that simulates asks for here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+
+from manip_sim.simulation.spawning import carry_over, LiveWorld, Plan, start_live
+
+
+class Physics:
+    """
+    What MuJoCo simulates; nothing else keeps a model, because another one may replace it.
+
+    Robots come first in every model, so their names, ids and addresses stay as they are. What
+    depends on the number of other elements, such as arrays of shape (nv,), and views of arrays are
+    made anew by what was registered with :meth:`on_change`.
+
+    :param plan: the world at its start
+    :ivar plan: what :attr:`model` was compiled from
+    :ivar model: the ``mujoco.MjModel``
+    :ivar data: its ``mujoco.MjData``
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._adapt: list[Callable[[], None]] = []
+        self._take(start_live(plan))
+
+    def _take(self, live: LiveWorld) -> None:
+        self.plan: Plan = live.plan
+        self.model: mujoco.MjModel = live.model
+        self.data: mujoco.MjData = live.data
+        for adapt in self._adapt:
+            adapt()
+
+    def on_change(self, adapt: Callable[[], None]) -> None:
+        """Call a function now, and each time the model and its data were replaced."""
+        self._adapt.append(adapt)
+        adapt()
+
+    def change(self, plan: Plan) -> None:
+        """Replace the model by that of another plan, and carry the state and edits over."""
+        self._take(carry_over(LiveWorld(self.plan, self.model, self.data), plan))
