@@ -256,7 +256,8 @@ class CartesianController:
             goal, twist, _ = target.reference(scratch, now_s + interval_s)
             error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
             solution = approach(jacobian, error, joints, interval_s, settings.linear_velocity,
-                                settings.angular_velocity, before, twist)
+                                settings.angular_velocity, before, twist, target.rests)
+            target.rests = solution.rests
             behind = not still and solution.slowed and bool((np.abs(error) > MISSED).any())
             self._see(command, 'the stream of poses' if behind else 'the way to the target',
                       solution.held, solution.singular, behind)

@@ -31,11 +31,12 @@ _POSTURE, _POSTURE_RATE = 1e-6, 0.005
 _DAMPING, _DAMPING_RATE = 1.6e-3, 0.02
 #: A part of the task smaller than this, as a share, counts as possible.
 _NEGLIGIBLE = 1e-6
-#: A step is not worth making if it improves the pose by less than this share of the squared error,
-#: a larger one for errors that are smaller than this [m, rad] ...
-_WORTH, _WORTH_SIZE = 3e-5, 0.1
-#: ... unless the squared error grows at least this much with the square of the step [m^2/rad^2].
-_CLEAR = 0.1
+#: A hand rests if a step brings it nearer by less than this for each radian [m/rad], and until
+#: one does by so many times as much: where it may rest does not change from step to step ...
+_WORTH, _WORTH_AGAIN = 2e-3, 2.0
+#: ... unless it is farthest there, as its distance bends down this much [m/rad^2], or the squared
+#: distance bends up so much that the nearest place is near [m^2/rad^2].
+_FARTHEST, _CLEAR = -0.05, 0.1
 #: With less progress than this, as a share, the posture matters less.
 _PROGRESS = 0.1
 #: Iterations for the sign of a matrix, and what is added so that it is positive in any case.
@@ -56,6 +57,7 @@ class Displacement:
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
     :ivar stiffness: second derivative of what the step makes smaller, shape (n, n)
+    :ivar rests: whether the hand is as near as it can come, so that there is no step
     """
 
     step: FloatArray
@@ -63,6 +65,7 @@ class Displacement:
     held: BoolArray
     singular: bool
     stiffness: FloatArray
+    rests: bool
 
     def slack(self, velocity: FloatArray) -> FloatArray:
         """Return the part of joint velocities that makes no difference to the task, shape (n,)."""
@@ -71,7 +74,7 @@ class Displacement:
 
 
 def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: FloatArray,
-             away: FloatArray) -> Displacement:
+             away: FloatArray, rested: bool = False) -> Displacement:
     """
     Return the displacements for a task, and those in what it leaves free towards the posture.
 
@@ -81,6 +84,7 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
     :param low: lowest displacements within the ranges of the joints [rad], shape (n,)
     :param high: highest displacements [rad], shape (n,)
     :param away: displacements to the posture [rad], shape (n,)
+    :param rested: whether the hand rested before
     """
     unit, whole = np.eye(len(low)), length(task)
     square, pull = product(jacobian.T, jacobian), product(jacobian.T, task)
@@ -100,28 +104,19 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
     drift = away
     for _ in range(2):  # The first one still moves the hand by a millionth.
         drift = _minimum(stiffness + weight * unit, weight * drift, low - step, high - step)
+    rests = False
     if not possible:
-        gain = dot(pull, step) / whole**2
-        drift = min(max(gain / _PROGRESS, 0.0), 1.0)**2 * drift
-        share = _worth(gain, whole, dot(step, step), dot(step, product(square + bent, step)))
-        step, drift = share * step, share * drift
-    return Displacement(step, drift, held, _is_singular(jacobian, task), stiffness)
-
-
-def _worth(gain: float, size: float, moved: float, second: float) -> float:
-    """
-    Return 1 for a step that is worth making, 0 for one that is not, and between the two.
-
-    :param gain: what it improves, as a share of the squared size of the task
-    :param size: of the task [m, rad]
-    :param moved: squared length of the step [rad^2]
-    :param second: second derivative of the squared error along the step
-    """
-    # The way down from a place where the hand is farthest begins flat.
-    if not 0.0 <= second < 2.0 * _CLEAR * moved:
-        return 1.0
-    worth = max(gain / (_WORTH * (1.0 + _WORTH_SIZE / size)), second / (_CLEAR * moved))
-    return min(max(4.0 * (worth - 1.0), 0.0), 1.0)
+        nearer, moved = dot(pull, step), length(step)
+        drift = min(max(nearer / whole**2 / _PROGRESS, 0.0), 1.0)**2 * drift
+        # The posture must not hold up the motion for the task: the arm would hardly move.
+        drift = np.clip(drift - min(dot(drift, step), 0.0) / max(moved**2, 1e-18) * step,
+                        low - step, high - step)
+        second = dot(step, product(square + bent, step))
+        rests = nearer <= _WORTH * (_WORTH_AGAIN if rested else 1.0) * whole * moved and (
+            _FARTHEST * whole * moved**2 <= second <= _CLEAR * moved**2)
+        if rests:
+            step, drift = np.zeros(len(step)), np.zeros(len(step))
+    return Displacement(step, drift, held, _is_singular(jacobian, task), stiffness, rests)
 
 
 def _solve(matrix: FloatArray, vector: FloatArray) -> FloatArray:

@@ -70,6 +70,7 @@ class Solution:
     :ivar progress: share of the wanted motion that the joints can make
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
+    :ivar rests: whether the hand is as near to a pose as it can come
     :ivar slowed: whether joint limits slow a twist down, or keep the hand from going along with a
         pose that moves
     """
@@ -80,11 +81,12 @@ class Solution:
     held: BoolArray
     singular: bool
     slowed: bool = False
+    rests: bool = False
 
 
 def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interval_s: float,
              linear_velocity: float, angular_velocity: float, before: FloatArray = _STILL,
-             twist: FloatArray = _STILL) -> Solution:
+             twist: FloatArray = _STILL, rested: bool = False) -> Solution:
     """
     Return the velocities that bring the hand to a pose and let it rest there.
 
@@ -100,6 +102,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     :param before: velocity of the pose now [m/s, rad/s], shape (6,)
     :param twist: velocity of the pose at the end of the interval, with which the hand shall go
         along [m/s, rad/s], shape (6,)
+    :param rested: whether the hand was as near as it can come before
     """
     along, relative = np.zeros(len(joints.velocity)), joints
     if before.any() or twist.any():
@@ -109,7 +112,8 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
         relative = replace(joints, velocity=joints.velocity - own)
     part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
                _LARGEST_TURN / max(length(error[3:]), 1e-12))
-    found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position)
+    found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position,
+                    rested)
     moved = product(jacobian, found.step)
     rate = min(_rate(found.step, relative, interval_s),
                max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
@@ -120,7 +124,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     possible = _evenly(velocity, joints, interval_s)
     less = np.abs(possible - velocity) / joints.velocity_limit
     return Solution(possible, pace, _progress(moved, part * error), found.held, found.singular,
-                    slowed=pace > 1.0 + 1e-6 or bool((less > _LESS).any()))
+                    pace > 1.0 + 1e-6 or bool((less > _LESS).any()), found.rests)
 
 
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float

@@ -67,7 +67,7 @@ class WantedMotion:
 
 def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
                   settings: CartesianSettings, velocity_limit: FloatArray, low: FloatArray,
-                  high: FloatArray, away: FloatArray) -> WantedMotion:
+                  high: FloatArray, away: FloatArray, rested: bool = False) -> WantedMotion:
     """
     Return the motion at which spring and damper are in balance.
 
@@ -81,6 +81,7 @@ def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     :param low: lowest displacements within the ranges of the joints [rad], shape (n,)
     :param high: highest displacements [rad], shape (n,)
     :param away: displacements to the posture [rad], shape (n,)
+    :param rested: whether the hand was as near as it can come before
     """
     wanted = settings.stiffness / settings.damping * error
     for half, limit in ((wanted[:3], settings.linear_velocity),
@@ -90,7 +91,7 @@ def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     while_s = min(settings.damping / settings.stiffness,
                   _LARGEST_STEP / max(length(wanted[:3]), 1e-12),
                   _LARGEST_TURN / max(length(wanted[3:]), 1e-12))
-    found = displace(jacobian, while_s * wanted, low, high, away)
+    found = displace(jacobian, while_s * wanted, low, high, away, rested)
     joints = found.step / while_s
     excess = max(1.0, float((np.abs(joints) / velocity_limit).max()))
     return WantedMotion(joints / excess, found, excess > 1.0 + 1e-6)

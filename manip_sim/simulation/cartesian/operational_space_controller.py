@@ -93,7 +93,8 @@ class OperationalSpaceController:
         wanted = wanted_motion(
             jacobian, error, twist, settings, self._servos.velocity_limit[indices],
             self._low[indices] - position, self._high[indices] - position,
-            self._posture[indices] - position)
+            self._posture[indices] - position, target.rests)
+        target.rests = wanted.found.rests
         self._accelerations[dofs] = wanted.acceleration(velocity, settings.damping)
         mujoco.mj_mulM(self._physics.model, data, self._forces, self._accelerations)
         self._accelerations[dofs] = 0.0

@@ -33,6 +33,7 @@ class Target:
     :ivar until_s: simulation time when the twist ends [s]
     :ivar solve_s: simulation time of the next solution [s]
     :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
+    :ivar rests: whether the hand is as near as it can come
     :ivar start: where the way of the hand began, in the anchor [m], shape (3,), or None
     :ivar stream: of poses in the anchor, of which the goal is the last one, or None
     """
@@ -46,6 +47,7 @@ class Target:
     solve_s: float = -math.inf
     settled_in: FloatArray | None = None
     stream: PoseStream | None = None
+    rests: bool = False
     start: FloatArray | None = None
 
     @classmethod
