@@ -521,6 +521,20 @@ def test_an_object_that_is_spawned_on_the_way_changes_nothing():
     np.testing.assert_allclose(*finals, atol=1e-9)
 
 
+def test_a_hand_that_passes_a_singularity_slows_down_and_stays_on_its_way():
+    op = hand_of('Sawyer')
+    start, model, data = op.pose, op.simulation.model, mujoco.MjData(op.simulation.model)
+    data.qpos[:] = op.simulation.data.qpos
+    data.qpos[op.part.qpos_addresses] += [-0.234, 0.214, 0.433, -0.7, 0.463, -0.664, 0.704]
+    mujoco.mj_kinematics(model, data)
+    goal = data.site_xpos[op.site].copy(), data.site_xmat[op.site].reshape(3, 3).copy()
+    along = (goal[0] - start[0]) / np.linalg.norm(goal[0] - start[0])
+    aside, handle = [], op.go_to(goal)
+    op.run(2.5, lambda: aside.append(np.linalg.norm(np.cross(op.pose[0] - start[0], along))))
+    assert max(aside) < 2e-3
+    assert op.report.aside == 0 and handle.status is Status.DONE
+
+
 def test_whoever_leaves_the_way_by_centimetres_says_so():
     told = []
     for seed in range(6):

@@ -3,10 +3,12 @@
 
 """Differential inverse kinematics alone, on arms that are so simple that the answer is known."""
 
+from hands import hand_of
 import mujoco
 import numpy as np
 import pytest
 
+from manip_sim.simulation.cartesian.displacements import bend
 from manip_sim.simulation.cartesian.frames import Frames
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
@@ -161,6 +163,29 @@ def test_a_frame_is_a_body_or_a_site_that_is_turned_on_it():
     np.testing.assert_allclose(rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
     position, rotation = frames.find('', 'a test').pose(data)
     np.testing.assert_array_equal(rotation, np.eye(3))
+
+
+def test_the_acceleration_that_keeps_a_hand_straight_is_that_of_its_centripetal_one():
+    op = hand_of('Panda')
+    model, data, dofs = op.simulation.model, op.simulation.data, op.part.dof_addresses
+    step = np.array([0.3, -0.2, 0.1, 0.4, 0.2, -0.3, 0.5])
+
+    def jacobian():
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        full = np.empty((6, model.nv))
+        mujoco.mj_jacSite(model, data, full[:3], full[3:], op.site)
+        return full[:, dofs]
+    # Not far from stretched.
+    data.qpos[op.part.qpos_addresses[3]] = -1.0
+    at = jacobian()
+    data.qpos[op.part.qpos_addresses] += 1e-6 * step
+    centripetal = (jacobian() - at) @ step / 1e-6
+    directions, sizes, _ = np.linalg.svd(at)
+    assert 0.03 < sizes[5] < 0.1
+    needed = np.abs(at.T @ directions[:, 5]) / sizes[5]**2 * np.linalg.norm(centripetal)
+    # It counts in full at a singular value of 0.06.
+    np.testing.assert_allclose(bend(at, step), needed * 0.06 / sizes[5], rtol=2e-3, atol=0.1)
 
 
 def test_a_stop_brakes_with_the_limit():

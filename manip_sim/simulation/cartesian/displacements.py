@@ -13,6 +13,7 @@ the place where the hand is nearest, so the joints come to rest there. Nothing h
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import mujoco
 import numpy as np
@@ -44,6 +45,8 @@ _SIGN_ITERATIONS, _SIGN_ERROR = 10, 0.005
 #: Below this singular value [m/rad and 1] the hand can hardly move in a direction.
 _SINGULAR = 0.029
 _INVERSE_ITERATIONS = 4
+#: Singular values near a singularity, and those below which the hand does not slow down further.
+_NEAR, _SMALLEST = 0.06, 0.03
 
 
 @dataclass(frozen=True)
@@ -112,8 +115,9 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
         drift = np.clip(drift - min(dot(drift, step), 0.0) / max(moved**2, 1e-18) * step,
                         low - step, high - step)
         second = dot(step, product(square + bent, step))
-        rests = nearer <= _WORTH * (_WORTH_AGAIN if rested else 1.0) * whole * moved and (
-            _FARTHEST * whole * moved**2 <= second <= _CLEAR * moved**2)
+        again = _WORTH_AGAIN if rested else 1.0
+        rests = nearer <= again * _WORTH * whole * moved and (
+            again * _FARTHEST * whole * moved**2 <= second <= again * _CLEAR * moved**2)
         if rests:
             step, drift = np.zeros(len(step)), np.zeros(len(step))
     return Displacement(step, drift, held, _is_singular(jacobian, task), stiffness, rests)
@@ -165,6 +169,49 @@ def _positive_part(matrix: FloatArray) -> FloatArray:
     magnitude = product(sign, matrix)
     magnitude = (magnitude + magnitude.T) / 2.0
     return np.asarray((matrix + magnitude) / 2.0 + _SIGN_ERROR * scale * np.eye(len(matrix)))
+
+
+def bend(jacobian: FloatArray, step: FloatArray) -> FloatArray:
+    """
+    Return the joint accelerations that keep a hand straight along a step, at most, shape (n,).
+
+    They are those at velocities that make the step in a second, and grow with their square. As the
+    direction in which the hand can hardly move turns, all of the centripetal acceleration of the
+    hand may come to be along it; so a hand slows down before it passes a singularity.
+
+    :param jacobian: shape (6, n), the joints in their order from the base to the hand
+    :param step: displacements of the joints [rad], shape (n,)
+    """
+    linear, turns = jacobian[:3].T, step[:, None] * jacobian[3:].T
+    # How each joint is turned by those before it, and with itself.
+    here = np.cumsum(turns, axis=0)
+    before = here - turns
+    centripetal = length(np.concatenate([
+        _vector_products(before + here, step[:, None] * linear).sum(axis=0),
+        _vector_products(before, turns).sum(axis=0)]))
+    direction, square = _hardest(jacobian)
+    # Far from a singularity it turns so slowly that this is rarely needed.
+    least = max(math.sqrt(square), _SMALLEST)
+    return np.asarray(np.abs(product(jacobian.T, direction)) * (
+        centripetal * _NEAR / least**3))
+
+
+def _vector_products(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the vector products of rows, shape (n, 3), faster than numpy.cross."""
+    return np.asarray(one[:, [1, 2, 0]] * other[:, [2, 0, 1]]
+                      - one[:, [2, 0, 1]] * other[:, [1, 2, 0]])
+
+
+def _hardest(jacobian: FloatArray) -> tuple[FloatArray, float]:
+    """Return the direction in which a hand moves least, and the square of its singular value."""
+    square = product(jacobian, jacobian.T)
+    factor, direction = square + 1e-12 * np.eye(6), np.full(6, 6.0**-0.5)
+    mujoco.mju_cholFactor(factor, 1e-18)
+    for _ in range(_INVERSE_ITERATIONS):
+        result = np.empty(6)
+        mujoco.mju_cholSolve(result, factor, direction)
+        direction = result / max(length(result), 1e-12)
+    return direction, max(dot(direction, product(square, direction)), 0.0)
 
 
 def _is_singular(jacobian: FloatArray, task: FloatArray) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import dot, length, product
-from manip_sim.simulation.cartesian.displacements import displace
+from manip_sim.simulation.cartesian.displacements import bend, displace
 from manip_sim.simulation.profiles import braking_velocity
 
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
@@ -113,9 +113,11 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
                _LARGEST_TURN / max(length(error[3:]), 1e-12))
     found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position,
-                    rested)
+                     rested)
     moved = product(jacobian, found.step)
+    bent = np.maximum(bend(jacobian, found.step), 1e-12)
     rate = min(_rate(found.step, relative, interval_s),
+               math.sqrt(float((joints.acceleration_limit / bent).min())),
                max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
                max(angular_velocity - length(twist[3:]), 0.0) / max(length(moved[3:]), 1e-12))
     velocity = along + rate * found.step
