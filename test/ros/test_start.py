@@ -3,10 +3,13 @@
 
 """Starts that cannot succeed: one line that says why, and exit code 1."""
 
+from pathlib import Path
 import signal
 
 import pytest
 from starts import starts
+
+from manip_sim.ros.overrides import for_other_nodes
 
 QOS = 'qos_overrides./joint_states.publisher'
 REJECTED = {
@@ -98,3 +101,12 @@ def test_a_parameter_for_another_node_is_told(process, client):
     _, warnings = first_joint_and_warnings(process, client, '-p', 'sim_node:robot:=GR1')
     assert len(warnings) == 1
     assert "is for 'sim_node'" in warnings[0]
+
+
+@pytest.mark.parametrize(('length', 'whole'), [(200, True), (201, False)])
+def test_a_long_name_of_a_parameters_file_for_other_nodes_is_shortened(length, whole, tmp_path):
+    file = str(tmp_path / 'x')
+    file += 'x' * (length - len(file))
+    Path(file).write_text('other:\n  ros__parameters: {rate: 1}\n')
+    warning, = for_other_nodes(['--params-file', file], '/manip_sim')
+    assert (f"'{file}' has" in warning, f"'{file[:200]}'" in warning) == (whole, True)
