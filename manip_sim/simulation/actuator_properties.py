@@ -90,10 +90,13 @@ class DryFriction:
 
     def __init__(self, model: mujoco.MjModel, dofs: IntArray) -> None:
         self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
+        self._none = not self._largest.any()
 
     def at(self, velocity: FloatArray) -> FloatArray:
         """Return the effort that overcomes it [N m or N], shape of ``velocity``."""
-        return np.asarray(self._largest * np.clip(velocity / _SLIDING, -1.0, 1.0))
+        if self._none:
+            return self._largest
+        return np.asarray(self._largest * np.minimum(np.maximum(velocity / _SLIDING, -1.0), 1.0))
 
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:

@@ -59,6 +59,7 @@ class _Addressed:
     :ivar uses: by field, whether each joint uses it
     :ivar takers: by field, the places of the joints that need a number there
     :ivar own: the joints outside grippers, or None
+    :ivar own_modes: of each of them
     :ivar grippers: the joints of each gripper
     """
 
@@ -67,6 +68,7 @@ class _Addressed:
     uses: dict[str, BoolArray]
     takers: dict[str, list[int]]
     own: _Group | None
+    own_modes: tuple[str, ...]
     grippers: tuple[_Group, ...]
 
 
@@ -112,15 +114,15 @@ class JointCommandParser:
                 continue
             placed = self._placed(what, field, numbers, addressed)
             uses = addressed.uses[field]
-            surplus = np.flatnonzero(~(uses | np.isnan(placed)))
-            if surplus.size:
-                place = surplus[0]
+            surplus = ~(uses | np.isnan(placed))
+            if np.count_nonzero(surplus):
+                place = np.flatnonzero(surplus)[0]
                 raise CommandError(
                     f"{what}: joint '{names[place]}' is in {addressed.modes[place]} mode, which "
                     f'does not use the field {field}: leave it empty, or NaN for this joint')
             values[uses] = placed[uses]
         missing = np.isnan(values)
-        if not missing.any():
+        if not np.count_nonzero(missing):
             return list(_commands(self._robot, addressed, values))
         commands, silent = [], _parts(addressed)
         if not missing.all():
@@ -137,7 +139,7 @@ class JointCommandParser:
                 ) -> FloatArray:
         """Return the numbers of a field by joint, NaN where there is none."""
         count = len(addressed.names)
-        if np.isinf(given).any():
+        if np.count_nonzero(np.isinf(given)):
             infinite = np.flatnonzero(np.isinf(given))[0]
             raise CommandError(f'{what}: {field} must be finite, got {given.flat[infinite]} at '
                                f'index {infinite}')
@@ -164,10 +166,12 @@ class JointCommandParser:
         meant = tuple(
             POSITION.name if name in self._gripper_of else mode_of[name] for name in names)
         used = [MODES[mode].field for mode in meant]
+        own = self._own(names, modes)
         return _Addressed(
             names, meant, {field: np.array([use == field for use in used]) for field in FIELDS},
             {field: self._takers(field, names, used) for field in FIELDS},
-            self._own(names, modes), tuple(self._of_grippers(names)))
+            own,
+            tuple(meant[i] for i in own.places) if own else (), tuple(self._of_grippers(names)))
 
     def _available(self, part: str | None) -> list[str]:
         if part is None:
@@ -238,7 +242,7 @@ def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> I
         yield JointSetpoint(
             robot=robot, parts=own.parts, indices=own.indices, values=inside, clamped=clamped,
             clamped_example=example,
-            modes=tuple(addressed.modes[i] for i in own.places))
+            modes=addressed.own_modes)
     for group in addressed.grippers:
         inside, clamped, example = _clamp(group, values)
         yield GripperSetpoint(

@@ -235,12 +235,12 @@ class JointController(ControlledJoints):
         if isinstance(command, (TrajectoryStop, CartesianCommand)):
             return command
         if isinstance(command, JointSetpoint):
-            changed = [i for i, mode in zip(command.indices, command.modes)
+            changed = [i for i, mode in zip(command.indices.tolist(), command.modes)
                        if self.modes[i] != mode]
         else:
             takes = 'takes_twists' if isinstance(command, BaseTwist) else 'follows_trajectories'
             changed = [i for i in command.indices if not getattr(MODES[self.modes[i]], takes)]
-        return command.without(np.array(changed, dtype=np.int64))
+        return command.without(np.array(changed, dtype=np.int64)) if changed else command
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
         arrival = Arrival(period_s, command.messages, command.sent_ns % _STAMPS_NS * 1e-9)
@@ -342,9 +342,11 @@ class JointController(ControlledJoints):
             setpoints.advance(duration_s)
         self._follow_trajectories(data, now_s + duration_s)
         # Joints faster than their limit go far in an interval; they must not stop at once.
-        velocity = data.qvel[servos.dofs]
-        excess = velocity - np.clip(velocity, -servos.velocity_limit, servos.velocity_limit)
-        setpoints.hold_back(data.qpos[servos.qpos] + duration_s * excess, servos.lead)
+        measured, velocity = data.qpos[servos.qpos], data.qvel[servos.dofs]
+        if np.count_nonzero(np.abs(velocity) > servos.velocity_limit):
+            measured += duration_s * (velocity - np.clip(
+                velocity, -servos.velocity_limit, servos.velocity_limit))
+        setpoints.hold_back(measured, servos.lead)
         servos.write(data, duration_s, setpoints.position, setpoints.velocity,
                      setpoints.acceleration, self._effort)
         self._written, self._efforts_due = True, False

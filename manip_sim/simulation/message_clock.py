@@ -37,6 +37,10 @@ _TRUSTED = 8
 _RESUMES = 6
 #: After so many messages in a row of which others before seem lost, the stream goes slower.
 _SKIPPED = 8
+#: For so many messages more it may turn out that none was lost.
+_DOUBTED = 4
+#: Share of the slack that is kept from message to message, and how much of it is missed time.
+_SLACK_KEPT, _MISSED = 0.93, 1.5
 #: Two predictions of a goal are as good if both are within this share of its step.
 _ALIKE = 0.01
 #: Share of a message's word in the average on whether goals follow the arrivals: 0.5 for unknown,
@@ -87,6 +91,8 @@ class MessageClock:
         self._due_s = self._spread_s = 0.0
         # Whether values follow the arrival times, and the last two intervals by the schedule and
         # by these, None unless they are of one stream.
+        # How many of the last messages may have been late instead of lost, and how long yet.
+        self._doubtful = self._doubted = 0
         self._follows, self._says = False, 0.5
         self._before: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._stamped, self._stamp_s, self._stamp_interval_s = False, 0.0, 0.0
@@ -115,7 +121,7 @@ class MessageClock:
             that certainty; given the interval [s] and the largest number that is possible
         :param errors: returns sums of squares of errors, and of the last step; given the factors
             of the last steps in the prediction of the next one, shape (2, 2)
-        :returns: how many messages seem to have been lost
+        :returns: how many messages seem to have been lost; -1 if one less than before
         """
         streams, since_s = self.continues(now_s), now_s - self._arrived_s
         number = self._messages + 1 if streams else 1
@@ -152,8 +158,8 @@ class MessageClock:
         elapsed_s = ticks * interval_s if streams else period_s
         changed_s = max(interval_s + slope * pull_s / ticks, 0.2 * interval_s)
         missed_s = max(elapsed_s - max(interval_s, period_s), 0.0)
-        slack_s = max(0.8 * self.slack_s if streams else 0.0,
-                      min(size + missed_s, 2.0 * interval_s))
+        slack_s = max(_SLACK_KEPT * self.slack_s if streams else 0.0,
+                      min(size + _MISSED * missed_s, 2.0 * interval_s))
         rise = min(size, interval_s) - jitter_s
         jitter_s += (_ATTACK if rise > 0.0 else _DECAY) * rise
         even = (count == messages == self._together
@@ -185,7 +191,19 @@ class MessageClock:
         else:
             self.sent_s, self.elapsed_s, self.jitter_s, self.slack_s = (
                 self._due_s, elapsed_s, jitter_s, slack_s)
-        return count - messages if skips else 0
+        return self._lose(count - messages if skips else 0, off_s < -0.5 * interval_s)
+
+    def _lose(self, lost: int, early: bool) -> int:
+        """Return how many messages were lost, less those that only had seemed to be."""
+        if lost:
+            self._doubtful, self._doubted = lost, _DOUBTED
+        elif self._doubted:
+            self._doubted -= 1
+            if early and self._doubtful:
+                # The schedule has run ahead: the last messages were late, and none was lost.
+                self._doubtful -= 1
+                return -1
+        return lost
 
     def _choose(self, known: bool, intervals_s: tuple[float, float],
                 errors: Callable[[FloatArray], FloatArray]) -> None:

@@ -42,7 +42,7 @@ def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
     :param ranges: lowest and highest value, shape (2,), or (n, 2) for values of shape (..., n)
     :returns: the numbers in range, and how many were not
     """
-    inside = np.clip(values, ranges[..., 0], ranges[..., 1])
+    inside = np.minimum(np.maximum(values, ranges[..., 0]), ranges[..., 1])
     return inside, int(np.count_nonzero(inside != values))
 
 

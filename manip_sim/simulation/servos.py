@@ -280,14 +280,19 @@ class Servos:
         :param acceleration: at its end [rad/s^2 or m/s^2], shape (n,)
         :param effort: of the sources of effort, at once [N m or N], shape (n,)
         """
-        if self._gives_effort.all():
+        sources = np.count_nonzero(self._gives_effort)
+        if sources == len(self._ids):
             data.ctrl[self._ids] = 0.0
             data.act[self._activation] = effort / self._gear
             return
-        goal = self._goal(data, position, velocity, acceleration)
-        here = data.act[self._activation]
-        data.ctrl[self._ids] = np.where(self._gives_effort, 0.0, (goal - here) / duration_s)
-        data.act[self._activation] = np.where(self._gives_effort, effort / self._gear, here)
+        activations = data.act
+        here = activations[self._activation]
+        rate = (self._goal(data, position, velocity, acceleration) - here) / duration_s
+        if sources:
+            rate[self._gives_effort] = 0.0
+            activations[self._activation] = np.where(
+                self._gives_effort, effort / self._gear, here)
+        data.ctrl[self._ids] = rate
 
     def _goal(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
               acceleration: FloatArray) -> FloatArray:

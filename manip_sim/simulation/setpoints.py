@@ -30,9 +30,6 @@ _AHEAD_S = 0.1
 class _Terms(NamedTuple):
     """What the way that is caught up depends on from message to message, each of shape (n,)."""
 
-    #: By how much setpoints are later than the goals of streams [s], and which follow them.
-    lag_s: FloatArray
-    follows: BoolArray
     #: Time constants of the low-pass stages [s].
     smoothing_s: FloatArray
     #: Limits of the sum of velocities, and of what is caught up beside the reference.
@@ -301,7 +298,7 @@ class SetpointGenerator:
             self._end_streams()
         begin, reference, position = self.velocity, self._reference, self.position
         # What is missing is computed before anything moves.
-        missing = self._missing() if self._catches else None
+        missing = self._missing(duration_s) if self._catches else None
         velocity, travel = ramp(reference, self._reference_goal, self._ramp, duration_s)
         near = duration_s >= _AHEAD_S or self._is_near_ends(missing is not None)
         if missing is not None or near:
@@ -396,10 +393,10 @@ class SetpointGenerator:
         :param measured: where the joints are [rad or m], shape (n,)
         :param lead: how far a setpoint may be from there [rad or m], shape (n,)
         """
-        near = within(self.position, measured - lead, measured + lead)
-        held = near != self.position
+        held = np.abs(self.position - measured) > lead
         if np.count_nonzero(held):
-            self.position, self._catches = near, True
+            self.position = within(self.position, measured - lead, measured + lead)
+            self._catches = True
             self._stages[:, held] = 0.0
             for part in (self._reference, self.velocity, self.acceleration):
                 part[held] = 0.0
@@ -421,28 +418,38 @@ class SetpointGenerator:
     def _get_terms(self) -> _Terms:
         if self._terms is None:
             estimator, goal, top = self._estimator, self._reference_goal, self._velocity_limit
-            follows = np.isfinite(self._until_s)
             stream_s = np.maximum(np.maximum(_SMOOTHING_INTERVALS * estimator.interval_s,
                                              _SMOOTHING_JITTERS * estimator.jitter_s),
                                   _SMOOTHING_S)
             self._terms = _Terms(
-                1.5 * estimator.interval_s, follows,
-                np.where(follows & (goal != 0.0), stream_s, _SMOOTHING_S),
+                np.where((self._until_s < np.inf) & (goal != 0.0), stream_s, _SMOOTHING_S),
                 np.where(self._seeks, top, np.inf), -top - goal, top - goal)
         return self._terms
 
-    def _missing(self) -> FloatArray:
-        """Return how far setpoints will be behind where they follow, or rest, of themselves."""
-        terms, goal, reference = self._get_terms(), self._reference_goal, self._reference
-        age_s = np.where(terms.follows, self.now_s - self._estimator.sent_s - terms.lag_s, 0.0)
+    def _missing(self, duration_s: float) -> FloatArray | None:
+        """
+        Return how far setpoints will be behind where they follow, or rest, of themselves.
+
+        :returns: None if nothing is to be caught up
+        """
+        estimator, goal, reference = self._estimator, self._reference_goal, self._reference
+        age_s = np.where(self._until_s < np.inf,
+                         self.now_s - estimator.sent_s - 1.5 * estimator.interval_s, 0.0)
         missing = (self._goal + goal * age_s - self.position
-                   - way_of_ramp(reference, goal, self._ramp)
-                   - terms.smoothing_s * (self._stages[1] + self._stages[2]))
-        seeks = self._seeks
-        if np.count_nonzero(self._brakes):
+                   - way_of_ramp(reference, goal, self._ramp))
+        caught_up = np.count_nonzero(self._stages)
+        if caught_up:
+            missing -= self._get_terms().smoothing_s * (self._stages[1] + self._stages[2])
+        seeks, brakes = self._seeks, np.count_nonzero(self._brakes)
+        if brakes:
             self._brakes &= reference != 0.0
             seeks = seeks & ~self._brakes
-        return np.where(seeks, missing, 0.0)
+        missing = np.where(seeks, missing, 0.0)
+        if not (caught_up or brakes or np.count_nonzero(
+                np.abs(missing) >= _ARRIVED * min(duration_s, 1.0))):
+            self._catches = False
+            return None
+        return missing
 
     def _catch_up(self, missing: FloatArray, duration_s: float) -> None:
         limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages

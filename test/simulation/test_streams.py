@@ -133,6 +133,25 @@ def test_goals_of_an_even_timer_that_jitter_on_their_way_are_followed(rate):
     assert hardest < 1.5
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_few_messages_of_a_timer_that_jitters_are_taken_for_lost(seed):
+    random, estimator, count = np.random.default_rng(seed), Estimator(), 800
+    sent_s = np.sort(np.arange(1, count + 1) + random.normal(0.0, 0.2, count)) * PERIOD_S
+    for time_s in np.ceil(sent_s / 0.002) * 0.002:
+        estimator.take_one(0.2 * np.sin(np.pi * time_s), time_s)
+    assert 0 <= estimator.lost[0] <= 0.005 * count
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_messages_that_were_lost_are_counted(seed):
+    random, estimator = np.random.default_rng(seed), Estimator()
+    kept = random.random(800) > 0.03
+    kept[:20] = kept[-1] = True
+    for number in np.flatnonzero(kept):
+        estimator.take_one(0.2 * np.sin(np.pi * number * PERIOD_S), number * PERIOD_S)
+    assert estimator.lost[0] == np.count_nonzero(~kept)
+
+
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('mode', ['go_to', 'go_at'])
 def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
