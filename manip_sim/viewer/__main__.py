@@ -61,6 +61,7 @@ def _run() -> int:
 
 def _parser() -> argparse.ArgumentParser:
     import argparse
+    from pathlib import Path
     parser = argparse.ArgumentParser(
         prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
         description='Show a running sim_node on a page for the browser, and drive it from there.')
@@ -77,6 +78,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--node', default='manip_sim', metavar='NAME',
                         help='the node to show, %(default)s by default; relative names are in '
                         'the namespace')
+    parser.add_argument('--poses', type=Path, metavar='FILE',
+                        help='keep the poses that are saved on the page in this file (JSON); '
+                        'without it they are lost when sim_view ends')
     parser.add_argument('--dark', action='store_true', help='begin with a dark page')
     parser.add_argument('--native', action='store_true',
                         help="open MuJoCo's own viewer in a window instead; it only shows")

@@ -217,7 +217,7 @@ def test_cameras_that_people_have_moved_stay(arm_posture):
     assert np.linalg.norm(other.position) > 0.5
 
 
-def test_other_robots_are_framed_in_the_browsers_that_are_open(arm_posture):
+def test_another_world_is_framed_in_the_browsers_that_are_open(arm_posture):
     browsers = Browsers()
     aiming = Aiming(browsers)
     camera = browsers.come(1)
@@ -225,16 +225,20 @@ def test_other_robots_are_framed_in_the_browsers_that_are_open(arm_posture):
     aiming.update(arm_posture)
     moved = np.array([9.0, 9.0, 9.0])
     camera.position = moved
-    # The same robot with another object.
-    aiming.begin(Posture(compose('Panda', arena='bins').compile()))
+    # The same world with another object.
+    ball = {'name': 'ball', 'shape': 'sphere', 'size': 0.03, 'position': [0.1, 0.0, 1.0]}
+    aiming.begin(Posture(compose('Panda', arena='table', objects=[ball]).compile()))
     aiming.update(arm_posture)
     np.testing.assert_array_equal(camera.position, moved)
-    other = Posture(compose('GR1').compile())
-    aiming.begin(other)
-    aiming.update(other)
-    assert np.linalg.norm(camera.position - moved) > 1.0
-    framed = first_view(other.model, other.data, 2.0, 340 / 800)
-    np.testing.assert_allclose([camera.position, camera.look_at], framed)
+    # Other robots; another arena; the robot at another place.
+    for world in (compose('GR1', arena='table'), compose('GR1'),
+                  compose('GR1', position=[0.0, 1.0, 0.0])):
+        other = Posture(world.compile())
+        camera.position = moved
+        aiming.begin(other)
+        aiming.update(other)
+        framed = first_view(other.model, other.data, 2.0, 400 / 800)
+        np.testing.assert_allclose([camera.position, camera.look_at], framed)
 
 
 def test_a_view_is_chosen_in_one_browser(arm_posture):

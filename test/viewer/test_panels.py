@@ -13,12 +13,14 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 
 from hypothesis import given, strategies as st  # noqa: E402
 
+from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.viewer.page.cameras import CameraPanel  # noqa: E402
 from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.hand_target import HandTarget  # noqa: E402
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_inward  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
+from manip_sim.viewer.page.poses import PosePanel, Poses  # noqa: E402
 from manip_sim.viewer.page.robots import Joint, Part, Robot  # noqa: E402
 from manip_sim.viewer.page.simulation_panel import SimulationPanel  # noqa: E402
 
@@ -77,8 +79,11 @@ class Gui:
     def add_dropdown(self, label, options, **_):
         return self._add(label, options=options, value=options[0])
 
-    def add_uplot(self, data, series, title, **_):
-        return self._add(title, data=data, labels=[one['label'] for one in series])
+    def add_text(self, label, value, **_):
+        return self._add(label, value=value)
+
+    def add_uplot(self, data, series, title, **properties):
+        return self._add(title, data=data, labels=[one['label'] for one in series], **properties)
 
     def add_folder(self, label, **_):
         return self._add(label)
@@ -261,6 +266,111 @@ def test_images_are_asked_for_only_while_they_are_shown(rig):
     assert rig.gui.found['image'].removed
 
 
+def latest(a=0.3, b=0.6):
+    """Return states of the arm, with a joint that no slider has."""
+    states = JointStates(['robot0_a', 'robot0_c', 'robot0_b'], np.array([a, 9.0, b]), np.zeros(3),
+                         np.zeros(3), 0.0)
+    return Latest(joints={'/left/': states})
+
+
+def pose_panel(rig, poses, **fields):
+    panel = PosePanel(rig.gui, poses, [ROBOT], rig.sent, rig.events, rig.sent.tell)
+    panel.update(latest(), {f'left/{part}': field for part, field in fields.items()})
+    return panel
+
+
+def press(rig, label, value=None):
+    rig.gui.found[label].use(value=value)
+    rig.events.run()
+    return rig.sent.taken()
+
+
+def test_a_saved_pose_is_gone_to_within_the_ranges_of_the_joints(rig):
+    panel = pose_panel(rig, Poses())
+    panel.update(latest(a=-1.001), {})
+    rig.gui.found['Name'].value = ' ready '
+    assert press(rig, 'Save pose') == []
+    assert rig.gui.found['Pose'].options == ('ready',)
+    panel.update(latest(0.0, 0.0), {})
+    assert press(rig, 'Saved', 'Go') == [
+        ('move_joints', '/left/', 'arm', 'position', {'robot0_a': -1.0, 'robot0_b': 0.6})]
+    assert press(rig, 'Saved', 'Delete') == []
+    assert rig.gui.found['Pose'].options == ('(none saved)',)
+    rig.gui.found['Pose'].value = '(none saved)'
+    assert press(rig, 'Saved', 'Go') == []
+
+
+def test_poses_are_kept_in_a_file_and_a_name_is_replaced(tmp_path):
+    poses = Poses(tmp_path / 'poses.json')
+    poses.save('b', {'x': 1.0})
+    poses.save('a', {'x': 2.0, 'y': 3.0})
+    poses.save('b', {'x': 4.0})
+    assert Poses(tmp_path / 'poses.json').names == ['a', 'b']
+    assert Poses(tmp_path / 'poses.json').get('b') == {'x': 4.0}
+    poses.delete('b')
+    assert Poses(tmp_path / 'poses.json').names == ['a']
+
+
+@pytest.mark.parametrize(('text', 'reason'), [
+    ('{', 'is not JSON'), ('[]', 'holds no poses'), ('{"a": {"x": NaN}}', 'holds no poses'),
+    ('{"a": {"x": true}}', 'holds no poses'), ('{"<b>": {}}', 'holds no poses'),
+    ('{"a": 1}', 'holds no poses'), ('[' * 100_000, 'is not JSON')])
+def test_a_file_without_poses_is_rejected(tmp_path, text, reason):
+    file = tmp_path / 'poses.json'
+    file.write_text(text)
+    with pytest.raises(ManipSimError, match=reason):
+        Poses(file)
+    with pytest.raises(ManipSimError, match='no such folder'):
+        Poses(tmp_path / 'nowhere' / 'poses.json')
+
+
+def test_what_cannot_be_saved_changes_nothing_and_is_explained(rig, tmp_path):
+    folder = tmp_path / 'folder'
+    folder.mkdir()
+    poses = Poses(folder / 'poses.json')
+    poses.save('a', {'x': 1.0})
+    for name in ('', ' ', '../a', 'a' * 41, '<b>', 'a\nb'):
+        with pytest.raises(ManipSimError, match='cannot name a pose'):
+            poses.save(name, {})
+    (folder / 'poses.json').unlink()
+    folder.rmdir()
+    pose_panel(rig, poses)
+    rig.gui.found['Name'].value = 'ready'
+    for label, value in (('Save pose', None), ('Saved', 'Delete')):
+        ((_, text),) = press(rig, label, value)
+        assert text.startswith('cannot write ')
+    assert poses.names == ['a']
+    poses = Poses()
+    for number in range(100):
+        poses.save(f'p{number}', {})
+    with pytest.raises(ManipSimError, match='there are 100 poses already'):
+        poses.save('more', {})
+
+
+def test_a_pose_needs_position_commands_and_joints_of_the_robot(rig):
+    poses = Poses()
+    poses.save('ready', {'robot0_a': 0.1})
+    pose_panel(rig, poses, arm='effort')
+    assert press(rig, 'Saved', 'Go') == [
+        ('tell', 'left: arm takes effort commands: a pose needs position commands')]
+    assert press(rig, 'Save pose') == [('tell', 'no pose saved: no part takes position commands')]
+    poses.save('ready', {'another': 0.1})
+    pose_panel(rig, poses)
+    assert press(rig, 'Saved', 'Go') == [('tell', 'this pose has no joint of these robots')]
+
+
+def test_plots_leave_room_for_the_numbers_beside_them_alone(rig):
+    panel = PlotPanel(rig.gui, Handle(), [ROBOT])
+    panel.show(0.0, latest())
+    plot = rig.gui.found['position [rad]']
+    assert sum(plot.padding[1::2]) + plot.axes[1]['size'] <= 64
+    later = latest()
+    later.joints['/left/'] = JointStates(
+        ['robot0_a', 'robot0_b'], np.array([0.5, 0.7]), np.zeros(2), np.zeros(2), 1.0)
+    panel.show(1.0, later)
+    np.testing.assert_allclose(plot.data, [[-1.0, 0.0], [0.3, 0.5], [0.6, 0.7]])
+
+
 @pytest.mark.parametrize(('limits', 'expected'), [
     ((-1.0, 2.0), (-1.0, 2.0)), ((-2.89725, 2.89725), (-2.8972, 2.8972)),
     ((0.00001, 0.0399999), (0.0001, 0.0399)), ((0.00012, 0.00018), (0.00012, 0.00018)),
@@ -297,7 +407,7 @@ def test_any_range_gives_a_slider(low, width):
 
 
 def test_plots_show_what_was_measured_of_the_part_or_hand_that_is_chosen(rig):
-    panel, found = PlotPanel(rig.gui, [ROBOT]), rig.gui.found
+    panel, found = PlotPanel(rig.gui, Handle(), [ROBOT]), rig.gui.found
     for second in range(4):
         # In another order than that of the part.
         states = JointStates(['robot0_b', 'robot0_a'], *(

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.scene import FIELD_OF_VIEW, FIRST, first_view
 
 #: Width of the panel, and of the widest window that has it below.
-_PANEL_PIXELS, _PHONE_PIXELS = 340, 576
+_PANEL_PIXELS, _PHONE_PIXELS = 400, 576
 #: Share of its height that the open panel of a phone covers.
 _SHEET = 0.55
 #: Aspect ratio of the first view until a browser has sent the size of its window.
@@ -39,17 +40,19 @@ class Aiming:
     def __init__(self, server: Any) -> None:
         self._server = server
         self._aimed: set[int] = set()
-        self._robots: set[str] = set()
+        self._world: object = None
 
     def begin(self, posture: Posture) -> None:
         """
-        Set the first view of browsers that come; with other robots, that of all browsers.
+        Set the first view of browsers that come; in another world, that of all browsers.
+
+        Objects that come and go leave the world the same.
 
         :param posture: what is seen
         """
-        robots = set(posture.scalar_joints)
-        if robots != self._robots:
-            self._robots = robots
+        world = set(posture.scalar_joints), _fixed_bodies(posture.model)
+        if world != self._world:
+            self._world = world
             self._aimed.clear()
         camera = self._server.initial_camera
         camera.fov = FIELD_OF_VIEW
@@ -84,6 +87,12 @@ class Aiming:
         first = self._server.initial_camera
         return bool(np.abs(camera.position - first.position).max() < _SAME_M
                     and np.abs(camera.look_at - first.look_at).max() < _SAME_M)
+
+
+def _fixed_bodies(model: mujoco.MjModel) -> set[tuple[Any, ...]]:
+    """Return names and places of the bodies that never move: the arena, and where robots stand."""
+    return {(model.body(i).name, *model.body_pos[i].round(3).tolist())
+            for i in range(model.nbody) if model.body_weldid[i] == 0}
 
 
 def _aim(camera: Any, posture: Posture, direction: tuple[float, float, float] = FIRST) -> None:

@@ -21,6 +21,7 @@ from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.overlays import Overlays
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
+from manip_sim.viewer.page.poses import PosePanel, Poses
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.robots import Part, Robot
 from manip_sim.viewer.page.scene import Scene
@@ -43,11 +44,13 @@ class Page:
     :param commands: receives what people command; None: the page can only be watched
     :param watch: starts or stops listening to the images of a camera
     :param dark: whether it begins dark
+    :param poses: those saved before
     """
 
-    def __init__(self, server: Any, commands: Commands | None,
-                 watch: Callable[[str, bool], None], dark: bool = False) -> None:
+    def __init__(self, server: Any, commands: Commands | None, watch: Callable[[str, bool], None],
+                 dark: bool = False, poses: Poses | None = None) -> None:
         self._server, self._commands, self._watch = server, commands, watch
+        self._saved_poses = poses or Poses()
         self.events = Events()
         self._dark = dark
         self._posture: Posture | None = None
@@ -79,8 +82,12 @@ class Page:
         self._joints: dict[tuple[str, str], JointPanel] = {}
         self._drives: dict[str, DrivePanel] = {}
         self._targets: dict[tuple[str, str], HandTarget] = {}
+        self._poses: PosePanel | None = None
         if self._commands is not None:
             self._control = tabs.add_tab('Control')
+            with self._control:
+                self._poses = PosePanel(gui, self._saved_poses, robots, self._commands,
+                                        self.events, self.show_trouble)
             for robot in robots:
                 for arm in robot.hands:
                     self._targets[robot.space, arm] = HandTarget(
@@ -90,8 +97,8 @@ class Page:
                 robot.titled(arm): self._targets[robot.space, arm]
                 for robot in robots for arm in robot.hands
                 if self._commands is not None}, self._set_dark, self._look, self.events)
-        with tabs.add_tab('Plots'):
-            self._plots = PlotPanel(gui, robots)
+        with tabs.add_tab('Plots') as tab:
+            self._plots = PlotPanel(gui, tab, robots)
         with tabs.add_tab('Health'):
             self._health = PlainText(gui, in_words([]))
         with tabs.add_tab('Cameras'):
@@ -150,6 +157,8 @@ class Page:
         :param latest: the newest states
         :param paused: whether the simulation is paused
         """
+        if self._poses is not None:
+            self._poses.update(latest, self._fields)
         self.events.run()
         for panel in self._joints.values():
             panel.send(now_s)

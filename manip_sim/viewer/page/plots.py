@@ -23,6 +23,9 @@ _POINTS = 200
 _PERIOD_S = 0.25
 _COLORS = ('#2e7bd6', '#e8590c', '#2f9e44', '#c2255c', '#7048e8', '#0c8599', '#f08c00', '#868e96')
 _HEIGHT = 170
+#: Above, right of, below and left of a plot; of the axis of its values [pixels].
+_PADDING = (8, 10, 0, 0)
+_AXIS = {'size': 52, 'gap': 3, 'ticks': {'size': 4}}
 #: The scale of a plot reaches so far either way at least, in its unit.
 _SMALL = 0.05
 _WRENCH = 'wrench'
@@ -57,10 +60,11 @@ class PlotPanel:
     Plots of one part, or of the wrench of one hand, that a person chooses.
 
     :param gui: ``viser.ViserServer.gui``
+    :param tab: the tab that the plots are on
     :param robots: of the node
     """
 
-    def __init__(self, gui: Any, robots: Sequence[Robot]) -> None:
+    def __init__(self, gui: Any, tab: Any, robots: Sequence[Robot]) -> None:
         self._gui = gui
         self._next_s = 0.0
         self._plots: list[tuple[Any, slice]] = []
@@ -73,7 +77,7 @@ class PlotPanel:
                                   for arm in robot.hands})
         self._live = gui.add_checkbox('Live', True, hint='the last ten seconds')
         self._choice = gui.add_dropdown('Show', tuple(self._choices) or ('nothing',))
-        self._folder = gui.add_folder('Last 10 s')
+        self._tab = tab
         self._shown = ''
 
     def show(self, now_s: float, latest: Latest) -> None:
@@ -117,7 +121,7 @@ class PlotPanel:
             labels = ['x', 'y', 'z']
             plots = [('external force', ('N',)), ('external torque', ('N m',))]
         count = len(labels)
-        with self._folder:
+        with self._tab:
             for number, (title, unit) in enumerate(plots):
                 self._plots.append((self._plot(f'{title} [{" or ".join(unit)}]', labels),
                                     slice(number * count, (number + 1) * count)))
@@ -131,7 +135,8 @@ class PlotPanel:
             title=title, scales={'x': {'time': False, 'range': (-WINDOW_S, 0.0)},
                                  'y': {'range': {'min': {'pad': 0.1, 'soft': -_SMALL, 'mode': 1},
                                                  'max': {'pad': 0.1, 'soft': _SMALL, 'mode': 1}}}},
-            height=_HEIGHT, legend={'show': len(labels) <= len(_COLORS), 'live': False})
+            axes=({}, _AXIS), padding=_PADDING, height=_HEIGHT,
+            legend={'show': len(labels) <= len(_COLORS), 'live': False})
 
 
 def _row(states: JointStates, part: Part) -> FloatArray | None:

@@ -55,7 +55,7 @@ def close_server(server: Any) -> None:
 def set_theme(server: Any, dark: bool) -> None:
     """Make the page dark or light."""
     server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False,
-                               brand_color=_BRAND)
+                               brand_color=_BRAND, control_width='large')
 
 
 def _check_free(host: str, port: int) -> None:

@@ -22,6 +22,7 @@ from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros import background
 from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.page.access import Access
+from manip_sim.viewer.page.poses import Poses
 from manip_sim.viewer.page.server import close_server, open_server, page_address
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.session import Session
@@ -37,7 +38,7 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     :param options: of the command line, such as ``listen`` and ``port``
     :param arguments: of ROS, such as ``--ros-args -r __ns:=/cell``
     :returns: the exit code, 0
-    :raises ManipSimError: if it cannot listen, or ROS cannot start
+    :raises ManipSimError: if it cannot listen, read the saved poses, or start ROS
     """
     ended = EndSignals()
     node = _start_ros(arguments)
@@ -74,12 +75,13 @@ def _start_ros(arguments: Sequence[str]) -> Node:
 def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecutor,
            options: argparse.Namespace, ended: EndSignals) -> None:
     access = Access.of(os.environ, options.allow_host)
+    poses = Poses(options.poses)
     server: Any = open_server(options.listen, options.port, access)
     try:
         session = Session(node, readers, simulation, server, options.dark,
-                          commands=not options.no_commands)
+                          commands=not options.no_commands, poses=poses)
         address = page_address(server, options.listen, access)
-        print(f'sim_view: {address} is the page for the node /{simulation}', flush=True)
+        print(f'sim_view: {address} shows the node /{simulation} while it runs', flush=True)
         due_s = time.monotonic()
         while not ended.wait(due_s - time.monotonic()):
             executor.run_ready()

@@ -16,6 +16,7 @@ from manip_sim.quoting import counted
 from manip_sim.viewer.page.diagnosis import Status, WARN
 from manip_sim.viewer.page.pace import Pace
 from manip_sim.viewer.page.page import Page
+from manip_sim.viewer.page.poses import Poses
 from manip_sim.viewer.ros.commands import CommandSender
 from manip_sim.viewer.ros.discovery import Discovery
 from manip_sim.viewer.ros.readers import Readers
@@ -37,10 +38,11 @@ class Session:
     :param server: the ``viser.ViserServer``
     :param dark: whether the page begins dark
     :param commands: whether people can command the node; else there is nothing that could
+    :param poses: those saved before
     """
 
     def __init__(self, node: Node, readers: Readers, simulation: str, server: Any, dark: bool,
-                 commands: bool = True) -> None:
+                 commands: bool = True, poses: Poses | None = None) -> None:
         self._name, self._readers = simulation, readers
         self._discovery = Discovery(node, readers, simulation)
         self._states = States(node, readers, simulation, self._discovery.base)
@@ -50,7 +52,7 @@ class Session:
             self._sender = CommandSender(node, simulation, self._states.frames, self._complain)
             self._sender.paused = self._set_paused
         self._cameras: set[str] = set()
-        self._page = Page(server, self._sender, self._watch, dark)
+        self._page = Page(server, self._sender, self._watch, dark, poses)
         self._shown: tuple[Any, ...] = ()
         self._models = 0
         self._layout: Any = None
