@@ -11,6 +11,8 @@ import sys
 
 import pytest
 
+from manip_sim.examples import __main__ as examples
+
 IMPORT = """
 import os, sys
 from manip_sim.startup import import_mujoco
@@ -233,3 +235,10 @@ def test_standard_streams_that_are_closed_become_the_null_device(closed):
         ['sh', '-c', f'exec "$0" -c "$1"{redirections}', sys.executable, STREAMS],
         stdin=subprocess.PIPE, capture_output=True, text=True, timeout=300.0)
     assert done.returncode == 30 + len(closed), done.stderr
+
+
+@pytest.mark.parametrize('program', ['pick_cube', 'hand_over'])
+def test_the_help_of_an_example_waits_for_no_node(program, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', [program, '--help'])
+    assert vars(examples)['_run'](program) == 0
+    assert f'usage: {program} ' in capsys.readouterr().out

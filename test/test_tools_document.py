@@ -15,7 +15,7 @@ DOCUMENT = (DOCS / 'how_to' / 'tools.md').read_text()
 ROWS = {row[0]: row[1:] for line in DOCUMENT.splitlines() if line.startswith('| ')
         for row in [[cell.strip() for cell in line.strip('|').split(' | ')]] if row[0] != 'tool'}
 TOOLS = ('RViz', 'MoveIt', 'robot_state_publisher', 'Foxglove', 'nav2', 'ros2_control',
-         'moveit_servo', 'PlotJuggler', 'rosbag2')
+         'moveit_servo', 'PlotJuggler', 'joint_state_publisher', 'rosbag2')
 
 
 def known():

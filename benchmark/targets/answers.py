@@ -40,7 +40,8 @@ def measure_effect(settings: Settings) -> Iterator[Figure]:
             delays = [[_effect(pair, count) for pair in pairs] for _ in range(settings.rounds)]
     for quantile, target in QUANTILES:
         values = [[float(np.percentile(d, quantile)) / PERIOD_S for d in both] for both in delays]
-        yield Figure('effect', f'command to effect at 1000 Hz, {quantile} % of them within',
+        name = 'median' if quantile == 50 else f'{quantile}th percentile'
+        yield Figure('effect', f'command-to-effect latency at 1000 Hz, {name}',
                      [v[0] for v in values], 'periods', Target('<=', target),
                      plain=[v[1] for v in values], more_is_better=False)
 

@@ -29,8 +29,8 @@ KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
 SMALLEST, LARGEST = 16, 8192
 #: Text is never wrapped to fewer characters than this, the minimum of argparse.
 _NARROWEST = 11
-_EXIT_CODES = ('Exit codes: 0 all right; 1 something is wrong, or cannot be done; 2 wrong command '
-               'line')
+_EXIT_CODES = ('Exit codes: 0 success; 1 a problem was found, or the command failed; 2 wrong '
+               'command line')
 
 
 class _Parser(argparse.ArgumentParser):
@@ -52,10 +52,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     words = sys.argv[1:] if arguments is None else list(arguments)
     parser = _Parser(
         prog='manip_sim', allow_abbrev=False,
-        description='See what robots, grippers, bases and arenas there are, and what is composed '
-                    'of them, without ROS.',
-        epilog=f"manip_sim COMMAND --help tells more. {_EXIT_CODES}. The node itself is "
-               "'sim_node'.")
+        description='List robots, grippers, bases and arenas, and describe, check, render and '
+                    'export what is composed of them. Works without ROS.',
+        epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
+               "The node is another program, 'sim_node'.")
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
@@ -133,39 +133,39 @@ def _command(commands: Any, name: str, module: str, summary: str, more: str = ''
 
 def _add_list(commands: Any) -> None:
     parser = _command(
-        commands, 'list', 'listing', 'list what there is, and where it comes from',
+        commands, 'list', 'listing', 'list the available parts, and where they come from',
         example='example: manip_sim list grippers')
     parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
                         help=f'{", ".join(KINDS[:-1])} or {KINDS[-1]} (default: all)')
-    parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
+    parser.add_argument('--json', action='store_true', help='print JSON, in SI units')
 
 
 def _add_describe(commands: Any) -> None:
     parser = _command(
         commands, 'describe', 'describe', 'describe a composition',
         'Lists parts, joints, limits, actuators, sensors, masses, frames, cameras, and the '
-        'topics, services and parameters that the node has for it. Tables are as wide as the '
-        'terminal.',
+        'topics, services and parameters of a node with this composition. Tables fit the width '
+        'of the terminal.',
         'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
-    parser.add_argument('--json', action='store_true', help='as JSON, in SI units')
+    parser.add_argument('--json', action='store_true', help='print JSON, in SI units')
     add_composition(parser)
 
 
 def _add_export(commands: Any) -> None:
     parser = _command(
         commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
-        'The name of the file tells the format: .xml is MJCF that refers to mesh files where '
-        "they lie, .mjz and .zip are MuJoCo's archive, which holds them, .urdf is the robot with "
-        'base and grippers. With --moveit it is a package for MoveIt 2: URDF, SRDF, limits, '
-        'controllers, launch file.',
+        'The file name selects the format: .xml is MJCF that refers to the mesh files by their '
+        'paths, .mjz and .zip are a MuJoCo archive that contains them, and .urdf is a URDF of '
+        'the robot with base and grippers. --moveit writes a package for MoveIt 2: URDF, SRDF, '
+        'limits, controllers, launch file.',
         'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
         '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
         '          manip_sim export --moveit panda_moveit_config --robot Panda')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
                         help='out.xml, out.mjz, out.zip or out.urdf')
     parser.add_argument('--moveit', type=Path, metavar='DIR',
-                        help='a new folder for the package, which has its name')
-    parser.add_argument('--name', metavar='ROBOT', help='which of several robots, for .urdf')
+                        help='new folder for the package; its name is that of the package')
+    parser.add_argument('--name', metavar='ROBOT', help='the robot to write, if there are several')
     parser.add_argument('--ros2-control', action='store_true',
                         help='add a <ros2_control> tag to a .urdf, for the setup in '
                         'config/topic_based_ros2_control.yaml')
@@ -175,28 +175,28 @@ def _add_export(commands: Any) -> None:
 def _add_render(commands: Any) -> None:
     parser = _command(
         commands, 'render', 'render', 'render a picture, without a screen',
-        'A composition is shown at its start from two sides, or from one that is requested. With '
-        "'--robot none' a gripper, a base or an arena is shown alone.",
+        'Shows the start of a composition from two sides, or from the side that you choose. With '
+        "'--robot none' it shows a gripper, a base or an arena alone.",
         'examples: manip_sim render panda.png --arena table\n'
         '          manip_sim render hand.png --robot none --gripper FourierRightHand\n'
-        'On Linux pictures are rendered by EGL; set MUJOCO_GL to glfw or osmesa for another way.')
+        'On Linux, pictures are rendered with EGL; MUJOCO_GL selects glfw or osmesa instead.')
     parser.add_argument('file', type=Path, metavar='FILE', help='such as out.png or out.jpg')
     parser.add_argument('--size', type=_size, default=(800, 540), metavar='WIDTHxHEIGHT',
-                        help='of the picture [pixels] (default: 800x540)')
+                        help='size of the picture [pixels] (default: 800x540)')
     parser.add_argument('--azimuth', type=_number, metavar='DEGREES',
-                        help='show one side; looking along x is 0, along y is 90')
+                        help='show one side: 0 looks along x, 90 along y')
     parser.add_argument('--elevation', type=_number, metavar='DEGREES',
-                        help='show one side; looking down is negative')
-    parser.add_argument('--camera', metavar='NAME', help='show what a camera of the model sees')
+                        help='show one side: negative looks down')
+    parser.add_argument('--camera', metavar='NAME', help='show the view of a camera of the model')
     add_composition(parser)
 
 
 def _add_check(commands: Any) -> None:
     parser = _command(
         commands, 'check', 'check', 'check the start of a composition, or of an MJCF file',
-        'Reports shapes inside others, blocked joints, joints outside their range, without '
-        'actuator, with two, or with one that is too weak, missing files, and what to write '
-        'instead. A file is checked as it is, at its keyframe home, else its first one.',
+        'Reports shapes that intersect, blocked joints, joints outside their range, joints with '
+        'no actuator, two actuators or one that is too weak, and missing files, and says how to '
+        'fix them. A file is checked as it is, at its keyframe home or else at its first one.',
         'examples: manip_sim check --robot UR5e --gripper FourierRightHand\n'
         '          manip_sim check my_robot.xml')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
@@ -206,37 +206,38 @@ def _add_check(commands: Any) -> None:
 def add_composition(parser: argparse.ArgumentParser) -> None:
     """Add the options of a composition, which ``compose_from`` reads."""
     group = parser.add_argument_group(
-        'composition', "Names are those of 'manip_sim list'.")
-    group.add_argument('--robot', metavar='NAME', help='(default: Panda)')
-    group.add_argument('--gripper', metavar='NAME', help="on every arm, or by arm as in '{right: "
-                       "PandaGripper, left: none}'; 'default' is the robot's own, 'none' is no "
-                       'gripper (default: default)')
+        'composition', "For the names, type 'manip_sim list'.")
+    group.add_argument('--robot', metavar='NAME', help='robot, by name or from a file (default: '
+                       'Panda)')
+    group.add_argument('--gripper', metavar='NAME', help="gripper on every arm, or by arm as in "
+                       "'{right: PandaGripper, left: none}'; 'default' is the robot's own, "
+                       "'none' mounts none (default: default)")
     group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
                        "robot's own, 'none' is the floor (default: default)")
-    group.add_argument('--arena', metavar='NAME', help='surroundings (default: empty)')
+    group.add_argument('--arena', metavar='NAME', help='what surrounds the robot (default: empty)')
     group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=_assignment,
-                       help="of the arena, such as table_height=0.9; 'manip_sim list arenas' "
-                       'lists them; may be repeated')
+                       help="parameter of the arena, such as table_height=0.9; 'manip_sim list "
+                       "arenas' lists them; may be repeated")
     group.add_argument('--object', action='append', metavar='OBJECT', help='a free body: a YAML '
                        "or MJCF file, or a description such as '{name: can, shape: cylinder, "
                        "size: [0.03, 0.12], mass: 0.3, position: [0.5, 0, 0.06]}'; may be "
                        'repeated')
-    group.add_argument('--idn', type=_whole, metavar='N', help='number in names, as in '
+    group.add_argument('--idn', type=_whole, metavar='N', help='number in names such as '
                        'robot0_joint1 (default: 0)')
-    group.add_argument('--prefix', metavar='TEXT', help='instead of that, the beginning of all '
-                       'names, such as left_')
+    group.add_argument('--prefix', metavar='TEXT', help='start of all names, such as left_, '
+                       'instead of that number')
     group.add_argument('--position', nargs=3, type=_number, metavar=('X', 'Y', 'Z'),
-                       help='of the floor below the root [m] (default: set by the arena)')
+                       help='position of the floor below the root [m] (default: set by the arena)')
     group.add_argument('--orientation', nargs=3, type=_number, metavar=('ROLL', 'PITCH', 'YAW'),
-                       help='of the root [rad]')
+                       help='orientation of the root [rad]')
     group.add_argument('--timestep', type=_number, metavar='SECONDS',
-                       help='of the physics (default: 0.002)')
+                       help='physics step (default: 0.002)')
     group.add_argument('--no-gravity-compensation', action='store_true', default=None,
                        help='switch gravity compensation off')
-    group.add_argument('--params-file', type=Path, metavar='FILE', help='instead of all these: a '
-                       "file of the node's parameters, also of several robots and objects")
-    group.add_argument('--cameras', action='append', metavar='NAME', help='a camera of the model '
-                       'whose images the node publishes, or a description of a further one, as '
+    group.add_argument('--params-file', type=Path, metavar='FILE', help='parameter file of a '
+                       'node, instead of all these options; may have several robots and objects')
+    group.add_argument('--cameras', action='append', metavar='NAME', help='camera of the model '
+                       'whose images the node publishes, or description of another camera, as '
                        "for the node: '{name: front, position: [2, 0, 1], look_at: [0, 0, 1]}'; "
                        'may be repeated')
 

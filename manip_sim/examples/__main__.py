@@ -13,7 +13,13 @@ import sys
 
 from manip_sim.startup import EndSignals, import_mujoco, run_program
 
-_NAMES = ('pick_cube', 'hand_over')
+_NAMES = {
+    'pick_cube': """Pick up the cube of a node with one arm at a table, and print the wrist force.
+
+Start the node first: sim_node --ros-args -p arena:=table""",
+    'hand_over': """Pass a cube along three arms that stand at one table.
+
+Start the node first: sim_node --ros-args --params-file config/hand_over.yaml"""}
 
 
 def pick_cube() -> int:
@@ -35,6 +41,9 @@ def hand_over() -> int:
 
 
 def _run(name: str) -> int:
+    if {'-h', '--help'} & set(sys.argv[1:]):
+        print(f'usage: {name} [--help] [--ros-args ...]\n\n{_NAMES[name]}')
+        return 0
     from importlib import import_module
 
     from manip_sim.environment import check_ros_environment, missing_module

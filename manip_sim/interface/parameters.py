@@ -30,35 +30,35 @@ STEPPING = ('realtime', 'free', 'lockstep')
 
 #: Is to be used before the names of models are known.
 MODEL_PATH = ParameterSpec(
-    'model_path', [''], 'Folders that join the catalogue: in one, robots/NAME.yaml, .xml or .urdf '
-    'is the robot NAME, likewise grippers, bases and arenas.')
+    'model_path', [''], 'Folders whose models are added to the catalogue: robots/NAME.yaml, .xml '
+    'or .urdf is the robot NAME; likewise grippers, bases and arenas.')
 
 
 def node_parameters() -> list[ParameterSpec]:
     """Return the parameters of every node but :data:`MODEL_PATH`, before robots are known."""
     return [
         ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
-                      'right: each has its topics in a namespace and its parameters, such as '
-                      'left.robot, below its name. Empty: one robot.'),
-        ParameterSpec('arena', 'empty', 'What is around the robot.',
+                      'right. The name is the namespace of the topics of a robot and the prefix '
+                      'of its parameters, such as left.robot. Empty: one robot.'),
+        ParameterSpec('arena', 'empty', 'What surrounds the robot.',
                       choices=tuple(arena_names()), kind='arenas'),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
                       'the table.'),
         ParameterSpec('objects', [''], 'Free bodies: YAML files that list objects, MJCF files, or '
                       'descriptions such as {name: box, shape: box, size: [0.1, 0.1, 0.1], '
                       'mass: 0.5, position: [0.5, 0.0, 0.05]}.'),
-        ParameterSpec('spawn_roots', [''], 'Folders whose files ~/spawn_entity may read, with all '
-                      'below them; empty: the assets of manip_sim.'),
+        ParameterSpec('spawn_roots', [''], 'Folders whose files ~/spawn_entity may read, with '
+                      'their subfolders; empty: the assets of manip_sim.'),
         ParameterSpec('cameras', [''], "Cameras whose images are published: names of the model's "
                       'cameras, such as birdview, or descriptions such as {name: front, '
                       'position: [1.5, 0.0, 1.5], look_at: [0.0, 0.0, 0.8], fovy: 45}.'),
-        ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of what is added to "
-                      "the start of the robots' own joints.", choices=TYPES),
+        ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of the noise on "
+                      "the start positions of the robots' own joints.", choices=TYPES),
         ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation (gaussian) '
-                      'or half-width (uniform) of the noise on the start positions; 0 is none.',
+                      'or half-width (uniform) of the noise on the start positions; 0: no noise.',
                       'rad or m', minimum=0.0, maximum=3.0),
         ParameterSpec('seed', 0, 'Seed of initialization_noise; equal seeds give equal starts. '
-                      'A change counts from the next reset.', live=True, minimum=0,
+                      'A change takes effect at the next reset.', live=True, minimum=0,
                       maximum=2**31 - 1),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
@@ -66,22 +66,21 @@ def node_parameters() -> list[ParameterSpec]:
                       'Hz', minimum=1.0, maximum=10000.0),
         ParameterSpec('stepping', 'realtime', 'What drives the physics: the clock, nothing (as '
                       'fast as possible), or the commands of lockstep_parts.', choices=STEPPING),
-        ParameterSpec('start_paused', False, 'Wait for ~/pause or ~/step after the start.'),
-        ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, for the stepping '
+        ParameterSpec('start_paused', False, 'Start paused, and wait for ~/pause or ~/step.'),
+        ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, with stepping '
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
         ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '
-                      'links and grippers; it counts as effort and against the torque limits.'),
-        ParameterSpec('publish_tf', True, 'Publish /tf and /tf_static, where tf2_msgs is '
-                      'installed; switch it off beside robot_state_publisher.'),
+                      'links and grippers; included in the effort and in the torque limits.'),
+        ParameterSpec('publish_tf', True, 'Publish /tf and /tf_static, if tf2_msgs is installed; '
+                      'switch it off if you use robot_state_publisher.'),
         ParameterSpec('tf_rate', 50.0, 'Messages on /tf and ~/markers per second of simulation '
                       'time; rounded to publish_rate divided by a whole number.', 'Hz',
                       minimum=0.1, maximum=10000.0),
-        ParameterSpec('frame_prefix', '', 'Beginning of all names of frames in messages, as that '
-                      'of robot_state_publisher, such as left/.'),
-        ParameterSpec('ros2_control_tag', False, 'Write into robot_description what lets '
-                      'ros2_control command this node: joint_state_topic_hardware_interface.'),
-        ParameterSpec('publish_clock', True, 'Publish /clock; switch it off in all nodes of a '
-                      'domain but one.'),
+        ParameterSpec('frame_prefix', '', 'Start of all frame names in messages, such as left/, '
+                      'as in robot_state_publisher.'),
+        ParameterSpec('ros2_control_tag', False, 'Add to robot_description the tag with which '
+                      'ros2_control commands this node (joint_state_topic_hardware_interface).'),
+        ParameterSpec('publish_clock', True, 'Publish /clock; only one node of a domain should.'),
     ]
 
 
@@ -108,19 +107,19 @@ def composition_parameters(scope: Scope) -> list[ParameterSpec]:
                       choices=tuple(robot_names()), kind='robots'),
         ParameterSpec('gripper', 'default',
                       "Gripper on every arm, or by arm as in '{right: PandaGripper, left: none}'; "
-                      "'default' is the robot's own, 'none' leaves it off.",
+                      "'default' is the robot's own, 'none' mounts none.",
                       choices=('default', 'none', *gripper_names()), kind='grippers'),
         ParameterSpec('base', 'default',
                       "What the robot stands on; 'default' is the robot's own, 'none' is the "
                       'floor.', choices=('default', 'none', *base_names()), kind='bases'),
         ParameterSpec('prefix', f'{scope.name}_' if scope.name else '',
-                      'Beginning of all names of the robot, its base and its '
-                      'grippers: joints, frames, the model. Empty: names as in robot0_joint1.'),
-        ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each have had a command before '
+                      'Start of all names of the robot, its base and its '
+                      'grippers: joints, frames, the model. Empty: names such as robot0_joint1.'),
+        ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each receive a command before '
                       'lockstep advances by a control period, such as arm or right/gripper.')]
     if not scope.name:
-        specs.append(ParameterSpec('idn', 0, 'Number of the robot in names, as in robot0_joint1, '
-                                   'where prefix is empty.', minimum=0, maximum=999))
+        specs.append(ParameterSpec('idn', 0, 'Number of the robot in names such as robot0_joint1, '
+                                   'if prefix is empty.', minimum=0, maximum=999))
     return [spec.within(scope) for spec in specs]
 
 
@@ -131,10 +130,10 @@ def place_parameters(scope: Scope, position: Sequence[float]) -> list[ParameterS
     :param position: where it stands unless the user says where [m], three numbers
     """
     return [spec.within(scope) for spec in (
-        ParameterSpec('position', [float(value) for value in position], 'Where the floor below '
-                      "the robot's root is in the frame world: x, y, z.", 'm', length=3),
-        ParameterSpec('orientation', [0.0, 0.0, 0.0], 'How the robot is turned in the frame '
-                      'world: roll, pitch, yaw.', 'rad', length=3))]
+        ParameterSpec('position', [float(value) for value in position], 'Position in the frame '
+                      "world of the floor below the robot's root: x, y, z.", 'm', length=3),
+        ParameterSpec('orientation', [0.0, 0.0, 0.0], 'Orientation of the robot in the '
+                      'frame world: roll, pitch, yaw.', 'rad', length=3))]
 
 
 def default_timeout(part: str, mode: str) -> float:
@@ -169,9 +168,9 @@ def timeout_parameters(scope: Scope, parts: Sequence[str],
     """
     return [ParameterSpec(
         f'command_timeout.{part}', default_timeout(part, mode_of(part)),
-        f'Without a fresh command of the {part} for so long (simulation time), position holds, '
-        'velocity goes to zero, effort to gravity compensation; 0 is never. Unless it is set, a '
-        'change of the control mode changes it.', 's', live=True, minimum=0.0,
+        f'After this time without a new command for the {part} (simulation time), position holds, '
+        'velocity goes to zero, effort to gravity compensation; 0 switches it off. Until you set '
+        'it, the default follows the control mode.', 's', live=True, minimum=0.0,
         maximum=3600.0).within(scope) for part in parts]
 
 
@@ -185,13 +184,14 @@ def stream_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]
     for part in parts:
         specs += [
             ParameterSpec(f'stream_interval.{part}', STREAM_INTERVAL_S,
-                          f'Messages for the {part} that come at least as often as this are a '
-                          'stream, which is followed smoothly, 1.5 intervals late; rarer ones are '
-                          'steps.', 's', live=True, minimum=0.001, maximum=5.0),
+                          f'Longest interval between messages of a stream for the {part}, which '
+                          'is followed smoothly with a delay of 1.5 intervals; messages with '
+                          'longer intervals are steps.', 's', live=True, minimum=0.001,
+                          maximum=5.0),
             ParameterSpec(f'stream_hold.{part}', 0.0,
-                          f'How long the {part} goes on at the velocity of a stream of positions '
-                          'after a message was due, before it brakes and comes to the last goal; '
-                          '0 is two message intervals.', 's', live=True, minimum=0.0,
+                          f'How long the {part} continues at the velocity of a stream after a '
+                          'message was due, before it brakes and moves to the last goal; 0 means '
+                          'two message intervals.', 's', live=True, minimum=0.0,
                           maximum=10.0)]
     return [spec.within(scope) for spec in specs]
 
@@ -238,8 +238,8 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
     settings = CartesianSettings()
     return [spec.within(scope) for arm in arms for spec in (
         ParameterSpec(f'cartesian.{arm}.stiffness', settings.stiffness,
-                      'Of target poses and pose actions in effort mode: acceleration of the hand '
-                      "per error, in all directions; robosuite's kp.", '1/s^2', live=True,
+                      'Stiffness of target poses and pose actions in effort mode: acceleration of '
+                      "the hand per error, in all directions; robosuite's kp.", '1/s^2', live=True,
                       minimum=1.0, maximum=1000.0),
         ParameterSpec(f'cartesian.{arm}.damping_ratio', settings.damping_ratio,
                       'Damping ratio of the same control; 1 is critical damping.', live=True,
@@ -251,7 +251,7 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
                       'Largest angular speed of the hand; a faster twist is clamped.', 'rad/s',
                       live=True, minimum=0.001, maximum=30.0),
         ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
-                      'Without a fresh target twist for so long (simulation time) the hand stops.',
+                      'Time without a new target twist (simulation time) until the hand stops.',
                       's', live=True, minimum=0.001, maximum=10.0))]
 
 
@@ -262,8 +262,8 @@ def wrench_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:
     :param arms: those with a gripper
     """
     return [ParameterSpec(
-        f'wrench_cutoff.{arm}', 0.0, 'Cutoff frequency, in simulation time, of a low-pass of '
-        'first order for the external wrench, the mean over a control period; 0 is no filter.',
+        f'wrench_cutoff.{arm}', 0.0, 'Cutoff frequency (in simulation time) of a first-order '
+        'low-pass filter for the external wrench, the mean over a control period; 0: no filter.',
         'Hz', live=True, minimum=0.0, maximum=10000.0).within(scope) for arm in arms]
 
 
@@ -275,22 +275,23 @@ def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]
     :param parts: the parts with driven joints, see :func:`commanded_parts`
     :param arms: those with a gripper, and so with an external wrench
     """
-    end = '; the part then refuses commands until ~/reset_reflex. 0 is never.'
+    end = '; the part then rejects commands until ~/reset_reflex. 0 switches it off.'
     specs = []
     for part in parts:
         specs += [
-            ParameterSpec(f'reflex.{part}.velocity', 0.0, 'Stop if a joint is faster than this '
+            ParameterSpec(f'reflex.{part}.velocity', 0.0, 'Stop if a joint exceeds this '
                           f'multiple of its velocity limit{end}', live=True, minimum=0.0,
                           maximum=100.0),
-            ParameterSpec(f'reflex.{part}.effort', 0.0, 'Stop if a joint exerts more than this '
+            ParameterSpec(f'reflex.{part}.effort', 0.0, 'Stop if a joint exceeds this '
                           f'multiple of its effort limit{end}', live=True, minimum=0.0,
                           maximum=1.0)]
         if part in arms or (part == 'arm' and len(arms) == 1):
             specs += [
                 ParameterSpec(f'reflex.{part}.force', 0.0, 'Stop if the external force on the '
-                              f'tool is larger{end}', 'N', live=True, minimum=0.0, maximum=1e5),
+                              f'tool exceeds this value{end}', 'N', live=True, minimum=0.0,
+                              maximum=1e5),
                 ParameterSpec(f'reflex.{part}.torque', 0.0, 'Stop if the external torque on the '
-                              f'tool is larger{end}', 'N m', live=True, minimum=0.0,
+                              f'tool exceeds this value{end}', 'N m', live=True, minimum=0.0,
                               maximum=1e5)]
     return [spec.within(scope) for spec in specs]
 

@@ -30,8 +30,9 @@ class Neighbours:
     """
     Conflicts with other nodes; each is logged once for as long as it lasts.
 
-    A conflict is reported when two looks in a row find it, because discovery has no order. As long
-    as the graph does not change, a look is a comparison of the names and numbers of its endpoints.
+    A conflict is reported when two looks in a row find it, because discovery has no order: the
+    name of a node may come after its endpoints. As long as neither the graph nor what was found
+    changes, a look is a comparison of the names and numbers of its endpoints.
 
     :param node: the node
     :param scopes: namespace of the topics of each robot
@@ -72,6 +73,8 @@ class Neighbours:
         confirmed = {what: text for what, text in found.items() if what in self._found}
         for what in confirmed.keys() - self._told.keys():
             self._node.get_logger().warning(confirmed[what])
+        if found != self._found:
+            self._looks = max(1, self._looks)
         self._found, self._told = found, confirmed
 
     def _same_name(self) -> dict[str, str]:

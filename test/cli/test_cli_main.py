@@ -56,7 +56,7 @@ def test_help_is_given_in_terminals_of_all_widths(columns, here, monkeypatch):
     monkeypatch.setenv('COLUMNS', columns)
     code, text, errors = here('list', '--help')
     assert (code, errors) == (0, '')
-    assert 'list what there is, and where it comes from' in ' '.join(text.lower().split())
+    assert 'list the available parts, and where they come from' in ' '.join(text.lower().split())
 
 
 @pytest.mark.parametrize(('arguments', 'what', 'of'), [
@@ -130,7 +130,7 @@ def test_composition_options_reach_the_world(here):
 def test_a_prefix_begins_all_names(here):
     _, text, _ = here('describe', '--prefix', 'left_')
     assert 'left_joint1' in text and 'left_gripper_finger_joint1' in text
-    assert 'robot0_' not in text.replace('as in robot0_joint1', '')
+    assert 'robot0_' not in text.replace('such as robot0_joint1', '')
 
 
 @pytest.mark.parametrize('unbuffered', ['', '1'])

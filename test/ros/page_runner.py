@@ -32,7 +32,8 @@ PROGRAMS = {'pick_cube': 'test_pick_cube.py', 'hand_over': 'test_hand_over.py',
 #: Packages beside ours, with the executables and launch files of theirs that pages name.
 OTHERS = {
     'controller_manager': 'ros2_control_node', 'depth_image_proc': 'point_cloud_xyzrgb_node',
-    'foxglove_bridge': 'foxglove_bridge foxglove_bridge_launch.xml', 'joy': 'joy_node',
+    'foxglove_bridge': 'foxglove_bridge foxglove_bridge_launch.xml',
+    'joint_state_publisher': 'joint_state_publisher', 'joy': 'joy_node',
     'nav2_bringup': 'navigation_launch.py', 'panda_moveit_config': 'moveit.launch.py',
     'plotjuggler': 'plotjuggler', 'robot_state_publisher': 'robot_state_publisher',
     'rqt_image_view': 'rqt_image_view', 'spacenav': 'spacenav_node',

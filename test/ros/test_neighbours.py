@@ -13,13 +13,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
 from harness import Client
 import pytest
+import rclpy
 from rclpy.qos import qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from manip_sim.ros.neighbours import _nearest
+from manip_sim.ros.neighbours import _nearest, Neighbours
 
 NEVER_READS = """
 import time
@@ -243,6 +244,32 @@ def test_what_matches_the_node_is_not_reported(serve, client):
     arrays.clear()
     client.spin_until(lambda: len(arrays) > 3)
     assert conflicts_of(arrays) == {'manip_sim: other nodes': 'no conflict'}
+
+
+def test_what_is_gone_at_the_second_look_is_not_reported(client):
+    other = Client()
+    own = rclpy.create_node('own', context=other.context)
+    own.create_subscription(TwistStamped, 'target', print, 1)
+    neighbours = Neighbours(own, [])
+
+    def publish_until_found():
+        publisher = client.node.create_publisher(Twist, 'target', 1)
+        other.spin_until(lambda: [info.node_name for info in own.get_publishers_info_by_topic(
+            'target')] == ['client'])
+        return publisher
+
+    publisher = publish_until_found()
+    looks = [neighbours.conflicts()]
+    client.node.destroy_publisher(publisher)
+    other.spin_until(lambda: not own.count_publishers('target'))
+    looks += [neighbours.conflicts(), neighbours.conflicts()]
+    publish_until_found()
+    looks.append(neighbours.conflicts())
+    assert looks == [[], [], [], []]
+    other.spin_until(lambda: neighbours.conflicts() == [
+        "/target takes TwistStamped; '/client' publishes Twist"])
+    own.destroy_node()
+    other.close()
 
 
 @pytest.mark.parametrize('topic, kind, meant', [
