@@ -17,8 +17,10 @@ from manip_sim.models import World
 from manip_sim.models.robots import Panda
 
 ROOT = Path(__file__).resolve().parents[1]
-BLOCKS = [block for block in re.findall(r'```python\n(.*?)```', (
-    ROOT / 'docs' / 'how_to' / 'python.md').read_text(), re.DOTALL)]
+BLOCKS = [block for block in re.findall(
+    # Without what needs a program that is not there.
+    r'(?<! -->\n)```python\n(.*?)```', (ROOT / 'docs' / 'how_to' / 'python.md').read_text(),
+    re.DOTALL)]
 WRONG = """
 from manip_sim.models.robots import Panda, Pandda
 from manip_sim.models.grippers import PandaGripper

@@ -201,7 +201,7 @@ class RampEstimator:
         return np.abs(velocity - present) / interval_s, own
 
 
-@dataclass
+@dataclass(frozen=True)
 class WaitingGoal:
     """
     The goal of messages that came at one instant, of which the last one counts.

@@ -178,6 +178,7 @@ def test_stamps_and_the_parameters_of_streams_count_for_target_poses_too(hand, s
     hand.client.publish('right/target_pose', pose)
     targets = served.simulation.robot.joints.cartesian._targets
     hand.client.spin_until(lambda: 'right' in targets and targets['right'].stream is not None)
-    estimator = targets['right'].stream._estimator
-    hand.client.spin_until(lambda: np.allclose(estimator.clock._stamp_s, 1234.05))
-    assert set(estimator.clock.longest_s) == {4.0} and set(estimator.hold_s) == {0.5}
+    clocks = targets['right'].stream._estimator.clocks
+    hand.client.spin_until(lambda: any(
+        clock is not None and clock._stamp_s == pytest.approx(1234.05) for clock in clocks._of))
+    assert set(clocks._settings) == {(4.0, 0.5)}

@@ -95,7 +95,7 @@ def base():
     robot = Simulation(compose('PandaOmron')).robot
     robot.set_control_mode('base', 'velocity')
     return robot, lambda message: CommandSubscribers._twist(
-        SimpleNamespace(_parse=robot.parse), message)
+        SimpleNamespace(_parse=robot.parse), 'base', message)
 
 
 @given(st.lists(st.just(0.0) | st.floats(), min_size=6, max_size=6))

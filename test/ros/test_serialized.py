@@ -139,9 +139,9 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
     def read(simulation):
         reads.append(simulation)
         return np.ones(6)
-    topics = outputs.Topics()
+    topics = outputs.Publications()
     make = partial(messages.twist_stamped, 'world')
-    topics.replace((outputs.Topic(outputs.Output(publisher, None), make, read, 6),))
+    topics.replace((outputs.Publication(outputs.Output(publisher, None), make, read, 6),))
     assert not topics.look()
     publisher.count = 1
     topics.publish(Instant())
@@ -158,10 +158,10 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
 
 
 def test_a_topic_that_has_nothing_to_tell_publishes_nothing():
-    publisher, topics = Listeners(), outputs.Topics()
+    publisher, topics = Listeners(), outputs.Publications()
     publisher.count = 1
-    topics.replace((outputs.Topic(outputs.Output(publisher, None), messages.clock,
-                                  lambda _: None, 0),))
+    topics.replace((outputs.Publication(outputs.Output(publisher, None), messages.clock,
+                                        lambda _: None, 0),))
     assert topics.look()
     topics.publish(Instant())
     assert publisher.published == []

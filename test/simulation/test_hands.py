@@ -516,7 +516,7 @@ def test_activation_leaves_the_forces_of_servos_as_they_are(name):
 def test_an_effort_at_a_finger_is_the_force_of_its_actuator_by_gear_and_tendon(hand_sim):
     simulation = hand_sim(TENDON_SERVO.replace('tendon=', 'gear="3" tendon='), TENDON)
     actuators = simulation.robot.grippers[GRIPPER]._actuators
-    limit = ForceLimit(simulation.model, actuators)
+    limit = ForceLimit(simulation.physics, actuators)
     limit.set(6.0)
     # 4 N of the actuator are 12 N in the tendon, half of them at each finger.
     (actuator,) = actuators.ids

@@ -89,7 +89,8 @@ def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
     monkeypatch.setattr(main, 'Session', Failing)
     readers = SimpleNamespace(log=SimpleNamespace(failure=lambda *told: logged.append(told)))
     main._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None),
-                SimpleNamespace(allow_host=[], listen='', port=0, dark=False, no_commands=False),
+                SimpleNamespace(
+                    allow_host=[], listen='', port=0, dark=False, no_commands=False, poses=None),
                 SimpleNamespace(wait=lambda _: len(rounds) == 3))
     assert len(rounds) == 3
     assert [(kind, what, str(error)) for kind, what, error in logged] == [
