@@ -13,12 +13,14 @@ GUIDES = {'hand_imu': 'add_sensor.md', 'touched_bodies': 'add_sensor.md',
 
 
 @pytest.mark.parametrize('name', GUIDES)
-def test_an_example_package_is_short_and_its_guide_shows_its_module(name):
+def test_an_example_package_is_short_and_its_guide_shows_its_files(name):
     files = [path.read_text() for path in (ROOT / 'test/data' / name).iterdir() if path.is_file()]
     assert len(files) == 2 and sum(len(text.splitlines()) for text in files) <= 60
     guide = (ROOT / 'docs/how_to' / GUIDES[name]).read_text()
-    code = (ROOT / 'test/data' / name / f'{name}.py').read_text().partition('\n\n')[2]
-    assert code in guide
+    shown = [f'{name}.py'] + ['pyproject.toml'] * (name != 'touched_bodies')  # As hand_imu's.
+    for file in shown:
+        text = (ROOT / 'test/data' / name / file).read_text()
+        assert text.partition('\n\n')[2] in guide  # After the licence.
 
 
 def test_every_example_package_has_a_guide():

@@ -293,13 +293,6 @@ def test_a_mode_need_not_be_hashable_and_its_fields_may_change_until_it_is_enter
     assert (panda_sim.model.actuator_gainprm[:7, 0] == 500.0).all()
 
 
-@pytest.mark.parametrize('file', ['impedance_mode.py', 'pyproject.toml'])
-def test_the_page_on_control_modes_shows_the_example(file):
-    page = IMPEDANCE.parents[2] / 'docs' / 'how_to' / 'add_control_mode.md'
-    _, _, code = (IMPEDANCE / file).read_text().partition('\n\n')  # After the licence.
-    assert code in page.read_text()
-
-
 def test_a_saved_state_in_impedance_mode_is_continued_bit_by_bit(impedance):
     impedance(stiffness=50.0, damping=15.0)
     first, second = Simulation(compose('Panda')), Simulation(compose('Panda'))
