@@ -168,8 +168,8 @@ def main() -> None:
     parser.add_argument('--targets', type=int, default=200, help='for each arm (200)')
     parser.add_argument('--seed', type=int, default=1)
     options = parser.parse_args()
-    print('| robot | mode | targets | arrives: half, last [s] | rests within 3 s '
-          '| half, last [s] |')
+    print('| robot | mode | targets | arrives: median, maximum [s] '
+          '| rests within 3 s | rests: median, maximum [s] |')
     print('|---|---|---|---|---|---|')
     for name in options.robots or robot_names():
         for mode in options.modes:
