@@ -47,14 +47,14 @@ class InitializationNoise:
         if self.type not in TYPES:
             raise UnknownNameError('type of initialization_noise', self.type, TYPES)
         self.magnitude = _checked_magnitude(settings.get('magnitude', DEFAULT_MAGNITUDE))
-        self.seed = _checked_seed(seed)
+        self.seed = checked_seed(seed)
 
     def with_seed(self, seed: int | None) -> InitializationNoise:
         """Return the same noise with another seed; None keeps this one."""
         if seed is None:
             return self
         other = copy.copy(self)
-        other.seed = _checked_seed(seed)
+        other.seed = checked_seed(seed)
         return other
 
     def added(self, start: ArrayLike, ranges: ArrayLike, robot: int) -> FloatArray:
@@ -85,7 +85,12 @@ def _checked_magnitude(magnitude: Any) -> float:
     return float(magnitude)
 
 
-def _checked_seed(seed: Any) -> int:
+def checked_seed(seed: Any) -> int:
+    """
+    Return a seed; None draws one.
+
+    :raises ModelError: if it is no whole number from 0
+    """
     if seed is None:
         return int(np.random.SeedSequence().generate_state(1)[0])
     if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or seed < 0:

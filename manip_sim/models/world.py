@@ -15,7 +15,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.cameras import Camera, create_camera
-from manip_sim.models.initialization_noise import InitializationNoise
+from manip_sim.models.initialization_noise import checked_seed, InitializationNoise
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
@@ -235,6 +235,8 @@ class World:
         :param seed: of the noise on them; None for that of the world
         :raises ModelError: if the seed is no whole number from 0
         """
+        if seed is not None:
+            checked_seed(seed)
         noise = None if self.noise is None else self.noise.with_seed(seed)
         start: dict[str, float] = {}
         for robot in self.robots:

@@ -214,8 +214,9 @@ def test_a_diverged_simulation_is_restored():
 
 
 @pytest.mark.parametrize('seed', [-1, 1.5, True, 'one'])
-def test_a_seed_is_a_whole_number_from_zero(panda, seed):
-    before = panda.digest()
-    with pytest.raises(ModelError, match='seed'):
-        panda.reset(seed=seed)
-    assert panda.digest() == before
+def test_a_seed_is_a_whole_number_from_zero_with_noise_or_without(panda, seed):
+    for simulation in (panda, Simulation(compose('Panda'))):
+        before = simulation.digest()
+        with pytest.raises(ModelError, match='seed'):
+            simulation.reset(seed=seed)
+        assert simulation.digest() == before
