@@ -45,6 +45,7 @@ class SimulationState:
     :ivar computed_for: positions and velocities that they were computed for
     :ivar gains: what control has changed in the model, by field
     :ivar control: setpoints, commands, grippers, tare, filters and settings, pickled
+    :ivar start: of the joints at the next reset, by name [rad or m]
     :ivar step_count: physics steps since construction
     :ivar control_steps: physics steps since the last reset
     :ivar contacts_change: whether contacts came or went in the last period
@@ -58,6 +59,7 @@ class SimulationState:
     computed_for: bytes
     gains: Mapping[str, bytes]
     control: bytes
+    start: Mapping[str, float]
     step_count: int
     control_steps: int
     contacts_change: bool

@@ -382,8 +382,9 @@ class Simulation:
             versions=self._versions(), model=self.model.signature,
             physics=self._physics_state().tobytes(), computed_from=self._computed_from.tobytes(),
             computed_for=self._computed_for, gains=gains(self.model), control=self._control.save(),
-            step_count=self._clock.step_count, control_steps=self._clock.control_steps,
-            contacts_change=self._contacts_change, diverged=self.diverged)
+            start=dict(self._start), step_count=self._clock.step_count,
+            control_steps=self._clock.control_steps, contacts_change=self._contacts_change,
+            diverged=self.diverged)
 
     def restore(self, state: SimulationState) -> None:
         """
@@ -405,6 +406,7 @@ class Simulation:
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
+        self._start = dict(state.start)
         self.diverged, self._contacts_change = state.diverged, state.contacts_change
         set_gains(self.model, state.gains)
         self._computed_from[:] = np.frombuffer(state.computed_from)

@@ -146,6 +146,15 @@ def test_a_seed_gives_the_same_episode_after_any_other(panda):
     assert not set(first) & set(other)
 
 
+def test_a_reset_after_restoring_leads_to_the_start_of_the_state(panda):
+    anew(panda, 7)
+    state, start = panda.save(), panda.digest()
+    anew(panda, 8)
+    panda.restore(state)
+    panda.reset()
+    assert panda.digest() == start
+
+
 def test_reading_does_not_change_the_digest(panda):
     anew(panda, 7)
     run(panda, SCRIPT[:4])
