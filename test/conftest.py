@@ -93,6 +93,20 @@ def install_example(tmp_path_factory):
     return install
 
 
+@pytest.fixture
+def package_on_path(tmp_path, monkeypatch):
+    """Return a function that puts a package with entry points of one group on the path."""
+    def make(group, name, code, points):
+        (tmp_path / f'{name}.py').write_text(code)
+        info = tmp_path / f'{name}-1.2.dist-info'
+        info.mkdir()
+        (info / 'METADATA').write_text(f'Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n')
+        (info / 'entry_points.txt').write_text(f'[{group}]\n' + '\n'.join(
+            f'{point} = {name}:{found}' for point, found in points.items()))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return make
+
+
 @pytest.fixture(autouse=True)
 def _own_registries_and_folder(monkeypatch, tmp_path):
     """Forget the classes that a test defines, and keep MuJoCo's log out of the tree."""

@@ -3,6 +3,7 @@
 
 """Verbs of the command that other packages add."""
 
+from functools import partial
 import re
 
 import numpy as np
@@ -32,17 +33,9 @@ BROKEN = {
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch):
+def package(package_on_path):
     """Return a function that puts a package with verbs, by name, on the path."""
-    def make(name, code, points):
-        (tmp_path / f'{name}.py').write_text(code)
-        info = tmp_path / f'{name}-1.2.dist-info'
-        info.mkdir()
-        (info / 'METADATA').write_text(f'Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n')
-        (info / 'entry_points.txt').write_text('[manip_sim.commands]\n' + '\n'.join(
-            f'{verb} = {name}:{found}' for verb, found in points.items()))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return make
+    return partial(package_on_path, 'manip_sim.commands')
 
 
 def test_an_installed_verb_is_listed_and_runs_with_the_options_of_a_composition(

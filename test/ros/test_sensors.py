@@ -38,17 +38,10 @@ TOPIC = Topic('~/one', 'std_msgs/Float64', PUBLISHED, 'one')
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch):
+def package(package_on_path):
     """Return a function that puts a package with sensors, by name, on the path."""
-    def make(name, code, points):
-        (tmp_path / f'{name}.py').write_text(code)
-        info = tmp_path / f'{name}-1.2.dist-info'
-        info.mkdir()
-        (info / 'METADATA').write_text(f'Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n')
-        (info / 'entry_points.txt').write_text('[manip_sim.sensors]\n' + '\n'.join(
-            f'{point} = {name}:{point}' for point in points))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return make
+    return lambda name, code, points: package_on_path(
+        'manip_sim.sensors', name, code, dict(zip(points, points)))
 
 
 def test_an_installed_imu_measures_gravity_and_turning_with_its_noise(
