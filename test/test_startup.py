@@ -114,6 +114,7 @@ from manip_sim import startup
 
 def child(number, place):
     signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # Where nohup runs the tests.
     calls = 0
     def interrupted(function):
         def call(*arguments, **named):
