@@ -18,7 +18,7 @@ FLOORS = (
      'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration'},
     {'ros': 'how it is seen: node, topics, services'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: thread, pacing, lock-step',
-     'rendering': 'pictures'},
+     'rendering': 'pictures', 'worlds': 'many copies of one world'},
     {'simulation': 'what happens: physics, control, sensors'},
     {'models': 'what exists: robots, grippers, arenas, worlds'})
 #: Name, what it does, what it may touch.

@@ -19,6 +19,7 @@ PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 MAY_IMPORT = {
     'models': ({'models'}, PURE),
     'simulation': ({'models', 'simulation'}, PURE),
+    'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),
     'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),

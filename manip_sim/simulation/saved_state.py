@@ -97,7 +97,14 @@ class ControlState:
         #: Their ``format_action`` may have a state, in classes of users too.
         self._grippers: list[GripperModel] = []
         self._find(list(roots), (*stateless, Command, CommandHandle))
+        self._index()
+
+    def _index(self) -> None:
         self._index_of = {id(found): index for index, found in enumerate(self._fixed)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._index()  # In a copy, other objects are fixed.
 
     def _find(self, left: list[Any], stateless: tuple[type, ...]) -> None:
         seen: set[int] = set()
@@ -111,7 +118,7 @@ class ControlState:
             elif isinstance(found, (list, tuple, set, frozenset)):
                 left += found
             elif isinstance(found, np.ndarray):
-                if _is_foreign(found):
+                if is_foreign(found):
                     self._fixed.append(found)
             elif not isinstance(found, (Command, CommandHandle)):
                 self._fixed.append(found)
@@ -119,7 +126,7 @@ class ControlState:
                     self._grippers.append(found)
                 if _is_own(found) and not isinstance(found, stateless):
                     left += vars(found).values()
-                    if not _is_frozen(found):
+                    if not is_frozen(found):
                         self._stateful.append(found)
 
     def save(self) -> bytes:
@@ -157,21 +164,22 @@ def _is_own(found: object) -> bool:
     return type(found).__module__.startswith(_OWN) and hasattr(found, '__dict__')
 
 
-def _is_frozen(found: object) -> bool:
+def is_frozen(found: object) -> bool:
+    """Tell whether an object is of a frozen dataclass."""
     parameters = getattr(type(found), '__dataclass_params__', None)
     return bool(getattr(parameters, 'frozen', False))
 
 
-def _owner(array: NDArray[Any]) -> NDArray[Any]:
+def owner_of(array: NDArray[Any]) -> NDArray[Any]:
     """Return the array that an array is a view of, or itself."""
     while isinstance(array.base, np.ndarray):
         array = array.base
     return array
 
 
-def _is_foreign(array: NDArray[Any]) -> bool:
+def is_foreign(array: NDArray[Any]) -> bool:
     """Tell whether an array is a view into ``MjData`` or ``MjModel``."""
-    return type(_owner(array).base).__name__ == 'PyCapsule'
+    return type(owner_of(array).base).__name__ == 'PyCapsule'
 
 
 def _view(owner: NDArray[Any], offset: int, shape: tuple[int, ...], strides: tuple[int, ...],
@@ -179,8 +187,24 @@ def _view(owner: NDArray[Any], offset: int, shape: tuple[int, ...], strides: tup
     return np.ndarray(shape, kind, owner.data, offset, strides)
 
 
-class _Pickler(pickle.Pickler):
-    """A pickler that refers to what is fixed, and keeps views views of the same array."""
+class ViewPickler(pickle.Pickler):
+    """A pickler that keeps views views of the same array."""
+
+    def reducer_override(self, found: object) -> Any:
+        """Return how a view is made of the array that it is a view of."""
+        if not isinstance(found, np.ndarray):
+            return NotImplemented
+        owner = owner_of(found)
+        if owner is found:
+            return NotImplemented
+        if is_foreign(owner):
+            raise pickle.PicklingError('a view into MjData that is not there from the start')
+        offset = (found.__array_interface__['data'][0] - owner.__array_interface__['data'][0])
+        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
+
+
+class _Pickler(ViewPickler):
+    """A pickler that refers to what is fixed."""
 
     def __init__(self, file: io.BytesIO, index_of: Mapping[int, int]) -> None:
         super().__init__(file, protocol=5)
@@ -188,17 +212,6 @@ class _Pickler(pickle.Pickler):
 
     def persistent_id(self, found: object) -> int | None:
         return self._index_of.get(id(found))
-
-    def reducer_override(self, found: object) -> Any:
-        if not isinstance(found, np.ndarray):
-            return NotImplemented
-        owner = _owner(found)
-        if owner is found:
-            return NotImplemented
-        if _is_foreign(owner):
-            raise pickle.PicklingError('a view into MjData that is not there from the start')
-        offset = (found.__array_interface__['data'][0] - owner.__array_interface__['data'][0])
-        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
 
 
 class _Unpickler(pickle.Unpickler):

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+import functools
 import hashlib
 
 import mujoco
@@ -102,6 +104,8 @@ class Simulation:
         self._tools = [reader.external for robot in self.robots.values()
                        for reader in robot.end_effectors.values()]
         self._touch = TouchWatch(self.model, self.data, self._tools)
+        #: Whether nothing touched a tool in the steps at rest that were run last.
+        self._was_untouched = False
         #: Whether contacts came or went in the last period.
         self._contacts_change = False
         self.entities = Entities(self.model, {
@@ -211,18 +215,48 @@ class Simulation:
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
+        for compute in self.period(steps):
+            compute()
+
+    def period(self, steps: int) -> Iterator[Callable[[], None]]:
+        """
+        Run one control period as :meth:`advance`, but leave what MuJoCo computes to the caller.
+
+        Control runs until a function is yielded, which has to be called before the next one is
+        asked for. It may be called in another thread, and spends most of its time without Python's
+        global interpreter lock.
+
+        :param steps: number of physics steps
+        :raises DivergenceError: as :meth:`advance`
+        """
         self._check_not_diverged()
         for robot in self.robots.values():
             robot.begin_period(steps * self._timestep_s)
-        reason = self._run(steps)
-        if reason is not None:
-            self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
-            self._divergence.hold()
-            mujoco.mj_forward(self.model, self.data)
-            self.efforts.restart()
+        begin = self._clock.step_count
+        self._divergence.remember()
+        stepwise = not (self.idle and self._stays_untouched)
+        if not stepwise:
+            yield functools.partial(self._compute_untouched, steps)
+            stepwise = not self._was_untouched
+            if stepwise:
+                self._undo(begin)
+        if stepwise:
+            yield from self._step(steps)
+        reason = self._divergence.reason()
+        if reason is None:
             for tool in self._tools:
-                tool.restart(self.data)
-            self._check_not_diverged()
+                tool.end_period(self.data, steps, steps * self._timestep_s)
+        else:
+            self._hold(reason)
+
+    def _hold(self, reason: str) -> None:
+        self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
+        self._divergence.hold()
+        mujoco.mj_forward(self.model, self.data)
+        self.efforts.restart()
+        for tool in self._tools:
+            tool.restart(self.data)
+        self._check_not_diverged()
 
     def _check_not_diverged(self) -> None:
         if self.diverged is not None:
@@ -241,36 +275,21 @@ class Simulation:
         if self._stays_untouched and all([tool.settled for tool in self._tools]):
             begin = self._clock.step_count
             self._divergence.remember()
-            if self._untouched(steps * periods) and self._end() is None:
+            self._compute_untouched(steps * periods)
+            if self._was_untouched and self._divergence.reason() is None:
                 return
             # Run one by one, the periods show in which of them that happened.
             self._undo(begin)
         for _ in range(periods):
             self.advance(steps)
 
-    def _run(self, steps: int) -> str | None:
-        """Run a control period, and return why the physics diverged, or None."""
-        begin = self._clock.step_count
-        self._divergence.remember()
-        if not (self.idle and self._stays_untouched):
-            self._step(steps)
-        elif not self._untouched(steps):
-            self._undo(begin)
-            self._step(steps)
-        reason = self._end()
-        if reason is None:
-            for tool in self._tools:
-                tool.end_period(self.data, steps, steps * self._timestep_s)
-        return reason
-
-    def _end(self) -> str | None:
-        """Compute all of the new instant, and return why the physics diverged, or None."""
+    def _end(self) -> None:
+        """Compute all of the new instant."""
         self.efforts.record()
         mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
         # After mj_step the sensors are one step older than the positions.
         mujoco.mj_forward(self.model, self.data)
         self._computed_for = self._first_half_state()
-        return self._divergence.reason()
 
     def _undo(self, begin: int) -> None:
         self._divergence.undo()
@@ -282,9 +301,9 @@ class Simulation:
         """Whether nothing touches a tool, nor is likely to in the next period."""
         return not self._contacts_change and not self._touch.touched
 
-    def _untouched(self, steps: int) -> bool:
+    def _compute_untouched(self, steps: int) -> None:
         """
-        Run steps at rest, and return whether nothing can have touched a tool in them.
+        Run steps at rest, and find out whether nothing can have touched a tool in them.
 
         That is so if nothing did before and the number of contacts never changed.
         """
@@ -296,13 +315,14 @@ class Simulation:
         if steps > 1:
             mujoco.mj_step(self.model, self.data, steps - 1)
         self._clock.count(steps)
-        return bool(self.data.maxuse_con == contacts == self.data.ncon)
+        self._was_untouched = bool(self.data.maxuse_con == contacts == self.data.ncon)
+        if self._was_untouched:
+            self._end()
 
-    def _step(self, steps: int) -> None:
-        """Run steps one by one, and record the forces on the tools in each."""
-        resumes = self._resumes()
-        model, data = self.model, self.data
-        pushed, contacts = self._touch.pushed, {data.ncon}
+    def _step(self, steps: int) -> Iterator[Callable[[], None]]:
+        """Run steps in intervals, each begun by control, and record the forces on the tools."""
+        resumes, pushed = self._resumes(), self._touch.pushed
+        contacts = {self.data.ncon}
         for tool in self._tools:
             tool.begin_period()
         left = steps
@@ -314,21 +334,28 @@ class Simulation:
                 chunk = -(-left // -(-left // self._interval_steps))
             for robot in awake:
                 robot.tick(chunk * self._timestep_s)
-            self._free_roots.bear(data)
-            for _ in range(chunk):
-                if resumes:
-                    # What depends on positions and velocities alone has been computed already.
-                    mujoco.mj_step2(model, data)
-                    resumes = False
-                else:
-                    mujoco.mj_step(model, data)
-                contacts.add(data.ncon)
-                if data.ncon or pushed:
-                    for tool in self._tools:
-                        tool.record()
-            self._clock.count(chunk)
+            self._free_roots.bear(self.data)
+            yield functools.partial(self._compute, chunk, resumes, pushed, contacts)
+            resumes = False
             left -= chunk
         self._contacts_change = len(contacts) > 1
+        yield self._end
+
+    def _compute(self, steps: int, resumes: bool, pushed: bool, contacts: set[int]) -> None:
+        """Run the steps of an interval, and collect how many contacts there are in them."""
+        model, data = self.model, self.data
+        for _ in range(steps):
+            if resumes:
+                # What depends on positions and velocities alone has been computed already.
+                mujoco.mj_step2(model, data)
+                resumes = False
+            else:
+                mujoco.mj_step(model, data)
+            contacts.add(data.ncon)
+            if data.ncon or pushed:
+                for tool in self._tools:
+                    tool.record()
+        self._clock.count(steps)
 
     def _resumes(self) -> bool:
         """Tell whether the first half of a step has been computed."""
@@ -396,13 +423,7 @@ class Simulation:
         :raises ModelError: if it belongs to another world, another set of objects, or another
             version of manip_sim or MuJoCo; then nothing changes
         """
-        if state.versions != self._versions():
-            raise ModelError(f'the state was saved by {state.versions}, this is '
-                             + self._versions())
-        if (state.model != self.model.signature
-                or len(state.physics) != self._computed_from.nbytes):
-            raise ModelError('the state was saved in a simulation of another world, or with other '
-                             'objects in it')
+        self.check_restorable(state)
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
@@ -416,6 +437,21 @@ class Simulation:
         mujoco.mj_setState(self.model, self.data, np.frombuffer(state.physics), PHYSICS)
         self._computed_for = state.computed_for
         self._control.restore(state.control)
+
+    def check_restorable(self, state: SimulationState) -> None:
+        """
+        Check that a state can be restored here.
+
+        :param state: from :meth:`save`
+        :raises ModelError: if not, as :meth:`restore`
+        """
+        if state.versions != self._versions():
+            raise ModelError(f'the state was saved by {state.versions}, this is '
+                             + self._versions())
+        if (state.model != self.model.signature
+                or len(state.physics) != self._computed_from.nbytes):
+            raise ModelError('the state was saved in a simulation of another world, or with other '
+                             'objects in it')
 
     def digest(self) -> str:
         """

@@ -1,0 +1,280 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One robot in many worlds: its commands and states as arrays with a leading axis of worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.errors import CommandError
+from manip_sim.simulation import SimulatedRobot, Wrench
+from manip_sim.simulation.commands import Command
+from manip_sim.simulation.poses import Pose, Twist
+from manip_sim.simulation.state import EndEffector
+from manip_sim.worlds.rows import chosen, rows
+
+
+@dataclass(frozen=True)
+class RobotStates:
+    """
+    A snapshot of a robot in all worlds, as ``State`` is of one.
+
+    :ivar time_ns: simulation time of each world [ns], shape (count,)
+    :ivar position: of all scalar joints, in the order of ``joint_names`` [rad or m], shape
+        (count, n)
+    :ivar velocity: [rad/s or m/s], shape (count, n)
+    :ivar effort: of the actuators at the joint in the last physics step [N m or N], shape
+        (count, n)
+    :ivar end_effectors: by arm, of the arms with a gripper; their arrays have a leading axis of
+        worlds
+    """
+
+    time_ns: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    end_effectors: dict[str, EndEffector]
+
+
+class RobotInWorlds:
+    """
+    A robot in all worlds.
+
+    Every command takes an array with one row for each world, and ``where``: which worlds it is
+    for, shape (count,), None for all. Rows of other worlds are ignored. If one row is invalid, a
+    ``CommandError`` names its world, and no world gets a command.
+
+    :param robots: the robot in each world
+    :ivar command: takes commands for joints, grippers and bases
+    :ivar command_cartesian: takes commands for the hands of arms
+    :ivar joint_names: all scalar joints, in the order of the states
+    """
+
+    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
+        self._robots = robots
+        self.command = Commands(robots)
+        self.command_cartesian = CartesianCommands(robots)
+        self.joint_names = robots[0].joint_names
+
+    def __getitem__(self, world: int) -> SimulatedRobot:
+        return self._robots[world]
+
+    def __len__(self) -> int:
+        return len(self._robots)
+
+    def set_control_mode(self, part: str, mode: str, where: ArrayLike | None = None) -> None:
+        """
+        Change the control mode of a part, as :meth:`SimulatedRobot.set_control_mode` does.
+
+        :param part: such as ``arm``
+        :param mode: such as ``effort``
+        :param where: in which worlds, shape (count,); None for all
+        :raises CommandError: if the part is a gripper, or ``where`` has another shape or type
+        :raises UnknownNameError: if there is no such part or mode
+        """
+        for robot, wanted in zip(self._robots, chosen(where, len(self))):
+            if wanted:
+                robot.set_control_mode(part, mode)
+
+    def state(self) -> RobotStates:
+        """Return a snapshot of the present instant, copies."""
+        states = [robot.state() for robot in self._robots]
+        arms = states[0].end_effectors
+        return RobotStates(
+            np.array([state.time_ns for state in states], dtype=np.int64),
+            np.stack([state.position for state in states]),
+            np.stack([state.velocity for state in states]),
+            np.stack([state.effort for state in states]),
+            {arm: _together([state.end_effectors[arm] for state in states]) for arm in arms})
+
+    def measured(self, part: str | None = None) -> FloatArray:
+        """
+        Return the positions, then the velocities, then the efforts of the joints of a part.
+
+        :param part: its name; None for all joints
+        :returns: each in the order of the joints' names, in SI units, shape (count, 3 n), a copy
+        """
+        return np.stack([robot.measured(part) for robot in self._robots])
+
+
+def _together(found: Sequence[EndEffector]) -> EndEffector:
+    """Return the states of an end effector with a leading axis."""
+    return EndEffector(
+        Pose(np.stack([one.pose.position for one in found]),
+             np.stack([one.pose.quat_xyzw for one in found])),
+        Twist(np.stack([one.twist.linear for one in found]),
+              np.stack([one.twist.angular for one in found])),
+        _wrenches([one.wrench for one in found]),
+        _wrenches([one.external_wrench for one in found]))
+
+
+def _wrenches(found: Sequence[Wrench]) -> Wrench:
+    return Wrench(np.stack([one.force for one in found]), np.stack([one.torque for one in found]))
+
+
+class RowByRow:
+    """
+    Validates the commands of all worlds first, and then applies them.
+
+    :param robots: the robot in each world
+    """
+
+    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
+        self._robots = robots
+
+    def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
+               where: ArrayLike | None, period_s: float | None) -> None:
+        made = []
+        for world in np.flatnonzero(chosen(where, len(self._robots))).tolist():
+            robot = self._robots[world]
+            try:
+                made.append((robot, tuple(parse(robot, world))))
+            except CommandError as error:
+                raise CommandError(f'world {world}: {error}') from error
+        for robot, commands in made:
+            robot.apply(*commands, period_s=period_s)
+
+    def _rows(self, values: ArrayLike, what: str) -> FloatArray:
+        return rows(values, len(self._robots), what)
+
+
+class Commands(RowByRow):
+    """
+    Commands for joints, grippers and bases, named as those of ``robot.parse``.
+
+    :param robots: the robot in each world
+    """
+
+    def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
+               period_s: float | None = None) -> None:
+        """
+        Command an abstract action in each world.
+
+        :param part: such as ``arm`` or ``right/gripper``
+        :param action: in [-1, 1] for each actuator of the part, or each dof of the gripper, shape
+            (count, n)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a shape is wrong or a number is not finite
+        :raises UnknownNameError: if there is no such part
+        """
+        numbers = self._rows(action, f'{part}: actions')
+        self._apply(lambda robot, world: [robot.parse.action(part, numbers[world])], where,
+                    period_s)
+
+    def joint_command(self, names: Sequence[str], position: ArrayLike | None = None,
+                      velocity: ArrayLike | None = None, effort: ArrayLike | None = None, *,
+                      part: str | None = None, where: ArrayLike | None = None,
+                      period_s: float | None = None) -> None:
+        """
+        Command goals of some joints in each world; NaN means no command for a joint.
+
+        :param names: of the joints
+        :param position: goals of the joints in position mode [rad or m], shape (count, n)
+        :param velocity: goals of the joints in velocity mode [rad/s or m/s], shape (count, n)
+        :param effort: goals of the joints in effort mode [N m or N], shape (count, n)
+        :param part: whose joints may be named; None for all
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
+        """
+        given = {field: self._rows(values, f'{part or "joint_command"}: {field}')
+                 for field, values in (('position', position), ('velocity', velocity),
+                                       ('effort', effort)) if values is not None}
+        self._apply(lambda robot, world: robot.parse.joint_command(
+            names, part=part, **{field: values[world] for field, values in given.items()}),
+            where, period_s)
+
+    def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
+                   positions: ArrayLike, velocities: ArrayLike | None = None, *,
+                   where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a trajectory of some joints of a part in each world, which begins now.
+
+        :param times_s: of the points, from the start, the same in all worlds [s]
+        :param positions: [rad or m], shape (count, n_points, n)
+        :param velocities: [rad/s or m/s], of that shape, or None
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: as ``robot.parse.trajectory``
+        """
+        goals = self._rows(positions, f'{part}: positions')
+        speeds = None if velocities is None else self._rows(velocities, f'{part}: velocities')
+        self._apply(lambda robot, world: [robot.parse.trajectory(
+            part, names, times_s, goals[world], None if speeds is None else speeds[world])],
+            where, period_s)
+
+    def twist(self, twist: ArrayLike, *, where: ArrayLike | None = None,
+              period_s: float | None = None) -> None:
+        """
+        Command a velocity of the mobile base, in its own frame, in each world.
+
+        :param twist: along x and y [m/s] and about z [rad/s], shape (count, 3)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a shape is wrong, a number is not finite, or there is no base
+            whose mode takes it
+        """
+        numbers = self._rows(twist, 'base: twists')
+        if numbers.shape[1:] != (3,):
+            raise CommandError(f'base: twists must have the shape ({len(numbers)}, 3), got '
+                               f'{numbers.shape}')
+        self._apply(lambda robot, world: [robot.parse.twist(*numbers[world])], where, period_s)
+
+
+class CartesianCommands(RowByRow):
+    """
+    Commands for the hands of arms, named as those of ``robot.parse_cartesian``.
+
+    :param robots: the robot in each world
+    """
+
+    def pose(self, arm: str, position: ArrayLike, quat_xyzw: ArrayLike, frame: str = '', *,
+             where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a pose of ``grip_site`` of an arm in each world.
+
+        :param position: in the frame [m], shape (count, 3)
+        :param quat_xyzw: in the frame, of length 1, shape (count, 4)
+        :param frame: a link of the robot or a frame on one; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if the frame is unknown, or the numbers are not those of poses
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        places = self._rows(position, f'{arm}: positions')
+        turns = self._rows(quat_xyzw, f'{arm}: quaternions')
+        self._apply(lambda robot, world: [robot.parse_cartesian.pose(
+            arm, places[world], turns[world], frame)], where, period_s)
+
+    def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = '', *,
+              where: ArrayLike | None = None, period_s: float | None = None) -> None:
+        """
+        Command a velocity of ``grip_site`` of an arm in each world.
+
+        :param linear: [m/s], shape (count, 3)
+        :param angular: [rad/s], shape (count, 3)
+        :param frame: whose axes the velocity is in; empty for ``world``
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if the frame is unknown, or a number is not finite or too great
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        speeds = self._rows(linear, f'{arm}: linear velocities')
+        turns = self._rows(angular, f'{arm}: angular velocities')
+        self._apply(lambda robot, world: [robot.parse_cartesian.twist(
+            arm, speeds[world], turns[world], frame)], where, period_s)
+
+    def action(self, arm: str, action: ArrayLike, *, where: ArrayLike | None = None,
+               period_s: float | None = None) -> None:
+        """
+        Command an action of robosuite's OSC_POSE in each world.
+
+        :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z, shape (count, 6)
+        :param period_s: length of a control period [s]; None for that of the last one
+        :raises CommandError: if a shape is wrong or a number is not finite
+        :raises UnknownNameError: if there is no such arm with a gripper
+        """
+        numbers = self._rows(action, f'{arm}: pose actions')
+        self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
+                    where, period_s)

@@ -1,0 +1,45 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Check what is given for each of several worlds: arrays with a leading axis, and masks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.errors import CommandError
+from manip_sim.simulation.numbers import as_numbers
+
+
+def chosen(where: ArrayLike | None, count: int) -> BoolArray:
+    """
+    Return a mask of worlds.
+
+    :param where: a truth value for each world, or None for all worlds
+    :returns: shape (count,)
+    :raises CommandError: if it has another shape or type
+    """
+    if where is None:
+        return np.ones(count, dtype=bool)
+    mask = np.asarray(where)
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise CommandError(f'where must be {count} truth values, one for each world, got '
+                           f'{mask.dtype} of shape {mask.shape}')
+    return mask
+
+
+def rows(values: ArrayLike, count: int, what: str) -> FloatArray:
+    """
+    Return numbers with a leading axis of worlds.
+
+    :param what: what they are, for the message
+    :returns: shape (count, ...), a copy
+    :raises CommandError: if they are no numbers, or there is not one row for each world
+    """
+    numbers = as_numbers(values, what)
+    if numbers.ndim == 0 or len(numbers) != count:
+        raise CommandError(f'{what} must have a leading axis of {count}, one row for each world, '
+                           f'got the shape {numbers.shape}')
+    return numbers

@@ -1,0 +1,227 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Many copies of one world: advance, reset, save and restore them together or one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from manip_sim.arrays import BoolArray, IntArray
+from manip_sim.errors import DivergenceError, ModelError, UnknownNameError
+from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation, SimulationState
+from manip_sim.worlds.physics_threads import PhysicsThreads
+from manip_sim.worlds.robot_in_worlds import RobotInWorlds
+from manip_sim.worlds.rows import chosen
+from manip_sim.worlds.template import Template
+
+
+class Worlds:
+    """
+    Many copies of one world in one process, compiled once.
+
+    Each has a model, data, control modes and a divergence of its own. World *i* is, to the last
+    bit, what a ``Simulation`` of the same world is after the same seeds and commands. Only one
+    thread at a time may use an instance; close it, or use it in a ``with`` statement, to end the
+    threads of its physics.
+
+    :param world: an arena with robots
+    :param count: number of copies
+    :param threads: that compute the physics; None for one per processor that the process may use
+    :param visual: keep the geoms that cannot collide, for rendering; they slow down each step
+    :ivar simulations: one for each world, for what there is no array of; a change there is one of
+        that world alone
+    :ivar robots: the robots, each in all worlds, by name
+    :raises ModelError: if ``count`` or ``threads`` is no whole number from 1, or with the reason
+        why the world cannot be simulated
+    """
+
+    def __init__(self, world: World, count: int, threads: int | None = None,
+                 visual: bool = False) -> None:
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+            raise ModelError(f'count of worlds must be a whole number from 1, got {count!r}')
+        self._threads = PhysicsThreads(threads)
+        first = Simulation(world, visual)
+        template = Template(first)
+        self.simulations: tuple[Simulation, ...] = (
+            first, *(template.copy() for _ in range(count - 1)))
+        self.robots = {name: RobotInWorlds([simulation.robots[name]
+                                            for simulation in self.simulations])
+                       for name in first.robots}
+
+    def __len__(self) -> int:
+        return len(self.simulations)
+
+    def __enter__(self) -> Worlds:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads of the physics; the worlds can be read, but no longer advanced."""
+        self._threads.close()
+
+    @property
+    def threads(self) -> int:
+        """Number of threads that compute the physics."""
+        return self._threads.count
+
+    @property
+    def robot(self) -> RobotInWorlds:
+        """
+        The only robot of each world.
+
+        :raises ModelError: if a world has several, or none
+        """
+        return self.robots[self.simulations[0].robot.name]
+
+    @property
+    def timestep_s(self) -> float:
+        """Length of a physics step [s]."""
+        return self.simulations[0].timestep_s
+
+    @property
+    def time_ns(self) -> IntArray:
+        """Simulation time of each world [ns], shape (count,)."""
+        return np.array([simulation.time_ns for simulation in self.simulations], dtype=np.int64)
+
+    @property
+    def diverged(self) -> BoolArray:
+        """Whether the physics of each world is on hold, shape (count,), a copy."""
+        return np.array([simulation.diverged is not None for simulation in self.simulations])
+
+    @property
+    def reasons(self) -> list[str | None]:
+        """Why the physics of each world is on hold, or None."""
+        return [simulation.diverged for simulation in self.simulations]
+
+    def read(self, field: str) -> NDArray[Any]:
+        """
+        Return an array of ``MjData`` of all worlds, such as ``qpos`` or ``xpos``.
+
+        :param field: its name
+        :returns: shape (count, ...), a copy
+        :raises UnknownNameError: if there is no such array
+        :raises ValueError: if its shape differs from world to world, as that of contacts
+        """
+        datas = [simulation.data for simulation in self.simulations]
+        if not isinstance(getattr(datas[0], field, None), np.ndarray):
+            raise UnknownNameError('array of MjData', field, [
+                name for name in dir(datas[0])
+                if isinstance(getattr(datas[0], name), np.ndarray)])
+        return np.stack([getattr(data, field) for data in datas])
+
+    # ------------------------------------------------------------------ time
+
+    def advance(self, steps: int, where: ArrayLike | None = None) -> None:
+        """
+        Run one control period in each world; afterwards all of the data is of the new instant.
+
+        A world that diverges is held at its last good state, at rest, until it is reset or
+        restored; the others go on. See :attr:`diverged` and :attr:`reasons`.
+
+        :param steps: number of physics steps
+        :param where: which worlds go on, shape (count,); None for all
+        :raises CommandError: if ``where`` has another shape or type
+        """
+        periods = [simulation.period(steps) for simulation in self._of(where)
+                   if simulation.diverged is None]
+        while periods:
+            work: list[Callable[[], None]] = []
+            going = []
+            for period in periods:
+                try:
+                    work.append(next(period))
+                except (StopIteration, DivergenceError):
+                    continue
+                going.append(period)
+            periods = going
+            self._threads.run(work)
+
+    def reset(self, seeds: Sequence[int] | IntArray | None = None,
+              where: ArrayLike | None = None) -> None:
+        """
+        Reset worlds to their start and abort their commands; time goes on, control modes stay.
+
+        :param seeds: one for each world, which draws its start anew where the world has
+            ``initialization_noise``; None keeps the starts
+        :param where: which worlds are reset, shape (count,); None for all. Seeds of others are
+            ignored
+        :raises CommandError: if ``where`` has another shape or type
+        :raises ModelError: if there is not one seed for each world, or one is no whole number
+            from 0; no world is reset then
+        """
+        mask, given = chosen(where, len(self)), self._seeds(seeds)
+        for seed, wanted in zip(given, mask):
+            if wanted and seed is not None:
+                checked_seed(seed)
+        self._threads.run([
+            _bind(simulation.reset, seed)
+            for simulation, seed, wanted in zip(self.simulations, given, mask) if wanted])
+
+    def _seeds(self, seeds: Sequence[int] | IntArray | None) -> list[int | None]:
+        if seeds is None:
+            return [None] * len(self)
+        try:
+            given = [seed.item() if isinstance(seed, np.generic) else seed for seed in seeds]
+        except TypeError:
+            given = []
+        if len(given) != len(self):
+            raise ModelError(f'expected {len(self)} seeds, one for each world, got {seeds!r:.60}')
+        return given
+
+    # ------------------------------------------------------------------ saved states
+
+    def save(self, where: ArrayLike | None = None) -> list[SimulationState]:
+        """
+        Return the present state of each world, as :meth:`Simulation.save` does.
+
+        :param where: of which worlds, shape (count,); None for all
+        :raises CommandError: if ``where`` has another shape or type
+        """
+        return [simulation.save() for simulation in self._of(where)]
+
+    def restore(self, states: Sequence[SimulationState], where: ArrayLike | None = None) -> None:
+        """
+        Continue from states, each of any world of any instance or simulation of an equal world.
+
+        :param states: one for each world that is restored, in the order of the worlds
+        :param where: which worlds are restored, shape (count,); None for all
+        :raises CommandError: if ``where`` has another shape or type
+        :raises ModelError: if there is not one state for each of these worlds, or it belongs to
+            another world or version; no world is restored then
+        """
+        simulations = list(self._of(where))
+        if len(states) != len(simulations):
+            raise ModelError(f'expected {len(simulations)} states, one for each world that is '
+                             f'restored, got {len(states)}')
+        for simulation, state in zip(simulations, states):
+            simulation.check_restorable(state)
+        for simulation, state in zip(simulations, states):
+            simulation.restore(state)
+
+    def digest(self, where: ArrayLike | None = None) -> list[str]:
+        """
+        Return a digest of the present state of each world, equal to that of a simulation.
+
+        :param where: of which worlds, shape (count,); None for all
+        :raises CommandError: if ``where`` has another shape or type
+        """
+        return [simulation.digest() for simulation in self._of(where)]
+
+    def _of(self, where: ArrayLike | None) -> Iterator[Simulation]:
+        mask = chosen(where, len(self))
+        return (simulation for simulation, wanted in zip(self.simulations, mask) if wanted)
+
+
+def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:
+    return lambda: reset(seed)

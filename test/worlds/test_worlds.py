@@ -1,0 +1,364 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Worlds: each one is, to the last bit, the simulation of the same seeds and commands."""
+
+from __future__ import annotations
+
+import contextlib
+import pickle
+import threading
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+
+from manip_sim.errors import CommandError, DivergenceError, ModelError, UnknownNameError
+from manip_sim.models import compose
+from manip_sim.models.robots import ROBOTS
+from manip_sim.models.world import World
+from manip_sim.simulation import Simulation
+from manip_sim.worlds import Worlds
+
+NOISE = {'type': 'uniform', 'magnitude': 0.05}
+COUNT = 3
+KINDS = ('stream', 'some', 'gripper', 'pose', 'twist', 'osc', 'trajectory', 'nothing')
+MODES = ('position', 'velocity', 'effort')
+
+
+class Pair:
+    """Worlds, and a simulation for each of them, which get the same commands."""
+
+    def __init__(self, name='Panda', count=COUNT, threads=2, **options):
+        options = {'arena': 'table', 'initialization_noise': NOISE, 'seed': 1, **options}
+        self.worlds = Worlds(compose(name, **options), count, threads)
+        self.simulations = [Simulation(compose(name, **options)) for _ in range(count)]
+        robot = self.simulations[0].robot
+        self.part = next(name for name, part in robot.parts.items()
+                         if part.gripper is None and part.atomic == (name,) and part.actuators)
+        self.arm = next(iter(robot.end_effectors))
+
+    def reset(self, seeds, where=None):
+        self.worlds.reset(seeds, where)
+        for simulation, seed, _ in self._of(where, seeds):
+            simulation.reset(seed)
+
+    def set_mode(self, mode, where=None):
+        self.worlds.robot.set_control_mode(self.part, mode, where)
+        for simulation, _, _ in self._of(where):
+            simulation.robot.set_control_mode(self.part, mode)
+
+    def _of(self, where=None, values=None):
+        """Yield the simulations of a mask, with their value and their number."""
+        for world, simulation in enumerate(self.simulations):
+            if where is None or where[world]:
+                yield simulation, None if values is None else values[world], world
+
+    def advance(self, steps=5):
+        self.worlds.advance(steps)
+        for simulation in self.simulations:
+            if simulation.diverged is None:
+                with contextlib.suppress(DivergenceError):
+                    simulation.advance(steps)
+
+    def command(self, kind, number, where=None):
+        """Apply a command of a kind, other numbers in each world, the same in both."""
+        robot, one = self.worlds.robot, self.simulations[0].robot
+        indices = one.joints.indices_of(self.part)
+        names = [one.joints.names[i] for i in indices]
+        wave = 0.3 * np.sin(0.4 * number + np.arange(COUNT)[:, None] + np.arange(len(indices)))
+        six = np.sin(number + np.arange(COUNT)[:, None] * 2.0 + np.arange(6))
+        if kind == 'stream':
+            self._both('action', (self.part, wave), where)
+        elif kind == 'some':
+            field = one.command_interfaces()[names[-1]]
+            goals = wave[:, -1:] + robot.measured(self.part)[:, len(indices) - 1][:, None]
+            self._both('joint_command', (names[-1:],), where, **{field: goals})
+        elif kind == 'gripper':
+            dof = one.robot_model.grippers[self.arm].dof
+            self._both('action', (f'{self.arm}/gripper', np.sign(six[:, :1]) * np.ones(dof)),
+                       where)
+        elif kind == 'pose':
+            pose = robot.state().end_effectors[self.arm].pose
+            self._both('pose', (self.arm, pose.position + 0.03 * six[:, :3], pose.quat_xyzw),
+                       where, cartesian=True)
+        elif kind == 'twist':
+            self._both('twist', (self.arm, 0.1 * six[:, :3], 0.2 * six[:, 3:]), where,
+                       cartesian=True)
+        elif kind == 'osc':
+            self._both('action', (self.arm, six), where, cartesian=True)
+        elif kind == 'trajectory' and one.joints.modes[indices[0]] == 'position':
+            here = robot.measured(self.part)[:, :1]
+            goals = np.stack([here + 0.02 * six[:, :1], here], axis=1)
+            self._both('trajectory', (self.part, names[:1], [0.1, 0.3], goals), where)
+
+    def _both(self, method, arguments, where, cartesian=False, **fields):
+        kind = 'command_cartesian' if cartesian else 'command'
+        getattr(getattr(self.worlds.robot, kind), method)(*arguments, **fields, where=where)
+        for simulation, _, world in self._of(where):
+            robot = simulation.robot
+            parser = robot.parse_cartesian if cartesian else robot.parse
+            made = getattr(parser, method)(
+                *(value[world] if isinstance(value, np.ndarray) else value
+                  for value in arguments),
+                **{name: value[world] for name, value in fields.items()})
+            robot.apply(*(made if isinstance(made, list) else [made]))
+
+    def check_equal(self):
+        """Compare all that the future depends on, and all that is read, bit by bit."""
+        assert self.worlds.digest() == [simulation.digest() for simulation in self.simulations]
+        states = self.worlds.robot.state()
+        for simulation, _, world in self._of():
+            state = simulation.robot.state()
+            assert states.time_ns[world] == state.time_ns
+            for of in ('position', 'velocity', 'effort'):
+                np.testing.assert_array_equal(getattr(states, of)[world], getattr(state, of))
+            for arm, own in state.end_effectors.items():
+                for what in ('pose', 'twist', 'wrench', 'external_wrench'):
+                    ours, theirs = vars(getattr(states.end_effectors[arm], what)), vars(
+                        getattr(own, what))
+                    for of, values in theirs.items():
+                        np.testing.assert_array_equal(ours[of][world], values)
+
+
+@pytest.fixture
+def pair():
+    pair = Pair()
+    yield pair
+    pair.worlds.close()
+
+
+@pytest.fixture(scope='module')
+def lasting_pair():
+    pair = Pair()
+    yield pair
+    pair.worlds.close()
+
+
+def start(pair, mode='position', seeds=(4, 5, 6)):
+    pair.set_mode(mode)
+    pair.reset(np.array(seeds))
+    return pair
+
+
+MASK = st.sampled_from([None, np.array([True, False, True]), np.array([False, True, False])])
+
+
+@given(mode=st.sampled_from(MODES), events=st.lists(st.tuples(
+    st.sampled_from((*KINDS, 'reset', 'mode')), MASK), min_size=3, max_size=10))
+@settings(max_examples=15)
+def test_each_world_is_a_simulation_with_the_same_seed_and_commands(lasting_pair, mode, events):
+    pair = start(lasting_pair, mode)
+    for number, (kind, where) in enumerate(events):
+        if kind == 'reset':
+            pair.reset(np.array([7, 8, 9]) + number, where)
+        elif kind == 'mode':
+            pair.set_mode(MODES[number % 3], where)
+        else:
+            pair.command(kind, number, where)
+        for _ in range(2):
+            pair.advance()
+    pair.check_equal()
+
+
+@pytest.mark.parametrize('name', ROBOTS.names())
+def test_worlds_of_every_robot_are_simulations(name):
+    pair = Pair(name, initialization_noise=None)
+    for number, kind in enumerate(KINDS[:6]):
+        pair.command(kind, number)
+        pair.command('gripper', number)
+        pair.advance(10)
+    pair.check_equal()
+    pair.worlds.close()
+
+
+def test_a_base_takes_twists_in_the_worlds_of_a_mask():
+    pair = Pair('PandaOmron', initialization_noise=None)
+    twists, where = np.array([[0.2, 0.0, 0.1], [np.nan] * 3, [0.0, 0.1, 0.0]]), [True, False, True]
+    pair.worlds.robot.command.twist(twists, where=where)
+    for world in (0, 2):
+        robot = pair.simulations[world].robot
+        robot.apply(robot.parse.twist(*twists[world]))
+    for _ in range(5):
+        pair.advance()
+    pair.check_equal()
+    pair.worlds.close()
+
+
+def test_a_world_that_diverges_is_told_and_disturbs_no_other(pair):
+    start(pair)
+    pair.command('stream', 0)
+    pair.advance()
+    for world in (pair.worlds.simulations[1], pair.simulations[1]):
+        world.data.qvel[2] = 1e9
+    for _ in range(3):
+        pair.advance()
+    assert pair.worlds.diverged.tolist() == [False, True, False]
+    assert 'diverged at' in pair.worlds.reasons[1] and pair.worlds.reasons[0] is None
+    pair.check_equal()
+    pair.reset(np.array([1, 2, 3]), np.array([False, True, False]))
+    assert not pair.worlds.diverged.any()
+    pair.command('stream', 1)
+    pair.advance()
+    pair.check_equal()
+
+
+def test_states_continue_in_other_worlds_and_in_simulations(pair):
+    start(pair)
+    for number, kind in enumerate(('pose', 'gripper', 'trajectory')):
+        pair.command(kind, number)
+        pair.advance()
+    states, digests = pickle.loads(pickle.dumps(pair.worlds.save())), pair.worlds.digest()
+    for _ in range(4):
+        pair.advance()
+    ends = pair.worlds.digest()
+    pair.simulations[0].restore(states[2])
+    assert pair.simulations[0].digest() == digests[2]
+    assert pair.worlds.digest() == ends
+    pair.worlds.restore(states[::-1])
+    assert pair.worlds.digest() == digests[::-1]
+    for _ in range(4):
+        pair.worlds.advance(5)
+    assert pair.worlds.digest() == ends[::-1]
+    pair.worlds.restore(states[:1], where=[False, True, False])
+    assert pair.worlds.digest() == [ends[2], digests[0], ends[0]]
+    assert pair.worlds.digest([False, True, False]) == [digests[0]]
+    assert len(pair.worlds.save([True, False, True])) == 2
+
+
+def test_masked_worlds_stand_still_while_others_go_on(pair):
+    start(pair)
+    before = pair.worlds.digest()
+    pair.worlds.advance(5, where=[True, False, True])
+    after = pair.worlds.digest()
+    assert [a == b for a, b in zip(after, before)] == [False, True, False]
+    assert pair.worlds.time_ns.tolist() == [10_000_000, 0, 10_000_000]
+
+
+def test_a_mode_and_an_edit_of_a_model_are_those_of_one_world(pair):
+    start(pair)
+    one, other = pair.worlds.simulations[0], pair.worlds.simulations[1]
+    start_digest = other.digest()
+    pair.worlds.robot.set_control_mode('arm', 'effort', [True, False, False])
+    pair.worlds.robot.command.joint_command(
+        ['robot0_joint1'], effort=np.full((3, 1), 2.0), where=[True, False, False])
+    one.model.body_mass[3] *= 2.0
+    assert one.robot.joints.mode_of('robot0_joint1') == 'effort'
+    assert one.model.actuator_gainprm[0, 0] != other.model.actuator_gainprm[0, 0]
+    assert other.digest() == start_digest
+    pair.worlds.advance(5)
+    simulation = pair.simulations[1]
+    simulation.advance(5)
+    assert other.digest() == simulation.digest() != one.digest()
+
+
+def test_the_state_of_a_gripper_of_a_user_is_that_of_one_world(
+        one_joint_arm, gripper_class, gripper_file):
+    def world():
+        robot = one_joint_arm()
+        robot.add_gripper(gripper_class(gripper_file))
+        return World([robot])
+    worlds, simulation = Worlds(world(), 2, threads=1), Simulation(world())
+    worlds.robot.command.action('right/gripper', [[1.0], [-1.0]])
+    simulation.robot.apply(simulation.robot.parse.action('right/gripper', [-1.0]))
+    for _ in range(30):
+        worlds.advance(5)
+        simulation.advance(5)
+    assert worlds.digest()[1] == simulation.digest()
+    assert worlds.digest()[0] != simulation.digest()
+
+
+def test_arrays_of_all_worlds_are_read_at_once(lasting_pair):
+    start(lasting_pair)
+    read = lasting_pair.worlds.read('xpos')
+    np.testing.assert_array_equal(
+        read, [simulation.data.xpos for simulation in lasting_pair.worlds.simulations])
+    measured = lasting_pair.worlds.robot.measured('arm')
+    assert measured.shape == (3, 21)
+    np.testing.assert_array_equal(measured[1], lasting_pair.worlds.robot[1].measured('arm'))
+    with pytest.raises(UnknownNameError, match="unknown array of MjData 'qpso': did you mean "
+                                               "'qpos'"):
+        lasting_pair.worlds.read('qpso')
+
+
+@pytest.mark.parametrize('count', [0, -1, 1.5, True, None])
+def test_the_count_of_worlds_is_a_whole_number_from_one(count):
+    with pytest.raises(ModelError, match='count of worlds must be a whole number from 1, got'):
+        Worlds(compose('Panda'), count)
+
+
+@pytest.mark.parametrize('threads', [0, 1.5, True])
+def test_the_number_of_threads_is_a_whole_number_from_one(threads):
+    with pytest.raises(ModelError, match='threads must be a whole number from 1, or None, got'):
+        Worlds(compose('Panda'), 2, threads)
+
+
+@pytest.mark.parametrize('where', [[True, False], [1, 0, 1], True, [[True, False, True]]])
+def test_a_mask_has_a_truth_value_for_each_world(lasting_pair, where):
+    worlds = lasting_pair.worlds
+    before, robot = worlds.digest(), worlds.robot
+    for call in (lambda: worlds.reset(None, where), lambda: worlds.advance(5, where),
+                 lambda: worlds.save(where),
+                 lambda: robot.set_control_mode('arm', 'effort', where),
+                 lambda: robot.command.action('arm', np.zeros((3, 7)), where=where)):
+        with pytest.raises(CommandError, match='where must be 3 truth values, one for each world'):
+            call()
+    assert worlds.digest() == before
+
+
+@pytest.mark.parametrize('seeds, message', [
+    ([1, 2], 'expected 3 seeds, one for each world'), (5, 'expected 3 seeds'),
+    ([1, 2, -3], 'seed must be a whole number from 0'),
+    ([1, 2.5, 3], 'seed must be a whole number from 0'),
+    (np.array([1.0, 2.0, 3.0]), 'seed must be a whole number from 0')])
+def test_seeds_that_are_none_reset_no_world(lasting_pair, seeds, message):
+    before = lasting_pair.worlds.digest()
+    with pytest.raises(ModelError, match=message):
+        lasting_pair.worlds.reset(seeds)
+    assert lasting_pair.worlds.digest() == before
+
+
+@pytest.mark.parametrize('call, message', [
+    (lambda c, _: c.action('arm', np.zeros((2, 7))), 'leading axis of 3.*got the shape'),
+    (lambda c, _: c.action('arm', np.zeros((3, 6))), 'world 0: arm: an action must'),
+    (lambda c, _: c.action('arm', [[0.0] * 7, [np.nan] * 7, [0.0] * 7]), 'world 1: arm'),
+    (lambda c, _: c.action('arm', 'fast'), 'arm: actions'),
+    (lambda c, _: c.action('amr', np.zeros((3, 7))), "unknown part 'amr'"),
+    (lambda c, _: c.joint_command(['robot0_joint1'], position=np.full((3, 1), np.inf)),
+     'world 0: joint_command: position must be finite'),
+    (lambda c, _: c.joint_command(['robot0_joint1'], velocity=np.zeros((3, 1))),
+     'world 0: .* does not use the field velocity'),
+    (lambda c, _: c.joint_command(['joint1'], position=np.zeros((3, 1))), 'no joint'),
+    (lambda c, _: c.twist(np.zeros((3, 2))), r'twists must have the shape \(3, 3\)'),
+    (lambda _, k: k.pose('right', np.zeros((3, 3)), np.zeros((3, 4))), 'world 0: orientation'),
+    (lambda _, k: k.action('left', np.zeros((3, 6))), "unknown arm with a gripper 'left'"),
+    (lambda _, k: k.twist('right', np.zeros((3, 3)), np.zeros((3, 3)), 'tool'),
+     'unknown frame')])
+def test_an_invalid_row_changes_no_world(lasting_pair, call, message):
+    start(lasting_pair)
+    before, robot = lasting_pair.worlds.digest(), lasting_pair.worlds.robot
+    with pytest.raises((CommandError, UnknownNameError), match=message):
+        call(robot.command, robot.command_cartesian)
+    assert lasting_pair.worlds.digest() == before
+
+
+def test_states_that_do_not_fit_restore_no_world(pair):
+    start(pair)
+    before, states = pair.worlds.digest(), pair.worlds.save()
+    other = Simulation(compose('UR5e')).save()
+    pair.worlds.advance(5)
+    after = pair.worlds.digest()
+    assert before != after
+    with pytest.raises(ModelError, match='expected 3 states, one for each world .*got 2'):
+        pair.worlds.restore(states[:2])
+    with pytest.raises(ModelError, match='another world'):
+        pair.worlds.restore([*states[:2], other])
+    assert pair.worlds.digest() == after
+
+
+def test_threads_end_with_a_context():
+    before = threading.active_count()
+    with Worlds(compose('Panda'), 2, threads=2) as worlds:
+        worlds.advance(5)
+        assert worlds.threads == 2 and threading.active_count() == before + 1
+    assert threading.active_count() == before
