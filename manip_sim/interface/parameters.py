@@ -67,6 +67,9 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('stepping', 'realtime', 'What drives the physics: the clock, nothing (as '
                       'fast as possible), or the commands of lockstep_parts.', choices=STEPPING),
         ParameterSpec('start_paused', False, 'Start paused, and wait for ~/pause or ~/step.'),
+        ParameterSpec('pause_at', 0.0, 'Pause at the end of the control period that reaches this '
+                      'simulation time; ~/pause resumes. A time that has passed has no effect.',
+                      's', live=True, minimum=0.0, maximum=1e9),
         ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, with stepping '
                       'realtime.', live=True, minimum=0.1, maximum=10.0),
         ParameterSpec('gravity_compensation', True, 'Let the actuators carry the weight of all '

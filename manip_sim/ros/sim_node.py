@@ -100,6 +100,7 @@ class SimNode(Node):
              for scope, robot in self._robots.items()},
             value('start_paused'), self._tell_failure, self._inbox if lockstep else None)
         self._check_lockstep()
+        self.thread.pause_at(value('pause_at'))
         self.table = topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)
              for scope, robot in self._robots.items()],
@@ -187,6 +188,8 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name == 'real_time_factor':
                     self.thread.set_real_time_factor(parameter.value)
+                if parameter.name == 'pause_at':
+                    self.thread.pause_at(parameter.value)
                 if parameter.name == 'seed':
                     self.thread.set_seed(parameter.value)
                 if parameter.name in self._uses:

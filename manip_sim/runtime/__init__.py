@@ -4,6 +4,7 @@
 """Runtime says when it happens: wall time, waiting, one thread for the physics; no ROS."""
 
 from manip_sim.runtime.observers import Observer
-from manip_sim.runtime.simulation_thread import Progress, SimulationThread
+from manip_sim.runtime.pacing import Progress
+from manip_sim.runtime.simulation_thread import SimulationThread
 
 __all__ = ['Observer', 'Progress', 'SimulationThread']

@@ -1,11 +1,33 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decide when a control period is due; the caller passes the time and does the waiting."""
+"""When a control period is due, and how far a simulation has come; the caller does the waiting."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 import math
+
+
+@dataclass(frozen=True)
+class Progress:
+    """
+    How far the simulation has come.
+
+    :ivar wall_s: monotonic wall time when the present state was last shown to observers [s]
+    :ivar time_ns: simulation time then [ns]
+    :ivar missed: control periods that were dropped because the machine could not keep up
+    :ivar lost_s: simulation time that was lost with them [s]
+    :ivar waits_for: by robot, the parts that lock-step waits for; only filled in when a state is
+        repeated, or shown after a start or a reset
+    """
+
+    wall_s: float
+    time_ns: int
+    missed: int = 0
+    lost_s: float = 0.0
+    waits_for: Mapping[str, list[str]] = field(default_factory=dict)
 
 
 class Pacer:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 import contextlib
-from dataclasses import dataclass, field
 import threading
 import time
 from typing import TypeVar
@@ -16,7 +15,7 @@ from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.inbox import Inbox
 from manip_sim.runtime.observers import Look, Observer, Observers
-from manip_sim.runtime.pacing import Pacer
+from manip_sim.runtime.pacing import Pacer, Progress
 from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
@@ -29,26 +28,6 @@ _ROUND_S = 5e-4
 _TAKEN_BEFORE_CALLS = 10
 #: Period at which a state is repeated while the simulation does not advance, wall time [s].
 _REPEAT_S = 0.1
-
-
-@dataclass(frozen=True)
-class Progress:
-    """
-    How far the simulation has come.
-
-    :ivar wall_s: monotonic wall time when the present state was last shown to observers [s]
-    :ivar time_ns: simulation time then [ns]
-    :ivar missed: control periods that were dropped because the machine could not keep up
-    :ivar lost_s: simulation time that was lost with them [s]
-    :ivar waits_for: by robot, the parts that lock-step waits for; only filled in when a state is
-        repeated, or shown after a start or a reset
-    """
-
-    wall_s: float
-    time_ns: int
-    missed: int = 0
-    lost_s: float = 0.0
-    waits_for: Mapping[str, list[str]] = field(default_factory=dict)
 
 
 class SimulationThread:
@@ -93,6 +72,8 @@ class SimulationThread:
         #: For the next reset; None: the start stays.
         self._seed: int | None = None
         self._saved: SimulationState | None = None
+        #: When to pause [ns]; 0: never.
+        self._pause_at_ns = 0
         #: How many control periods may be run at once if nothing but physics happens in them.
         self._at_once = 1
         self.progress = Progress(time.monotonic(), simulation.time_ns)
@@ -212,6 +193,14 @@ class SimulationThread:
             self._paused = paused
         self.call(change)
 
+    def pause_at(self, time_s: float) -> None:
+        """
+        Pause at the end of the first control period that reaches a time.
+
+        :param time_s: simulation time [s]; one that has passed, such as 0, has no effect
+        """
+        self._pause_at_ns = round(time_s * 1e9)
+
     def step(self) -> None:
         """
         Advance by one control period and show the observers its state.
@@ -258,9 +247,7 @@ class SimulationThread:
 
         :param seed: as for ``Simulation.reset``
         """
-        def change() -> None:
-            self._seed = seed
-        self.call(change)
+        self._seed = seed
 
     def save(self) -> str:
         """
@@ -356,14 +343,16 @@ class SimulationThread:
             # It may have been withdrawn meanwhile.
             if command.handle.is_active:
                 self._apply(name, command)
-        if not (most > 1 and self._observers.absent and self._simulation.idle):
-            most = 1
+        pauses = self._pause_at_ns > self._simulation.time_ns
         with contextlib.suppress(DivergenceError):  # Observers see ``diverged``.
-            if most > 1:
+            if most > 1 and not pauses and self._observers.absent and self._simulation.idle:
                 self._simulation.advance_idle(self._steps, most)
             else:
+                most = 1
                 self._simulation.advance(self._steps)
         self.at_start = False
+        if pauses and self._simulation.time_ns >= self._pause_at_ns:
+            self._paused = True
         begin_s = self.progress.wall_s
         self._show(number=self._simulation.step_count // self._steps)
         if self._stepping == 'free':

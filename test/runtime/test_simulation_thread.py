@@ -359,3 +359,35 @@ def test_an_observer_cannot_step_the_simulation(free):
     thread.start()
     wait_until(lambda: told)
     assert thread.call(lambda: thread.progress.time_ns) == 10_000_000
+
+
+@pytest.mark.parametrize('stepping', ['realtime', 'free'])
+def test_the_simulation_pauses_when_it_reaches_a_time(stepping):
+    thread = SimulationThread(Simulation(World([UR5e()])), steps=5, stepping=stepping,
+                              real_time_factor=10.0, paused=True)
+    seen, held = [], Event()
+
+    def watch(simulation):
+        seen.append(simulation.time_ns)
+        if thread.paused and len(seen) > 1 and seen[-1] == seen[-2]:
+            held.set()
+
+    thread.observe(watch)
+    thread.start()
+    try:
+        # Between two periods, exactly at one, and a time that has passed.
+        for time_s, end_ns in ((0.055, 60_000_000), (0.1, 100_000_000)):
+            thread.pause_at(time_s)
+            thread.pause(False)
+            held.clear()
+            assert held.wait(300.0)
+            assert (seen[-1], thread.paused) == (end_ns, True)
+        thread.pause_at(0.05)
+        passed = Event()
+        thread.observe(lambda simulation: simulation.time_ns > 300_000_000 and passed.set())
+        thread.pause(False)
+        assert passed.wait(300.0)
+        assert not thread.paused
+    finally:
+        thread.stop()
+    assert sorted(set(seen)) == list(range(10_000_000, max(seen) + 1, 10_000_000))
