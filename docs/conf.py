@@ -53,7 +53,8 @@ nitpick_ignore_regex = [
     ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
                         r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera'
                         r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
-                        r'|Clock|ControlledJoints|Physics|TakenNames|Offer)'),
+                        r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hand|Hold'
+                        r'|ArmAction|Registry|Robot|Gripper|Grippers)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.

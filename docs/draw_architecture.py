@@ -17,8 +17,8 @@ FLOORS = (
     {'viewer': 'a client: see and drive', 'examples': 'clients: pick, hand over',
      'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration'},
     {'ros': 'how it is seen: node, topics, services'},
-    {'interface': 'names: topics, parameters', 'runtime': 'when: thread, pacing, lock-step',
-     'rendering': 'pictures', 'worlds': 'many copies of one world'},
+    {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing',
+     'tasks': 'starts, success', 'rendering': 'pictures', 'worlds': 'many copies of one'},
     {'simulation': 'what happens: physics, control, sensors'},
     {'models': 'what exists: robots, grippers, arenas, worlds'})
 #: Name, what it does, what it may touch.

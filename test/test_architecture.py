@@ -22,8 +22,10 @@ MAY_IMPORT = {
     'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),
     'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
+    'tasks': ({'models', 'simulation', 'tasks'}, PURE),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering'}, PURE | {'PIL'}),
+    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering', 'tasks'},
+            PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.

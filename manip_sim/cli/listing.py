@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim list``: robots, grippers, bases, arenas and objects, and where they come from."""
+"""``manip_sim list``: robots, grippers and other parts, tasks, and where they come from."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.quoting import one_line
 from manip_sim.resources import PACKAGE, share_directory
+from manip_sim.tasks import task_names
+from manip_sim.tasks.task import TASKS
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 #: The cells of one part by column; also ``error`` where it cannot be created.
@@ -72,17 +74,24 @@ def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
     :returns: ``manip_sim``, the entry point and distribution, the package, or the folder that
         declares it; and the file, relative to the share folder of ``manip_sim`` if it is in there
     """
-    package = type(part).__module__.partition('.')[0]
-    share = share_directory()
-    if package != PACKAGE:
-        for entry in entry_points(group=f'{PACKAGE}.{kind}'):
-            if entry.value.partition(':')[0].partition('.')[0] == package:
-                source = f' of {entry.dist.name}' if entry.dist else ''
-                return f'entry point {entry.name}{source}', str(part.file)
-        return f'package {package}', str(part.file)
+    share, source = share_directory(), _package(type(part), kind)
+    if source != PACKAGE:
+        return source, str(part.file)
     if part.file.is_relative_to(share):
         return PACKAGE, str(part.file.relative_to(share))
     return f'folder {part.file.parent}', part.file.name
+
+
+def _package(cls: type, kind: str) -> str:
+    """Return the package of a class, with the entry point that offers it."""
+    package = cls.__module__.partition('.')[0]
+    if package == PACKAGE:
+        return PACKAGE
+    for entry in entry_points(group=f'{PACKAGE}.{kind}'):
+        if entry.value.partition(':')[0].partition('.')[0] == package:
+            source = f' of {entry.dist.name}' if entry.dist else ''
+            return f'entry point {entry.name}{source}'
+    return f'package {package}'
 
 
 def _parts(kind: str, names: list[str], create: Callable[[str], Any],
@@ -146,6 +155,14 @@ def _free_bodies_of_arenas() -> Iterator[Row]:
                 'file': file}
 
 
+def _tasks() -> dict[str, list[Row]]:
+    def row(name: str) -> Row:
+        task = TASKS.get(name)
+        return {'name': name, 'instruction': task.instruction, 'arms': task.arms_needed,
+                'horizon s': task.horizon_s, 'from': _package(task, 'tasks')}
+    return {'tasks': [row(name) for name in task_names()]}
+
+
 def free_bodies(model: mujoco.MjModel) -> dict[str, float]:
     """Return the bodies of a model with free joints, and their masses [kg]."""
     bodies = model.jnt_bodyid[np.flatnonzero(model.jnt_type == _FREE)].tolist()
@@ -154,4 +171,4 @@ def free_bodies(model: mujoco.MjModel) -> dict[str, float]:
 
 _SECTIONS: dict[str, Callable[[], dict[str, list[Row]]]] = {
     'robots': _robots, 'grippers': _grippers, 'bases': _bases, 'arenas': _arenas,
-    'objects': _objects}
+    'objects': _objects, 'tasks': _tasks}

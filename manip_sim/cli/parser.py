@@ -24,7 +24,7 @@ from manip_sim.resources import package_version
 COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'idn', 'prefix',
                'position', 'orientation', 'timestep', 'no_gravity_compensation', 'cameras',
                'params_file')
-KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects')
+KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects', 'tasks')
 #: The least and the greatest edge of a picture [pixels].
 SMALLEST, LARGEST = 16, 8192
 #: Text is never wrapped to fewer characters than this, the minimum of argparse.
@@ -133,7 +133,8 @@ def _command(commands: Any, name: str, module: str, summary: str, more: str = ''
 
 def _add_list(commands: Any) -> None:
     parser = _command(
-        commands, 'list', 'listing', 'list the available parts, and where they come from',
+        commands, 'list', 'listing',
+        'list the available parts and tasks, and where they come from',
         example='example: manip_sim list grippers')
     parser.add_argument('kind', nargs='?', choices=KINDS, metavar='KIND',
                         help=f'{", ".join(KINDS[:-1])} or {KINDS[-1]} (default: all)')

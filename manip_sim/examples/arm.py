@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
 from manip_sim.examples.inverse_kinematics import InverseKinematics
-from manip_sim.examples.task import Task, TaskFailed
+from manip_sim.examples.demonstration import Demonstration, TaskFailed
 
 #: Average speed of the fastest joint of a motion [rad/s], and the shortest motion [s].
 _SPEED, _SHORTEST_S = 0.9, 0.8
@@ -42,7 +42,7 @@ class Arm:
     :param name: of the robot; empty where the simulation has one robot without a name
     """
 
-    def __init__(self, task: Task, name: str = '') -> None:
+    def __init__(self, task: Demonstration, name: str = '') -> None:
         self.name = name
         self._task = task
         self._all: JointState | None = None

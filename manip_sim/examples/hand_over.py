@@ -19,7 +19,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
-from manip_sim.examples.task import run, Task, TaskFailed
+from manip_sim.examples.demonstration import run, Demonstration, TaskFailed
 
 #: Where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
@@ -35,7 +35,7 @@ _SETTLE_S = 0.3
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-class HandOver(Task):
+class HandOver(Demonstration):
     """A task: ``left`` picks the cube up, ``middle`` takes it, and ``right`` puts it down."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
-from manip_sim.examples.task import run, Task, TaskFailed
+from manip_sim.examples.demonstration import run, Demonstration, TaskFailed
 
 GRAVITY = 9.81
 _LIFT_M = 0.10
@@ -25,7 +25,7 @@ _HOLD_S = 2.0
 _SETTLE_S = 1.0
 
 
-class CubePicker(Task):
+class CubePicker(Demonstration):
     """A task that moves the arm over the cube and down, closes the gripper, lifts and holds."""
 
     def __init__(self) -> None:

@@ -51,7 +51,8 @@ class Simulation:
 
     Time is a count of steps; nothing here waits or reads a clock. Only one thread at a time may
     use it. Call ``mj_forward`` after changing :attr:`model`; changed positions and velocities in
-    :attr:`data` are detected.
+    :attr:`data` are detected by the next control period. To read or save what follows from them
+    before that, call :meth:`forward`.
 
     :param world: an arena with robots
     :param visual: keep the geoms that cannot collide, for rendering; they slow down each step
@@ -396,6 +397,11 @@ class Simulation:
         self.efforts.restart()
         for tool in self._tools:
             tool.reset(self.data)
+
+    def forward(self) -> None:
+        """Compute all of the present instant anew, after :attr:`data` was changed by hand."""
+        mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
+        mujoco.mj_forward(self.model, self.data)
 
     # ------------------------------------------------------------------ saved states
 

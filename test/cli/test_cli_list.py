@@ -14,6 +14,7 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.resources import share_directory
+from manip_sim.tasks import task_names
 
 NAMES = {'robots': robot_names, 'grippers': gripper_names, 'bases': base_names,
          'arenas': arena_names}
@@ -50,7 +51,7 @@ def test_robots_tell_their_arms_and_what_they_carry_by_default(here):
 
 def test_everything_is_listed_unless_a_kind_is_asked_for(here):
     text = here('list')[1]
-    for kind in (*NAMES, 'objects'):
+    for kind in (*NAMES, 'objects', 'tasks'):
         assert f'{kind.capitalize()}\n' in text
     assert 'Grippers' not in here('list', 'bases')[1]
 
@@ -65,7 +66,7 @@ def test_json_has_what_the_tables_have(here):
     code, text, errors = here('list', '--json')
     found = json.loads(text)
     assert (code, errors) == (0, '')
-    assert list(found) == [*NAMES, 'shapes_of_objects', 'objects']
+    assert list(found) == [*NAMES, 'shapes_of_objects', 'objects', 'tasks']
     for kind, names in NAMES.items():
         assert [row['name'] for row in found[kind]] == names()
     panda = next(row for row in found['robots'] if row['name'] == 'Panda')
@@ -92,6 +93,13 @@ def test_objects_tell_their_arena_and_what_brings_them(here):
     row, = rows_of(here('list', 'objects')[1], 'Objects')
     assert (row['name'], row['mass kg'], row['arena']) == ('cube', '0.1', 'table')
     assert row['parameters'] == 'cube=true'
+
+
+def test_tasks_tell_what_is_to_be_done(here):
+    rows = json.loads(here('list', 'tasks', '--json')[1])['tasks']
+    assert [row['name'] for row in rows] == task_names()
+    assert {'name': 'pick_cube', 'instruction': 'Pick up the red cube.', 'arms': 1,
+            'horizon_s': 6.0, 'from': 'manip_sim'} in rows
 
 
 def test_a_robot_of_the_users_own_file_tells_its_folder(here, one_joint_arm, tmp_path):

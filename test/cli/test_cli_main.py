@@ -56,7 +56,7 @@ def test_help_is_given_in_terminals_of_all_widths(columns, here, monkeypatch):
     monkeypatch.setenv('COLUMNS', columns)
     code, text, errors = here('list', '--help')
     assert (code, errors) == (0, '')
-    assert 'list the available parts, and where they come from' in ' '.join(text.lower().split())
+    assert 'list the available parts and tasks, and where they' in ' '.join(text.lower().split())
 
 
 @pytest.mark.parametrize(('arguments', 'what', 'of'), [

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 
 from manip_sim.examples import pick_cube
 from manip_sim.examples.arm import Arm
-from manip_sim.examples.task import Task, TaskFailed
+from manip_sim.examples.demonstration import Demonstration, TaskFailed
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 
 ROBOTS = [create_robot(name) for name in robot_names()]
@@ -89,7 +89,7 @@ def test_without_a_cube_the_example_says_so(sim_process, process):
     ({'start_paused': True}, 'the simulation stands still: is it paused, or in lock-step?')])
 def test_the_example_tells_what_is_wrong_with_a_node_that_answers(
         parameters, problem, serve, client, monkeypatch, capsys):
-    monkeypatch.setattr('manip_sim.examples.task._PATIENCE_S', 6.0)
+    monkeypatch.setattr('manip_sim.examples.demonstration._PATIENCE_S', 6.0)
     serve(arena='table', **parameters)
     client.state()
     assert pick_cube.main([]) == 1
@@ -100,7 +100,7 @@ def test_the_example_tells_what_is_wrong_with_a_node_that_answers(
 def arm_with_fingers():
     """Return a function that makes an arm with fingers where a function of the period says."""
     rclpy.init(domain_id=DOMAIN)
-    task = Task('task', 'sim_node')
+    task = Demonstration('task', 'sim_node')
 
     def make(position, silence=()):
         arm = Arm(task)
@@ -148,7 +148,7 @@ def test_fingers_that_need_not_move_are_waited_for_two_seconds_by_both_clocks(ar
 
 
 def test_states_that_end_while_the_gripper_closes_are_told(arm_with_fingers, monkeypatch):
-    monkeypatch.setattr('manip_sim.examples.task._PATIENCE_S', 0.5)
+    monkeypatch.setattr('manip_sim.examples.demonstration._PATIENCE_S', 0.5)
     arm, timer = arm_with_fingers(lambda _: 0.04)
     timer.cancel()
     with pytest.raises(TaskFailed, match='^the simulation stands still'):

@@ -229,3 +229,13 @@ def test_a_seed_is_a_whole_number_from_zero_with_noise_or_without(panda, seed):
         with pytest.raises(ModelError, match='seed'):
             simulation.reset(seed=seed)
         assert simulation.digest() == before
+
+
+def test_what_follows_from_data_changed_by_hand_is_saved_after_forward(panda):
+    data = panda.data
+    data.qpos[0] += 0.3
+    panda.forward()
+    place, state = data.site('gripper0_right_grip_site').xpos.copy(), panda.save()
+    panda.reset()
+    panda.restore(state)
+    np.testing.assert_array_equal(data.site('gripper0_right_grip_site').xpos, place)

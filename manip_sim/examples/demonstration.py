@@ -28,7 +28,7 @@ class TaskInterrupted(Exception):
     """Somebody has asked the task to end."""
 
 
-class Task(Node):
+class Demonstration(Node):
     """
     A node that does one task and ends.
 
@@ -126,7 +126,7 @@ class Task(Node):
         print(f'{self.now_s:8.2f} s  {text}', flush=True)
 
 
-def run(create: Callable[[], Task], arguments: Sequence[str] | None,
+def run(create: Callable[[], Demonstration], arguments: Sequence[str] | None,
         is_asked_to_end: Callable[[], bool]) -> int:
     """
     Run a task as a process.

@@ -1,0 +1,174 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What acts in an episode: policies, and experts, which are scripts that read the simulation."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from manip_sim.algebra import length
+from manip_sim.arrays import FloatArray
+from manip_sim.simulation import Simulation
+from manip_sim.tasks.pose_actions import ArmAction, PoseActions, STEP_M
+
+#: A hand has arrived if it is within this of its goal [m], and turned this well: the cosine.
+_ARRIVED_M, _TURNED = 0.006, 0.998
+#: It is given up after this many control periods.
+_MOST_PERIODS = 60
+
+
+class Policy(Protocol):
+    """What chooses the actions of an episode."""
+
+    def reset(self, seed: int) -> None:
+        """
+        Begin an episode.
+
+        :param seed: of the episode
+        """
+
+    def act(self, observation: Any) -> FloatArray:
+        """
+        Return the action of the next control period.
+
+        :param observation: of the present instant
+        :returns: as for :class:`PoseActions`
+        """
+
+
+class Hold:
+    """
+    What an expert wants of one arm: a pose of its hand and whether the gripper closes.
+
+    :param item: the arm
+    :param position: of ``grip_site`` in ``world`` [m], shape (3,)
+    :param rotation: of ``grip_site`` in ``world``, shape (3, 3)
+    :ivar closing: from -1, open, to +1
+    :ivar longest_m: how far ahead of the hand its goal may be [m]; less is slower
+    """
+
+    def __init__(self, item: ArmAction, position: FloatArray, rotation: FloatArray) -> None:
+        self.item = item
+        self.position = position
+        self.rotation = rotation
+        self.closing = -1.0
+        self.longest_m = STEP_M
+
+
+class Expert(ABC):
+    """
+    A policy that follows a script and reads the simulation instead of observations.
+
+    :param simulation: in which it acts
+    :ivar arms: what it wants, by arm as in ``PoseActions.arms``
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self._actions = PoseActions(simulation)
+        self.reset()
+
+    def reset(self, seed: int = 0) -> None:
+        """
+        Begin an episode, at its start.
+
+        :param seed: of the episode; it does not matter to a script
+        """
+        data = self.simulation.data
+        self.arms = [Hold(item, *item.hand.tip.pose(data)) for item in self._actions.arms]
+        self._script = self.script()
+
+    @abstractmethod
+    def script(self) -> Iterator[None]:
+        """Change :attr:`arms`; each ``yield`` is one control period. It begins after a reset."""
+
+    def act(self, observation: Any = None) -> FloatArray:
+        """
+        Return the action of the next control period, as for :class:`PoseActions`.
+
+        :param observation: not used
+        """
+        next(self._script, None)
+        action = np.zeros(self._actions.size)
+        for hold in self.arms:
+            action[hold.item.pose] = self._actions.towards(
+                hold.item, hold.position, hold.rotation, hold.longest_m)
+            action[hold.item.gripper] = hold.closing
+        return action
+
+    def hand(self, arm: Hold) -> tuple[FloatArray, FloatArray]:
+        """
+        Return position [m] and rotation of the hand of an arm in ``world``.
+
+        :param arm: one of :attr:`arms`
+        """
+        return arm.item.hand.tip.pose(self.simulation.data)
+
+    def move(self, arm: Hold, position: FloatArray, rotation: FloatArray | None = None,
+             longest_m: float = STEP_M, within_m: float = _ARRIVED_M) -> Iterator[None]:
+        """
+        Move a hand to a pose, until it is there or does not come nearer for long.
+
+        :param arm: one of :attr:`arms`
+        :param position: of ``grip_site`` in ``world`` [m], shape (3,)
+        :param rotation: of ``grip_site`` in ``world``; None keeps the one before
+        :param longest_m: how far ahead of the hand its goal may be [m]; less is slower
+        :param within_m: how near is there [m]
+        """
+        arm.position, arm.longest_m = position, longest_m
+        arm.rotation = arm.rotation if rotation is None else rotation
+        for _ in range(_MOST_PERIODS):
+            yield
+            here, turned = self.hand(arm)
+            # The trace of a turn by an angle is one, and twice its cosine.
+            cosine = (float((arm.rotation * turned).sum()) - 1.0) / 2.0
+            if length(arm.position - here) <= within_m and cosine >= _TURNED:
+                return
+
+    def grip(self, arm: Hold, closing: float, periods: int = 10) -> Iterator[None]:
+        """
+        Open or close a gripper and wait.
+
+        :param arm: one of :attr:`arms`
+        :param closing: from -1, open, to +1
+        :param periods: how long to wait
+        """
+        arm.closing = closing
+        yield from self.wait(periods)
+
+    def wait(self, periods: int) -> Iterator[None]:
+        """
+        Wait.
+
+        :param periods: number of control periods
+        """
+        for _ in range(periods):
+            yield
+
+
+def pointing_down(across: Iterable[FloatArray], rotation: FloatArray) -> FloatArray:
+    """
+    Return a rotation of ``grip_site`` with z down and the fingers closing along a direction.
+
+    :param across: horizontal directions in ``world`` to choose from, each of shape (3,)
+    :param rotation: the present one, shape (3, 3); the nearest direction to its x is chosen
+    """
+    z = np.array([0.0, 0.0, -1.0])
+    x = max(across, key=lambda direction: float((direction * rotation[:, 0]).sum()))
+    x = x - (x * z).sum() * z
+    x = x / length(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def sides(rotation: FloatArray) -> list[FloatArray]:
+    """
+    Return the nearly horizontal axes of a body in both directions, in ``world``.
+
+    :param rotation: of the body, shape (3, 3)
+    """
+    return [sign * axis for axis in rotation.T if abs(axis[2]) < 0.5 for sign in (1.0, -1.0)]

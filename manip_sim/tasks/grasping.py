@@ -1,0 +1,67 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What touches an object, and which arm holds it, by the contacts of the physics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+
+def touching(simulation: Simulation, body: str) -> set[int]:
+    """
+    Return the ids of the bodies that touch an object, by the contacts that carry forces.
+
+    :param body: of the object, which is one body
+    """
+    model, contact = simulation.model, simulation.data.contact
+    own = model.body(body).id
+    used = (contact.efc_address >= 0) & (contact.geom >= 0).all(axis=1)
+    pairs = model.geom_bodyid[contact.geom[used]].reshape(-1, 2)
+    found: set[int] = set(pairs[pairs[:, 0] == own, 1].tolist())
+    return found | set(pairs[pairs[:, 1] == own, 0].tolist())
+
+
+def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -> set[int]:
+    """
+    Return the ids of the bodies of a gripper.
+
+    :param arm: such as ``right``
+    """
+    gripper = robot.parts[f'{arm}/gripper'].gripper
+    assert gripper is not None
+    return {int(simulation.model.body(name).id) for name in gripper.bodies}
+
+
+def holders(simulation: Simulation, body: str) -> list[str]:
+    """
+    Return the arms that hold an object: two bodies of the gripper or more touch it.
+
+    :param body: of the object
+    """
+    touched = touching(simulation, body)
+    return [arm for robot in simulation.robots.values() for arm in robot.end_effectors
+            if len(touched & bodies_of_gripper(simulation, robot, arm)) >= 2]
+
+
+def held_only_by(simulation: Simulation, body: str, arm: str) -> bool:
+    """
+    Return whether an arm holds an object, and nothing else touches it.
+
+    :param body: of the object
+    :param arm: of the only robot
+    """
+    touched = touching(simulation, body)
+    own = bodies_of_gripper(simulation, simulation.robot, arm)
+    return touched <= own and len(touched) >= 2
+
+
+def speed(simulation: Simulation, body: str) -> float:
+    """Return how fast a body moves in ``world`` [m/s]."""
+    velocity = np.empty(6)
+    mujoco.mj_objectVelocity(simulation.model, simulation.data, int(mujoco.mjtObj.mjOBJ_BODY),
+                             simulation.model.body(body).id, velocity, 0)
+    return float(mujoco.mju_norm3(velocity[3:]))

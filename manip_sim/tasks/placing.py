@@ -1,0 +1,125 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Draw positions and place objects and goals in a simulation.
+
+Only ``random()`` draws, with sums and products after it: the same bits with every NumPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import mujoco
+import numpy as np
+
+from manip_sim.algebra import length
+from manip_sim.arrays import FloatArray
+from manip_sim.models.arenas import Arena
+from manip_sim.models.quaternion import wxyz_to_xyzw
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.poses import Pose, Twist
+
+
+def draw(random: np.random.Generator, low: Sequence[float], high: Sequence[float]) -> FloatArray:
+    """
+    Return numbers that are evenly distributed in a box.
+
+    :param low: the least, shape (n,)
+    :param high: the greatest, shape (n,)
+    """
+    lowest, highest = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    numbers: FloatArray = lowest + (highest - lowest) * random.random(len(lowest))
+    return numbers
+
+
+def draw_apart(random: np.random.Generator, count: int, half_area: Sequence[float],
+               apart_m: float) -> FloatArray:
+    """
+    Return points about the origin that are at least a distance apart.
+
+    :param half_area: half extents of the area along x and y [m]
+    :param apart_m: least distance between two of them [m]
+    :returns: shape (count, 2)
+    """
+    half = np.asarray(half_area, dtype=float)
+    while True:
+        numbers = draw(random, [-1.0] * 2 * count, [1.0] * 2 * count)
+        points: FloatArray = numbers.reshape(count, 2) * half
+        if all(length(points[i] - points[j]) >= apart_m for i in range(count) for j in range(i)):
+            return points
+
+
+def draw_yaw(random: np.random.Generator, most_rad: float) -> FloatArray:
+    """
+    Return a turn about z, almost evenly distributed, as a quaternion w, x, y, z.
+
+    :param most_rad: greatest angle in both directions, below pi [rad]
+    """
+    # No sine is taken of what was drawn, whose last bit may differ between processors.
+    tangent = math.tan(most_rad / 2.0) * (2.0 * random.random() - 1.0)
+    norm = math.sqrt(1.0 + tangent * tangent)
+    return np.array([1.0 / norm, 0.0, 0.0, tangent / norm])
+
+
+def place(simulation: Simulation, name: str, position: FloatArray,
+          quat_wxyz: Sequence[float] | FloatArray = (1.0, 0.0, 0.0, 0.0)) -> None:
+    """
+    Place an object, at rest.
+
+    :param name: of the free body
+    :param position: of its frame in ``world`` [m], shape (3,)
+    :param quat_wxyz: of its frame in ``world``
+    """
+    simulation.entities.place(simulation.data, name, Pose(position, wxyz_to_xyzw(quat_wxyz)),
+                              Twist(np.zeros(3), np.zeros(3)))
+
+
+def add_goal(arena: Arena, name: str, radius_m: float, rgba: Sequence[float] = (0.1, 0.8, 0.2, 0.4)
+             ) -> None:
+    """
+    Add a mocap body to an arena that is only seen: a sphere, such as the point to reach.
+
+    :param name: of the body
+    :param radius_m: of the sphere [m]
+    :param rgba: its colour
+    """
+    body = arena.spec.worldbody.add_body(name=name, mocap=True)
+    body.add_geom(name=f'{name}_visual', type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius_m, 0, 0],
+                  rgba=rgba, contype=0, conaffinity=0, group=2)
+
+
+def move_mocap(simulation: Simulation, name: str, position: FloatArray,
+               quat_wxyz: Sequence[float] | FloatArray = (1.0, 0.0, 0.0, 0.0)) -> None:
+    """
+    Move a mocap body; what follows from it in the data is computed later.
+
+    :param name: of the body
+    :param position: in ``world`` [m], shape (3,)
+    :param quat_wxyz: in ``world``
+    """
+    mocap = int(simulation.model.body(name).mocapid[0])
+    simulation.data.mocap_pos[mocap] = position
+    simulation.data.mocap_quat[mocap] = quat_wxyz
+
+
+def position_of(simulation: Simulation, body: str) -> FloatArray:
+    """Return the position of a body in ``world`` [m], shape (3,), a copy."""
+    return np.array(simulation.data.body(body).xpos)
+
+
+def rotation_of(simulation: Simulation, body: str) -> FloatArray:
+    """Return the rotation of a body in ``world``, shape (3, 3), a copy."""
+    return np.array(simulation.data.body(body).xmat).reshape(3, 3)
+
+
+def nearness(distance_m: float, scale_m: float = 0.1) -> float:
+    """
+    Return 1 for no distance, 1/2 at a scale, towards 0 far away.
+
+    :param distance_m: [m]
+    :param scale_m: [m]
+    """
+    return scale_m / (scale_m + distance_m)

@@ -1,0 +1,196 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a task is: a world, how its starts are drawn, when it succeeds, and its reward."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError
+from manip_sim.models.arenas import Arena, create_arena
+from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.objects import Description
+from manip_sim.models.registry import Registry
+from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
+from manip_sim.models.world import World
+from manip_sim.quoting import counted
+from manip_sim.simulation import Simulation
+from manip_sim.tasks.expert import Expert
+
+#: Height of the table's top [m].
+TABLE_M = 0.8
+#: Of the starts of robots, unless the composition says otherwise; robosuite's default.
+_NOISE: Mapping[str, Any] = {'type': 'gaussian', 'magnitude': 0.02}
+#: Middle of the area on the table that one arm of two works in, in front of the right one [m].
+_RIGHT_M = -0.2
+
+
+class Task(ABC):
+    """
+    What a robot should do, without how; a subclass registers itself by its :attr:`name`.
+
+    A task keeps nothing of an episode: all that :meth:`start` draws and :meth:`end_period`
+    changes is in the simulation (poses of objects and mocap bodies), so that saved states hold it
+    and any number of simulations of :attr:`world` can share the task.
+
+    :cvar name: such as ``pick_cube``
+    :cvar instruction: what to do, as one would say it
+    :cvar horizon_s: an episode is over after this simulated time [s]
+    :cvar arms_needed: number of arms with grippers that the robot must have
+    :cvar needs_fingers: whether the grippers must be able to grasp
+    :cvar own_gripper: the gripper that replaces ``default``
+    :param robot: as for ``compose``
+    :param gripper: as for ``compose``
+    :param composition: what else ``compose`` takes, such as ``cameras`` or ``timestep_s``;
+        ``objects`` are there in addition to those of the task
+    :raises ModelError: if the robot cannot do it, naming those that can, or as ``compose`` does
+    :raises UnknownNameError: if a name is not known
+    :ivar world: the world of the task
+    :ivar robot: the model of the robot
+    :ivar arm: the arm that the task is for, the right one of two
+    """
+
+    name: ClassVar[str]
+    instruction: ClassVar[str]
+    horizon_s: ClassVar[float]
+    arms_needed: ClassVar[int] = 1
+    needs_fingers: ClassVar[bool] = True
+    own_gripper: ClassVar[str] = DEFAULT
+
+    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if registered:
+            TASKS.register(cls)
+
+    def __init__(self, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
+                 **composition: Any) -> None:
+        objects = [*self.objects(), *composition.pop('objects', ())]
+        composition = {'initialization_noise': _NOISE, 'seed': 0, **composition}
+        self.world: World = compose(
+            robot, self.own_gripper if gripper == DEFAULT else gripper, arena=self.arena(),
+            objects=objects, **composition)
+        (model,) = self.world.robots
+        self._check(model)
+        assert isinstance(model, ManipulatorModel)
+        self.robot = model
+        self.arm = next(arm for arm in model.arms if arm in model.grippers)
+
+    def _check(self, robot: Any) -> None:
+        """Reject a robot that cannot do the task."""
+        arms = usable_arms(robot, self.needs_fingers)
+        if len(arms) >= self.arms_needed:
+            return
+        what = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
+        able = [name for name in robot_names() if self._suits(name)]
+        raise ModelError(
+            f'{self.name} needs {counted(self.arms_needed, "arm")} {what}, {robot.name} has '
+            f'{len(arms)} here; these can do it with their own grippers: {", ".join(able)}')
+
+    @classmethod
+    def _suits(cls, name: str) -> bool:
+        robot = create_robot(name)
+        return isinstance(robot, ManipulatorModel) and len(robot.arms) >= cls.arms_needed
+
+    # ------------------------------------------------------------------ the world
+
+    def arena(self) -> Arena:
+        """Return the arena; by default the table without its cube."""
+        return create_arena('table', cube=False)
+
+    def objects(self) -> Iterable[Description]:
+        """Return the objects, as for ``compose``; by default there are none."""
+        return ()
+
+    @property
+    def work_area(self) -> FloatArray:
+        """Middle of the area on the table that the arm works in, in ``world`` [m], shape (3,)."""
+        return np.array([0.0, _RIGHT_M if len(self.robot.arms) > 1 else 0.0, TABLE_M])
+
+    # ------------------------------------------------------------------ an episode
+
+    @abstractmethod
+    def start(self, simulation: Simulation, random: np.random.Generator) -> None:
+        """
+        Draw and place what differs between episodes, after ``simulation.reset(seed)``.
+
+        It is called by ``manip_sim.tasks.start``, which then computes all of the start.
+
+        :param simulation: of :attr:`world`
+        :param random: the same for the same seed
+        """
+
+    def end_period(self, simulation: Simulation) -> None:  # noqa: B027
+        """
+        Change in the simulation what the physics does not, such as dirt that was wiped off.
+
+        It is called after each control period, before success and reward are asked for.
+
+        :param simulation: of :attr:`world`
+        """
+
+    @abstractmethod
+    def success(self, simulation: Simulation) -> bool:
+        """
+        Return whether the task is done, as the physics of the present instant shows.
+
+        :param simulation: of :attr:`world`
+        """
+
+    @abstractmethod
+    def progress(self, simulation: Simulation) -> float:
+        """
+        Return how near the task is to being done, from 0 to 1.
+
+        :param simulation: of :attr:`world`
+        """
+
+    def reward(self, simulation: Simulation) -> float:
+        """
+        Return the dense reward of the present instant: 1 at success, else below 1, from 0.
+
+        :param simulation: of :attr:`world`
+        """
+        if self.success(simulation):
+            return 1.0
+        return 0.99 * min(max(self.progress(simulation), 0.0), 1.0)
+
+    def goal(self, simulation: Simulation) -> FloatArray:
+        """
+        Return what an observation needs beside the states of robot and objects, shape (n,).
+
+        :param simulation: of :attr:`world`
+        :returns: such as the point to reach in ``world`` [m]; by default empty
+        """
+        return np.empty(0)
+
+    @abstractmethod
+    def expert(self, simulation: Simulation) -> Expert:
+        """
+        Return a scripted policy that does the task.
+
+        :param simulation: of :attr:`world`, which it reads instead of observations
+        """
+
+
+TASKS: Registry[Task] = Registry(
+    'task', Task, takes=('robot', 'gripper'),  # type: ignore[type-abstract]
+    key=lambda cls: cls.__dict__.get('name'))
+
+
+def usable_arms(robot: Any, with_fingers: bool) -> list[str]:
+    """
+    Return the arms of a robot that have a gripper.
+
+    :param robot: any robot model
+    :param with_fingers: only those whose gripper closes
+    """
+    if not isinstance(robot, ManipulatorModel):
+        return []
+    return [arm for arm in robot.arms if arm in robot.grippers
+            and (robot.grippers[arm].dof > 0 or not with_fingers)]

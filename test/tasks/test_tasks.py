@@ -1,0 +1,162 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tasks: starts from seeds, success in the physics, rewards, experts."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.simulation import Simulation
+from manip_sim.tasks import create_task, Episode, Task, task_names
+from manip_sim.tasks.placing import place
+from manip_sim.tasks.task import TASKS
+
+ARMS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3')
+_episodes = {}
+
+
+def episode_of(name, robot='Panda'):
+    """Return episodes of a task; a simulation is made once."""
+    if (name, robot) not in _episodes:
+        task = create_task(name, robot)
+        _episodes[name, robot] = Episode(task, Simulation(task.world))
+    return _episodes[name, robot]
+
+
+@pytest.mark.parametrize('robot', ARMS)
+@pytest.mark.parametrize('name', task_names())
+def test_an_expert_does_its_task(name, robot):
+    episode = episode_of(name, robot)
+    expert = episode.task.expert(episode.simulation)
+    for seed in (11, 12):
+        episode.reset(seed)
+        assert not episode.success
+        assert episode.run(expert, seed), f'seed {seed}'
+        assert episode.reward == 1.0
+
+
+@pytest.mark.parametrize('name', task_names())
+def test_doing_nothing_is_no_success(name):
+    episode = episode_of(name)
+    episode.reset(3)
+    while not episode.time_is_up:
+        episode.step(np.zeros(episode.actions.size))
+        assert not episode.success
+        assert 0.0 <= episode.reward < 1.0
+
+
+@pytest.mark.parametrize('name', task_names())
+def test_a_seed_draws_the_same_start_and_another_one_another(name):
+    episode = episode_of(name)
+
+    def start(seed):
+        episode.reset(seed)
+        return episode.digest
+
+    first = start(1)
+    assert start(2) != first
+    assert start(1) == first
+    task = create_task(name)
+    other = Episode(task, Simulation(task.world))
+    other.reset(1)
+    assert other.digest == first
+
+
+def test_an_episode_is_the_same_in_another_process():
+    episode = episode_of('pick_cube')
+    expert = episode.task.expert(episode.simulation)
+    episode.run(expert, 5)
+    program = ('import json; from manip_sim.simulation import Simulation; '
+               'from manip_sim.tasks import create_task, Episode; '
+               "task = create_task('pick_cube'); e = Episode(task, Simulation(task.world)); "
+               'e.run(task.expert(e.simulation), 5); print(json.dumps([e.periods, e.digest]))')
+    found = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                           check=True)
+    assert json.loads(found.stdout) == [episode.periods, episode.digest]
+
+
+@pytest.mark.parametrize('name', task_names())
+def test_rewards_rise_while_the_expert_works(name):
+    episode = episode_of(name)
+    expert = episode.task.expert(episode.simulation)
+    episode.reset(4)
+    expert.reset(4)
+    rewards = [episode.reward]
+    while not episode.over:
+        episode.step(expert.act())
+        rewards.append(episode.reward)
+    assert rewards[-1] == 1.0 and max(rewards[:-1]) < 1.0
+    half = len(rewards) // 2
+    assert np.mean(rewards[half:]) > np.mean(rewards[:half])
+
+
+def test_a_cube_in_the_air_is_picked_only_if_it_is_held():
+    episode = episode_of('pick_cube')
+    episode.reset(1)
+    place(episode.simulation, 'cube', np.array([0.0, 0.3, 1.1]))
+    assert not episode.success
+
+
+def test_a_saved_state_holds_what_an_episode_has_drawn():
+    episode = episode_of('reach')
+    episode.reset(1)
+    goal, state = episode.task.goal(episode.simulation), episode.simulation.save()
+    episode.reset(2)
+    assert not np.array_equal(episode.task.goal(episode.simulation), goal)
+    episode.simulation.restore(state)
+    np.testing.assert_array_equal(episode.task.goal(episode.simulation), goal)
+
+
+def test_an_action_moves_the_hand_and_the_gripper():
+    episode = episode_of('reach')
+    episode.reset(1)
+    robot, data = episode.simulation.robot, episode.simulation.data
+    before, width = robot.end_effectors['right'].pose(data), robot.measured('right/gripper')[0]
+    for _ in range(8):
+        episode.step([0.0, 0.2, 0.0, 0.0, 0.0, 0.0, -1.0])
+    moved = robot.end_effectors['right'].pose(data) - before
+    assert moved[1] > 0.03 and abs(moved[0]) < 0.01 and abs(moved[2]) < 0.01
+    assert robot.measured('right/gripper')[0] > width
+
+
+def test_what_cannot_be_used_is_said():
+    episode = episode_of('reach')
+    with pytest.raises(CommandError, match='an action'):
+        episode.step([0.0] * 6)
+    with pytest.raises(CommandError, match='finite'):
+        episode.step([np.nan] * 7)
+    with pytest.raises(ModelError, match='seed must be a whole number from 0, got -1'):
+        episode.reset(-1)
+    with pytest.raises(ModelError, match='whole number of timesteps of 0.002 s, got 0.0033 s'):
+        Episode(episode.task, episode.simulation, 0.0033)
+    with pytest.raises(ModelError, match='whole number of timesteps'):
+        Episode(episode.task, episode.simulation, float('nan'))
+    with pytest.raises(UnknownNameError, match="task 'pick_cub': did you mean 'pick_cube'"):
+        create_task('pick_cub')
+    with pytest.raises(UnknownNameError, match='unknown robot'):
+        create_task('reach', 'Pandda')
+
+
+def test_a_robot_that_cannot_do_a_task_is_told_those_that_can():
+    with pytest.raises(ModelError, match=(
+            'pick_cube needs 1 arm with grippers that grasp, Panda0 has 0 here; '
+            'these can do it with their own grippers: .*UR5e')):
+        create_task('pick_cube', 'Panda', 'none')
+    with pytest.raises(ModelError, match='pick_cube needs 1 arm with grippers that grasp'):
+        create_task('pick_cube', 'Panda', 'WipingGripper')
+
+
+def test_a_class_of_ones_own_is_a_task_by_its_name():
+    class Wave(type(create_task('reach'))):
+        name = 'wave'
+
+    try:
+        assert isinstance(create_task('wave', 'UR5e'), Wave) and 'wave' in task_names()
+    finally:
+        del TASKS._classes['wave']
+    assert issubclass(Wave, Task)
