@@ -22,9 +22,9 @@ _SMOOTHING_INTERVALS, _SMOOTHING_JITTERS = 1.0, 20.0
 #: Multiple of a stream's own acceleration that its setpoint may use.
 _STREAM_ACCELERATION = 1.5
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
-_ARRIVED = 1e-10
+ARRIVED = 1e-10
 #: Where the range ends is looked for this far ahead, beside the way of braking [s].
-_AHEAD_S = 0.1
+AHEAD_S = 0.1
 
 
 class _Terms(NamedTuple):
@@ -300,7 +300,7 @@ class SetpointGenerator:
         # What is missing is computed before anything moves.
         missing = self._missing(duration_s) if self._catches else None
         velocity, travel = ramp(reference, self._reference_goal, self._ramp, duration_s)
-        near = duration_s >= _AHEAD_S or self._is_near_ends(missing is not None)
+        near = duration_s >= AHEAD_S or self._is_near_ends(missing is not None)
         if missing is not None or near:
             before = self._stages[2]
             if missing is not None:
@@ -318,7 +318,7 @@ class SetpointGenerator:
 
     def _away_from_ends(self, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return positions between which nothing that is not faster has to brake."""
-        way = velocity**2 / self._acceleration_limit + _AHEAD_S * velocity
+        way = velocity**2 / self._acceleration_limit + AHEAD_S * velocity
         return self._low + way, self._high - way
 
     def _is_near_ends(self, catches: bool) -> bool:
@@ -405,7 +405,7 @@ class SetpointGenerator:
         pace = np.maximum.reduce(np.abs([
             *self._stages, self._reference, self._reference_goal]))
         away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
-        return np.maximum(pace, away) < _ARRIVED
+        return np.maximum(pace, away) < ARRIVED
 
     def _end_streams(self) -> None:
         ended = self._until_s <= self.now_s + 1e-9
@@ -446,7 +446,7 @@ class SetpointGenerator:
             seeks = seeks & ~self._brakes
         missing = np.where(seeks, missing, 0.0)
         if not (caught_up or brakes or np.count_nonzero(
-                np.abs(missing) >= _ARRIVED * min(duration_s, 1.0))):
+                np.abs(missing) >= ARRIVED * min(duration_s, 1.0))):
             self._catches = False
             return None
         return missing
@@ -459,5 +459,5 @@ class SetpointGenerator:
         raw = within(raw, terms.lowest, terms.highest)
         stages = low_pass(stages, raw, terms.smoothing_s, duration_s)
         self._catches = bool(max(np.abs(missing).max(initial=0.0), np.abs(stages).max(initial=0.0))
-                             >= _ARRIVED or np.count_nonzero(self._brakes))
+                             >= ARRIVED or np.count_nonzero(self._brakes))
         self._stages = stages if self._catches else np.zeros_like(stages)

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 import functools
 import hashlib
 
@@ -43,6 +44,24 @@ _RESUMABLE = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mj
 _FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_QVEL)
                | int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
                | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
+
+
+@dataclass(frozen=True)
+class Control:
+    """
+    The control of robots for an interval, as a function.
+
+    :ivar robots: of one world
+    :ivar duration_s: length of the interval [s]
+    """
+
+    robots: Sequence[SimulatedRobot]
+    duration_s: float
+
+    def __call__(self) -> None:
+        """Write the controls of the interval."""
+        for robot in self.robots:
+            robot.tick(self.duration_s)
 
 
 class Simulation:
@@ -221,11 +240,11 @@ class Simulation:
 
     def period(self, steps: int) -> Iterator[Callable[[], None]]:
         """
-        Run one control period as :meth:`advance`, but leave what MuJoCo computes to the caller.
+        Run one control period as :meth:`advance`, but leave the work to the caller.
 
-        Control runs until a function is yielded, which has to be called before the next one is
-        asked for. It may be called in another thread, and spends most of its time without Python's
-        global interpreter lock.
+        Each function that is yielded has to be called before the next one is asked for. Those that
+        are no :class:`Control` compute physics: they may be called in another thread, and spend
+        most of their time without Python's global interpreter lock.
 
         :param steps: number of physics steps
         :raises DivergenceError: as :meth:`advance`
@@ -333,8 +352,7 @@ class Simulation:
             if any(robot.moving for robot in awake):
                 # Divide what is left as evenly as whole steps allow.
                 chunk = -(-left // -(-left // self._interval_steps))
-            for robot in awake:
-                robot.tick(chunk * self._timestep_s)
+            yield Control(awake, chunk * self._timestep_s)
             self._free_roots.bear(self.data)
             yield functools.partial(self._compute, chunk, resumes, pushed, contacts)
             resumes = False

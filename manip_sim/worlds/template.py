@@ -127,8 +127,10 @@ class _Pickler(ViewPickler):
         if isinstance(found, mujoco.MjOption):
             return _Own(True, 'opt')
         root = type(found).__module__.partition('.')[0]
-        shared = (isinstance(found, _SHARED) or root == 'mujoco' or is_frozen(found)
-                  or isinstance(found, MujocoXMLModel) and not isinstance(found, GripperModel))
+        shared = (isinstance(found, _SHARED) or root == 'mujoco'
+                  or isinstance(found, MujocoXMLModel) and not isinstance(found, GripperModel)
+                  or is_frozen(found) and not any(
+                      isinstance(field, GripperModel) for field in vars(found).values()))
         return found if shared else None
 
     def _find(self, view: NDArray[Any]) -> _Own:

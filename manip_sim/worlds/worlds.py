@@ -17,6 +17,8 @@ from manip_sim.errors import DivergenceError, ModelError, UnknownNameError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
+from manip_sim.simulation.simulation import Control
+from manip_sim.worlds.control_together import ControlTogether
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
@@ -52,6 +54,7 @@ class Worlds:
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
+        self._control = ControlTogether(self.simulations)
         self.robots = {name: RobotInWorlds([simulation.robots[name]
                                             for simulation in self.simulations])
                        for name in first.robots}
@@ -135,17 +138,13 @@ class Worlds:
         """
         periods = [simulation.period(steps) for simulation in self._of(where)
                    if simulation.diverged is None]
-        while periods:
-            work: list[Callable[[], None]] = []
-            going = []
-            for period in periods:
-                try:
-                    work.append(next(period))
-                except (StopIteration, DivergenceError):
-                    continue
-                going.append(period)
-            periods = going
-            self._threads.run(work)
+        with self._control.period():
+            while periods:
+                periods, work = _next_work(periods)
+                # Control comes before the physics of the interval.
+                self._control.run([function for function in work if isinstance(function, Control)])
+                self._threads.run([
+                    function for function in work if not isinstance(function, Control)])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -225,3 +224,16 @@ class Worlds:
 
 def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[], None]:
     return lambda: reset(seed)
+
+
+def _next_work(periods: list[Iterator[Callable[[], None]]]
+               ) -> tuple[list[Iterator[Callable[[], None]]], list[Callable[[], None]]]:
+    """Return the control periods that go on, and what each of them has to do next."""
+    going, work = [], []
+    for period in periods:
+        try:
+            work.append(next(period))
+        except (StopIteration, DivergenceError):
+            continue
+        going.append(period)
+    return going, work

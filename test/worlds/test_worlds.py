@@ -15,9 +15,12 @@ import pytest
 
 from manip_sim.errors import CommandError, DivergenceError, ModelError, UnknownNameError
 from manip_sim.models import compose
+from manip_sim.models.arenas import create_arena
+from manip_sim.models.composing import compose_robot
 from manip_sim.models.robots import ROBOTS
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.spawning import plan_without
 from manip_sim.worlds import Worlds
 
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
@@ -170,6 +173,48 @@ def test_worlds_of_every_robot_are_simulations(name):
         pair.advance(10)
     pair.check_equal()
     pair.worlds.close()
+
+
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+def test_joints_that_arrive_stop_at_ends_or_are_held_back_do_so_in_each_world(pair, mode):
+    start(pair, mode)
+    names = pair.simulations[0].robot.joint_names[:7]
+    # A stream that ends, far beyond the range in one world, and with one joint that is pushed.
+    for number in range(12):
+        goals = np.array([0.02, 0.6, -0.02])[:, None] * number * np.ones(7)
+        pair._both('joint_command', (names,), None, **{mode: goals})
+        for world in (pair.worlds.simulations[2], pair.simulations[2]):
+            world.data.qfrc_applied[3] = 200.0 if 4 < number < 9 else 0.0
+        pair.advance()
+    pair.check_equal()
+    pair._both('joint_command', (names[:3],), np.array([True, False, True]),
+               **{mode: np.zeros((3, 3))})
+    for _ in range(150):
+        pair.advance(7)
+    pair.check_equal()
+    moving = [simulation.robot.joints.moving for simulation in pair.simulations]
+    assert mode == 'velocity' or not all(moving)
+
+
+def test_worlds_with_other_objects_or_with_several_robots_go_on_together():
+    def world():
+        return World([compose_robot('Panda', idn=0), compose_robot('UR5e', idn=1)],
+                     create_arena('table'))
+    worlds, simulations = Worlds(world(), 4, threads=1), [Simulation(world()) for _ in range(4)]
+    for simulation in (worlds.simulations[1], simulations[1]):
+        simulation.change_objects(plan_without(simulation.plan, 'cube'))
+    for number in range(6):
+        for name, robot in worlds.robots.items():
+            joints = np.arange(len(robot[0].limits('arm')))
+            actions = 0.1 * np.sin(number + np.arange(4)[:, None] + joints)
+            robot.command.action('arm', actions)
+            for simulation, action in zip(simulations, actions):
+                one = simulation.robots[name]
+                one.apply(one.parse.action('arm', action))
+        worlds.advance(6)
+        for simulation in simulations:
+            simulation.advance(6)
+    assert worlds.digest() == [simulation.digest() for simulation in simulations]
 
 
 def test_a_base_takes_twists_in_the_worlds_of_a_mask():

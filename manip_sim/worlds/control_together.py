@@ -1,0 +1,84 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Control the robots of several worlds: many at once where they do the same, others alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import contextlib
+
+from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.simulation import Control
+from manip_sim.worlds.joint_rows import JointRows, takes, Views, views_of
+
+#: With fewer worlds, one by one is as fast.
+_LEAST = 3
+
+
+class ControlTogether:
+    """
+    The control of robots in several worlds.
+
+    :param simulations: of all worlds
+    """
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        self._simulation_of = {
+            id(robot): simulation for simulation in simulations
+            for robot in simulation.robots.values()}
+        self._views: dict[int, Views] = {}
+        self._began = False
+        #: By id of the robot, which rows its joints are in.
+        self._rows_of: dict[int, JointRows] = {}
+
+    @contextlib.contextmanager
+    def period(self) -> Iterator[None]:
+        """Control one period; at its end all joints are given back to their controllers."""
+        self._began = False
+        try:
+            yield
+        finally:
+            for rows in set(self._rows_of.values()):
+                rows.release()
+            self._rows_of.clear()
+
+    def run(self, works: Sequence[Control]) -> None:
+        """Write the controls of the next interval."""
+        if works and not self._began:
+            self._began = True
+            self._begin([robot for work in works for robot in work.robots])
+        arrived: list[SimulatedRobot] = []
+        ticked: set[JointRows] = set()
+        for work in works:
+            for robot in work.robots:
+                rows = self._rows_of.get(id(robot))
+                if rows is None:
+                    robot.tick(work.duration_s)
+                    continue
+                if rows not in ticked:
+                    ticked.add(rows)
+                    arrived += rows.tick(work.duration_s)
+                robot.tick_grippers(work.duration_s)
+        for robot in arrived:
+            del self._rows_of[id(robot)]
+
+    def _begin(self, robots: Sequence[SimulatedRobot]) -> None:
+        """Find robots that can be controlled together: of one name, in models of one size."""
+        groups: dict[object, list[SimulatedRobot]] = {}
+        for robot in robots:
+            if takes(robot.joints):
+                model = self._simulation_of[id(robot)].model
+                key = robot.name, model.nq, model.nv, model.na, model.nu
+                groups.setdefault(key, []).append(robot)
+        for group in groups.values():
+            if len(group) >= _LEAST:
+                simulations = [self._simulation_of[id(robot)] for robot in group]
+                rows = JointRows(group, simulations, [self._view(of) for of in simulations])
+                self._rows_of.update((id(robot), rows) for robot in group)
+
+    def _view(self, simulation: Simulation) -> Views:
+        views = self._views.get(id(simulation))
+        if views is None or views.data is not simulation.data:
+            views = self._views[id(simulation)] = views_of(simulation)
+        return views

@@ -1,0 +1,235 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Setpoints of the same joints in several worlds, advanced together; a row is a world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import copy
+from typing import Any
+
+import numpy as np
+
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.simulation.profiles import (
+    braking_velocity, low_pass, ramp, velocity_before_the_end, way_of_ramp, within)
+from manip_sim.simulation.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
+
+#: What a generator is made of that changes in time, of shape (n,).
+_STATE = ('position', 'velocity', 'acceleration', '_reference', '_reference_goal', '_goal',
+          '_ramp', '_bound', '_until_s', '_seeks', '_brakes')
+_OF_ESTIMATOR = ('interval_s', 'jitter_s', 'sent_s')
+
+
+class SetpointRows(SetpointGenerator):
+    """
+    The setpoints of several generators of the same joints, in arrays of shape (rows, n).
+
+    Each row does, to the last bit, what its generator would do. Its own decisions, such as that
+    it has arrived, are those of the row, not of all rows. Goals of a generator must be taken
+    before, and none may come while the rows exist.
+
+    :param generators: whose states are taken, until :meth:`release`
+    :ivar moves: whether each row moves or is about to, shape (rows,)
+    """
+
+    def __init__(self, generators: Sequence[SetpointGenerator]) -> None:
+        self._generators = generators
+        first, rows = generators[0], len(generators)
+        for name in _STATE:
+            setattr(self, name, _stacked([getattr(of, name) for of in generators]))
+        stages = np.concatenate([of._stages for of in generators], axis=1)
+        self._stages = np.reshape(stages, (len(stages), rows, -1))
+        self._estimator = copy.copy(first._estimator)
+        for name in _OF_ESTIMATOR:
+            setattr(self._estimator, name,
+                    _stacked([getattr(of._estimator, name) for of in generators]))
+        self._low, self._high = first._low, first._high
+        self._velocity_limit = first._velocity_limit
+        self._acceleration_limit = first._acceleration_limit
+        self._inside = first._inside
+        self._inside_now = None
+        self._terms = None
+        self._now_s = np.array([of.now_s for of in generators])[:, None]
+        self._next_ends_s = np.array([of._next_end_s for of in generators])
+        self._catching: BoolArray = np.array([of._catches for of in generators])
+        self.moves: BoolArray = np.array([of.moving for of in generators])
+
+    def set_time(self, now_s: FloatArray) -> None:
+        """
+        Set the simulation time.
+
+        :param now_s: [s], shape (rows,)
+        """
+        self._now_s = now_s[:, None]
+
+    def release(self, row: int) -> None:
+        """Give the state of a row back to its generator."""
+        of = self._generators[row]
+        of.position, of.velocity, of.acceleration = (
+            self.position[row].copy(), self.velocity[row].copy(), self.acceleration[row].copy())
+        of._reference, of._reference_goal = (
+            self._reference[row].copy(), self._reference_goal[row].copy())
+        of._ramp, of._bound, of._until_s = (
+            self._ramp[row].copy(), self._bound[row].copy(), self._until_s[row].copy())
+        of._brakes, of._stages = self._brakes[row].copy(), self._stages[:, row].copy()
+        of._catches, of.moving = bool(self._catching[row]), bool(self.moves[row])
+        of.now_s, of._next_end_s = float(self._now_s[row, 0]), float(self._next_ends_s[row])
+        of._terms = None
+
+    def advance(self, duration_s: float) -> None:
+        """
+        Advance all setpoints.
+
+        :param duration_s: length of the interval [s]
+        """
+        due = self._next_ends_s <= self._now_s[:, 0] + 1e-9
+        if np.count_nonzero(due):
+            self._end_streams_of_rows(due)
+        begin = self.velocity
+        missing, catches = self._missing_of_rows(duration_s)
+        velocity, travel = ramp(self._reference, self._reference_goal, self._ramp, duration_s)
+        near = self._rows_near_ends(catches, duration_s)
+        limited = (catches | near)[:, None]
+        reference, plain_travel = velocity, travel
+        if np.count_nonzero(limited):
+            before = self._stages[2]
+            self._catch_up_rows(missing, catches, duration_s)
+            velocity, travel, reference = self._limit_rows(
+                velocity, travel, before, near, limited, duration_s)
+            if not limited.all():
+                travel = np.where(limited, travel, plain_travel)
+        self._reference = reference
+        self.position = self.position + travel
+        if np.count_nonzero(near):
+            self.position = np.where(
+                near[:, None], within(self.position, self._low, self._high), self.position)
+        self.velocity, self.acceleration = velocity, (velocity - begin) / duration_s
+        self._now_s = self._now_s + duration_s
+        done = ~(self._catching | velocity.any(axis=1) | self._reference_goal.any(axis=1))
+        if np.count_nonzero(done):
+            self._arrive_in_rows(done)
+
+    def _end_streams_of_rows(self, due: BoolArray) -> None:
+        ended = due[:, None] & (self._until_s <= self._now_s + 1e-9)
+        self._reference_goal = np.where(ended, 0.0, self._reference_goal)
+        self._ramp = np.where(ended, self._acceleration_limit, self._ramp)
+        self._until_s = np.where(ended, np.inf, self._until_s)
+        self._next_ends_s = np.where(
+            due, self._until_s.min(axis=1, initial=np.inf), self._next_ends_s)
+        self._terms = None
+        for row in np.flatnonzero(due).tolist():
+            self._generators[row]._inside_now = None
+
+    def _missing_of_rows(self, duration_s: float) -> tuple[FloatArray, BoolArray]:
+        """Return what is missing of the ways, and which rows have something to catch up."""
+        estimator, goal, reference = self._estimator, self._reference_goal, self._reference
+        age_s = np.where(self._until_s < np.inf,
+                         self._now_s - estimator.sent_s - 1.5 * estimator.interval_s, 0.0)
+        missing = (self._goal + goal * age_s - self.position
+                   - way_of_ramp(reference, goal, self._ramp))
+        caught_up = self._stages.any(axis=(0, 2))
+        missing -= self._get_terms().smoothing_s * (self._stages[1] + self._stages[2])
+        seeks, brakes = self._seeks, self._brakes.any(axis=1)
+        if np.count_nonzero(brakes):
+            self._brakes = self._brakes & ((reference != 0.0) | ~self._catching[:, None])
+            seeks = seeks & ~self._brakes
+        missing = np.where(seeks, missing, 0.0)
+        far = (np.abs(missing) >= ARRIVED * min(duration_s, 1.0)).any(axis=1)
+        catches = self._catching & (caught_up | brakes | far)
+        self._catching = catches
+        return missing, catches
+
+    def _rows_near_ends(self, catches: BoolArray, duration_s: float) -> BoolArray:
+        """Return which rows are near the end of a range."""
+        if duration_s >= AHEAD_S:
+            return np.ones(len(catches), dtype=bool)
+        near = np.asarray((
+            (self.position < self._inside[0]) | (self.position > self._inside[1])).any(axis=1))
+        for row in np.flatnonzero(near & ~catches).tolist():
+            # As of when the goals were taken.
+            of = self._generators[row]
+            if of._inside_now is None:
+                of._inside_now = self._away_from_ends(np.maximum(
+                    np.abs(self._reference[row]), np.abs(self._reference_goal[row])))
+            low, high = of._inside_now
+            near[row] = ((self.position[row] < low) | (self.position[row] > high)).any()
+        return near
+
+    def _catch_up_rows(self, missing: FloatArray, catches: BoolArray, duration_s: float) -> None:
+        limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages
+        change = limit * duration_s
+        raw = within(braking_velocity(missing, limit, duration_s),
+                     stages[0] - change, stages[0] + change)
+        raw = within(raw, terms.lowest, terms.highest)
+        stages = low_pass(stages, raw, terms.smoothing_s, duration_s)
+        largest = np.maximum(np.abs(missing).max(axis=1, initial=0.0),
+                             np.abs(stages).max(axis=(0, 2), initial=0.0))
+        goes_on = catches & ((largest >= ARRIVED) | self._brakes.any(axis=1))
+        if not goes_on.all():
+            stages = np.where(goes_on[:, None], stages,
+                              np.where(catches[:, None], 0.0, self._stages))
+        self._catching, self._stages = goes_on, stages
+
+    def _limit_rows(self, reference: FloatArray, travel: FloatArray, before: FloatArray,
+                    near: BoolArray, limited: BoolArray, duration_s: float
+                    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return velocities after an interval, the ways in it, and those of the references."""
+        begin, caught_up = self.velocity, self._stages[2]
+        plain = reference + caught_up
+        top = self._get_terms().top
+        velocity = within(plain, -top, top)
+        if np.count_nonzero(near):
+            velocity = np.where(near[:, None], velocity_before_the_end(
+                velocity, begin, self.position - self._low, self._high - self.position,
+                self._bound, duration_s), velocity)
+        change = self._bound * duration_s
+        velocity = within(velocity, begin - change, begin + change)
+        if not limited.all():
+            velocity = np.where(limited, velocity, reference)
+            plain = np.where(limited, plain, reference)
+        held = velocity != plain
+        if np.count_nonzero(held):
+            self._catching = self._catching | held.any(axis=1)
+            reference = np.where(held & ~self._seeks, velocity, reference)
+            caught_up = np.where(held & self._seeks, velocity - reference, caught_up)
+            self._stages = np.stack([self._stages[0], self._stages[1], caught_up])
+        even = held | (before != 0.0) | (caught_up != 0.0)
+        return velocity, np.where(even, (begin + velocity) / 2.0 * duration_s, travel), reference
+
+    def _arrive_in_rows(self, done: BoolArray) -> None:
+        pace = np.maximum(np.abs(self._stages).max(axis=0), np.maximum(
+            np.abs(self._reference), np.abs(self._reference_goal)))
+        away = np.where(self._seeks, np.abs(self._goal - self.position), 0.0)
+        rests: BoolArray = np.logical_and(done, (np.maximum(pace, away) < ARRIVED).all(axis=1))
+        self._catching = self._catching | (done & ~rests)
+        self.moves = self.moves & ~rests
+        self._bound = np.where(rests[:, None], self._acceleration_limit, self._bound)
+        self.position = np.where(rests[:, None] & self._seeks, self._goal, self.position)
+        self._stages = np.where(rests[:, None], 0.0, self._stages)
+        self.velocity = np.where(rests[:, None], 0.0, self.velocity)
+        self.acceleration = np.where(rests[:, None], 0.0, self.acceleration)
+
+    def hold_back(self, measured: FloatArray, lead: FloatArray) -> None:
+        """
+        Keep setpoints from running ahead of joints that cannot keep up.
+
+        :param measured: where the joints are [rad or m], shape (rows, n)
+        :param lead: how far a setpoint may be from there [rad or m], shape (rows, n)
+        """
+        held = np.abs(self.position - measured) > lead
+        if not np.count_nonzero(held):
+            return
+        rows = np.asarray(held.any(axis=1))
+        self.position = np.where(rows[:, None], within(
+            self.position, measured - lead, measured + lead), self.position)
+        self._catching = self._catching | rows
+        self._stages = np.where(held, 0.0, self._stages)
+        self._reference = np.where(held, 0.0, self._reference)
+        self.velocity = np.where(held, 0.0, self.velocity)
+        self.acceleration = np.where(held, 0.0, self.acceleration)
+
+
+def _stacked(values: list[Any]) -> Any:
+    return np.concatenate(values).reshape(len(values), -1)
