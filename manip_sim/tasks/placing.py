@@ -22,6 +22,8 @@ from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose, Twist
 
+_GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)
+
 
 def draw(random: np.random.Generator, low: Sequence[float], high: Sequence[float]) -> FloatArray:
     """
@@ -77,18 +79,18 @@ def place(simulation: Simulation, name: str, position: FloatArray,
                               Twist(np.zeros(3), np.zeros(3)))
 
 
-def add_goal(arena: Arena, name: str, radius_m: float, rgba: Sequence[float] = (0.1, 0.8, 0.2, 0.4)
-             ) -> None:
+def add_goal(arena: Arena, name: str, radius_m: float, flat: bool = False) -> None:
     """
-    Add a mocap body to an arena that is only seen: a sphere, such as the point to reach.
+    Add a mocap body to an arena that is only seen, such as the point to reach.
 
     :param name: of the body
-    :param radius_m: of the sphere [m]
-    :param rgba: its colour
+    :param radius_m: of the sphere or disc [m]
+    :param flat: whether it is a disc
     """
+    shapes, size = mujoco.mjtGeom, [radius_m, 0.001, 0.0]
     body = arena.spec.worldbody.add_body(name=name, mocap=True)
-    body.add_geom(name=f'{name}_visual', type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius_m, 0, 0],
-                  rgba=rgba, contype=0, conaffinity=0, group=2)
+    body.add_geom(name=f'{name}_visual', size=size, rgba=_GOAL_RGBA, contype=0, conaffinity=0,
+                  type=shapes.mjGEOM_CYLINDER if flat else shapes.mjGEOM_SPHERE, group=2)
 
 
 def move_mocap(simulation: Simulation, name: str, position: FloatArray,
