@@ -54,7 +54,7 @@ class CommandTimeouts:
     @property
     def pending(self) -> bool:
         """Whether any part that is watched has a timeout."""
-        return any(self._timeout_s[part] for part in self._last_s)
+        return bool(self._last_s) and any([self._timeout_s[part] for part in self._last_s])
 
     def overdue(self, now_s: float) -> list[str]:
         """

@@ -10,6 +10,8 @@ import math
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
+
 #: A generalised velocity that no robot reaches [rad/s or m/s].
 _ABSURD_VELOCITY = 1e4
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -22,22 +24,24 @@ class DivergenceWatch:
 
     :param model: the ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``
+    :ivar good: the last good state, all that MuJoCo integrates
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model = model
         self._data = data
-        self._good = np.empty(mujoco.mj_stateSize(model, _STATE))
+        self.good: FloatArray = np.empty(mujoco.mj_stateSize(model, _STATE))
         # Views, which need not be fetched in each period.
         self._numbers = data.qpos, data.qvel, data.qacc
         #: How often MuJoCo has warned of bad numbers, by kind.
         self._warnings = data.warning.number[_KINDS]
         self._warned = self._warnings.tobytes()
 
-    def remember(self) -> None:
-        """Remember the present state as the good one."""
-        mujoco.mj_getState(self._model, self._data, self._good, _STATE)
+    def remember(self) -> FloatArray:
+        """Remember the present state as the good one, and return it."""
+        mujoco.mj_getState(self._model, self._data, self.good, _STATE)
         self._warned = self._warnings.tobytes()
+        return self.good
 
     def reason(self) -> str | None:
         """Return why the present state has diverged, or None if it is good."""
@@ -56,10 +60,10 @@ class DivergenceWatch:
 
     def undo(self) -> None:
         """Restore the good state and its counts of warnings; ``mj_step`` has to follow."""
-        mujoco.mj_setState(self._model, self._data, self._good, _STATE)
+        mujoco.mj_setState(self._model, self._data, self.good, _STATE)
         self._warnings[:] = np.frombuffer(self._warned, self._warnings.dtype)
 
     def hold(self) -> None:
         """Restore the good state, at rest; ``mj_forward`` has to follow."""
-        mujoco.mj_setState(self._model, self._data, self._good, _STATE)
+        mujoco.mj_setState(self._model, self._data, self.good, _STATE)
         self._data.qvel[:] = 0.0

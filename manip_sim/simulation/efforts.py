@@ -64,7 +64,7 @@ class ActuatorEfforts:
     """
 
     #: Of the step that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_last', '_values')
+    not_in_digest = ('_last', '_parts', '_values')
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
@@ -75,11 +75,18 @@ class ActuatorEfforts:
     def _find_views(self) -> None:
         model, data, before = self._physics.model, self._physics.data, self.values
         # Views, which need not be fetched each time; a mode or a grasp changes the last three.
-        self._views = (data.qfrc_actuator, data.actuator_force, data.actuator_velocity, data.qvel,
-                       model.actuator_biasprm[:, 2], model.actuator_forcerange,
+        self._views = (data.qfrc_actuator, data.qvel, data.actuator_force, data.actuator_velocity,
+                       model.actuator_biasprm[:, 2], model.actuator_forcerange.reshape(-1),
                        model.actuator_forcelimited)
         #: Those of the last step: as at its beginning, but the velocity at its end.
-        self._last = tuple(view.copy() for view in self._views)
+        self._last = np.concatenate(self._views)
+        nv, nu = model.nv, model.nu
+        of_actuators = self._last[2 * nv:]
+        #: Parts of the same: the last four are damping, the two force limits and if they are used.
+        self._parts = (self._last[:nv], self._last[nv:2 * nv], of_actuators[:nu],
+                       of_actuators[nu:2 * nu], of_actuators[2 * nu:3 * nu],
+                       of_actuators[3 * nu:5 * nu:2], of_actuators[3 * nu + 1:5 * nu:2],
+                       of_actuators[5 * nu:])
         self.restart()
         # Degrees of freedom that have actuators come first in both models.
         common = min(model.nv, len(before))
@@ -91,8 +98,7 @@ class ActuatorEfforts:
 
     def record(self) -> None:
         """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""
-        for last, view in zip(self._last, self._views):
-            np.copyto(last, view)
+        np.concatenate(self._views, out=self._last)
         self._values = None
 
     @property
@@ -104,12 +110,11 @@ class ActuatorEfforts:
 
     def _acted(self) -> FloatArray:
         model, data = self._physics.model, self._physics.data
-        acted, force, velocity, end, damping, force_range, limited = self._last
+        acted, end, force, velocity, damping, lowest, highest, limited = self._parts
         if int(model.opt.integrator) not in _IMPLICIT:
             return np.array(acted)
         at_actuator, at_joint = self._explicit_at_limits
-        explicit = (at_actuator & (limited != 0)
-                    & ((force <= force_range[:, 0]) | (force >= force_range[:, 1])))
+        explicit = at_actuator & (limited != 0) & ((force <= lowest) | (force >= highest))
         affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
         moment, dofs = data.actuator_moment, data.moment_colind
         actuators = np.repeat(np.arange(len(force)), data.moment_rownnz)

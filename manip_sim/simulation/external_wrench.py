@@ -37,13 +37,16 @@ class ExternalWrench:
     """
 
     #: Of the period that has passed; nothing in the next one depends on it.
-    not_in_digest = ('_rows', '_centres', '_row', '_sum', '_mean', '_steps')
+    not_in_digest = ('_rows', '_centres', '_none', '_sum', '_mean', '_steps')
 
     def __init__(self, physics: Physics, site: int) -> None:
         self._physics = physics
         self._site = site
-        #: Sum over the steps that are no longer in the rows, and the number of rows in use.
-        self._sum, self._row = _ZERO, 0
+        #: Sum over the steps that are no longer in the rows.
+        self._sum = _ZERO
+        #: Forces on the bodies in each step, and the centre of mass of the tree, as bytes.
+        self._rows: list[bytes] = []
+        self._centres: list[bytes] = []
         self._steps = 1
         #: Force and torque about the origin in world axes; None until somebody needs them.
         self._mean: FloatArray | None = _ZERO
@@ -61,29 +64,33 @@ class ExternalWrench:
         self.bodies = slice(body, body + _subtree_size(model, body))
         self._forces = data.cfrc_ext[self.bodies]
         self._centre = data.subtree_com[model.body_rootid[body]]
-        self._rows = np.empty((_ROWS, *self._forces.shape))
-        self._centres = np.empty((_ROWS, 3))
+        self._none = bytes(self._forces.nbytes)
 
     def begin_period(self) -> None:
         """Begin a control period in which each step may be recorded."""
-        self._sum, self._row = _ZERO, 0
+        self._sum = _ZERO
+        if self._rows:
+            self._rows, self._centres = [], []
 
     def record(self) -> None:
         """Record the forces of the last step."""
-        row = self._row
-        self._rows[row] = self._forces
-        self._centres[row] = self._centre
-        self._row = row + 1
-        if self._row == _ROWS:
-            self._sum_up()
+        forces = self._forces.tobytes()
+        if forces != self._none:
+            self._rows.append(forces)
+            self._centres.append(self._centre.tobytes())
+            if len(self._rows) == _ROWS:
+                self._sum_up()
 
     def _sum_up(self) -> None:
-        wrenches = np.add.reduce(self._rows[:self._row], axis=1)
+        count = len(self._rows)
+        rows = np.frombuffer(b''.join(self._rows)).reshape(count, -1, 6)
+        centres = np.frombuffer(b''.join(self._centres)).reshape(count, 3)
+        wrenches = np.add.reduce(rows, axis=1)
         torque, force = np.add.reduce(wrenches).reshape(2, 3)
         (_, xy, xz), (yx, _, yz), (zx, zy, _) = np.einsum(
-            'ni,nj->ij', self._centres[:self._row], wrenches[:, 3:]).tolist()
+            'ni,nj->ij', centres, wrenches[:, 3:]).tolist()
         self._sum = self._sum + [*force, *(torque + [yz - zy, zx - xz, xy - yx])]
-        self._row = 0
+        self._rows, self._centres = [], []
 
     def end_period(self, data: mujoco.MjData, steps: int, period_s: float) -> None:
         """
@@ -101,7 +108,7 @@ class ExternalWrench:
                 lag if np.abs(lag).max() < _ROUNDING else weight * lag)
 
     def _compute_mean(self) -> FloatArray:
-        if self._row:
+        if self._rows:
             self._sum_up()
         mean = self._sum / self._steps
         self._mean = mean if np.abs(mean).max() > _ROUNDING else _ZERO
@@ -199,11 +206,10 @@ class TouchWatch:
         return self._ties.size > 0 and bool(self._data.eq_active[self._ties].any())
 
     @property
-    def touched(self) -> bool:
-        """Whether a tool is pushed or touches something else, as of the last ``mj_forward``."""
-        return self.pushed or self._data.ncon > 0 and self._touches()
-
-    def _touches(self) -> bool:
+    def touches(self) -> bool:
+        """Whether a tool touches something else, as of the last ``mj_forward``."""
+        if not self._data.ncon:
+            return False
         geoms = self._data.contact.geom
         key = geoms.tobytes()
         if key != self._geoms:

@@ -42,7 +42,6 @@ class SimulationState:
     :ivar model: signature of the compiled model
     :ivar physics: what MuJoCo integrates, and its solvers start from
     :ivar computed_from: the same when the present forces were computed
-    :ivar computed_for: positions and velocities that they were computed for
     :ivar gains: what control has changed in the model, by field
     :ivar control: setpoints, commands, grippers, tare, filters and settings, pickled
     :ivar start: of the joints at the next reset, by name [rad or m]
@@ -56,7 +55,6 @@ class SimulationState:
     model: int
     physics: bytes
     computed_from: bytes
-    computed_for: bytes
     gains: Mapping[str, bytes]
     control: bytes
     start: Mapping[str, float]

@@ -13,7 +13,6 @@ import hashlib
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
@@ -22,12 +21,11 @@ from manip_sim.simulation.activation import (
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.command_parser import CommandParser
-from manip_sim.simulation.divergence import DivergenceWatch
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
-from manip_sim.simulation.external_wrench import TouchWatch
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.physics_steps import PhysicsSteps
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
@@ -38,12 +36,6 @@ from manip_sim.simulation.start_check import check_start
 _SETTLE_S = 0.5
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
-#: Integrators with which mj_step2 after mj_forward gives the same bits as mj_step.
-_RESUMABLE = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
-#: The state that mj_step1 depends on, the half of a step that mj_step2 leaves out.
-_FIRST_HALF = (int(mujoco.mjtState.mjSTATE_QPOS) | int(mujoco.mjtState.mjSTATE_QVEL)
-               | int(mujoco.mjtState.mjSTATE_MOCAP_POS) | int(mujoco.mjtState.mjSTATE_MOCAP_QUAT)
-               | int(mujoco.mjtState.mjSTATE_EQ_ACTIVE))
 
 
 @dataclass(frozen=True)
@@ -106,6 +98,8 @@ class Simulation:
         robots = [SimulatedRobot(self.physics, robot, self.efforts, self._clock)
                   for robot in world.robots]
         self.robots = {robot.name: robot for robot in robots}
+        self._steps = PhysicsSteps(self.physics, self._clock, self.efforts, [
+            reader.external for robot in robots for reader in robot.end_effectors.values()])
         self.physics.on_change(self._look_at_model)
         self._settle_linkages()
         self._reset()
@@ -114,20 +108,6 @@ class Simulation:
 
     def _look_at_model(self) -> None:
         self._free_roots = FreeRoots(self.model, self._roots)
-        self._divergence = DivergenceWatch(self.model, self.data)
-        self._first_half = np.empty(mujoco.mj_stateSize(self.model, _FIRST_HALF))
-        #: The state that the first half of a step was last computed for.
-        self._computed_for = b''
-        #: The whole state that the present forces were computed from.
-        self._computed_from = np.empty(mujoco.mj_stateSize(self.model, PHYSICS))
-        self._options = self.model.opt
-        self._tools = [reader.external for robot in self.robots.values()
-                       for reader in robot.end_effectors.values()]
-        self._touch = TouchWatch(self.model, self.data, self._tools)
-        #: Whether nothing touched a tool in the steps at rest that were run last.
-        self._was_untouched = False
-        #: Whether contacts came or went in the last period.
-        self._contacts_change = False
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
         self._control = ControlState(
@@ -224,8 +204,11 @@ class Simulation:
     @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
-        return (self.diverged is None and not self._free_roots.borne and self._resumes()
-                and all([robot.resting for robot in self.robots.values()]))
+        return self.diverged is None and self._steps.resumes() and self._rests()
+
+    def _rests(self) -> bool:
+        return not self._free_roots.borne and all([
+            robot.resting for robot in self.robots.values()])
 
     def advance(self, steps: int) -> None:
         """
@@ -252,29 +235,45 @@ class Simulation:
         self._check_not_diverged()
         for robot in self.robots.values():
             robot.begin_period(steps * self._timestep_s)
-        begin = self._clock.step_count
-        self._divergence.remember()
-        stepwise = not (self.idle and self._stays_untouched)
-        if not stepwise:
-            yield functools.partial(self._compute_untouched, steps)
-            stepwise = not self._was_untouched
-            if stepwise:
-                self._undo(begin)
-        if stepwise:
-            yield from self._step(steps)
-        reason = self._divergence.reason()
+        physics = self._steps
+        untouched = physics.begin() and self._rests() and physics.stays_untouched
+        if untouched:
+            yield functools.partial(physics.run_untouched, steps)
+            untouched = physics.was_untouched
+            if not untouched:
+                physics.undo()
+        if not untouched:
+            yield from self._run(steps)
+        reason = physics.divergence.reason()
         if reason is None:
-            for tool in self._tools:
+            for tool in physics.tools:
                 tool.end_period(self.data, steps, steps * self._timestep_s)
         else:
             self._hold(reason)
 
+    def _run(self, steps: int) -> Iterator[Callable[[], None]]:
+        """Run a period in intervals, each of which control begins."""
+        physics = self._steps
+        physics.begin_run()
+        left = steps
+        while left:
+            awake = [robot for robot in self.robots.values() if not robot.resting]
+            chunk = left
+            if any(robot.moving for robot in awake):
+                # Divide what is left as evenly as whole steps allow.
+                chunk = -(-left // -(-left // self._interval_steps))
+            yield Control(awake, chunk * self._timestep_s)
+            self._free_roots.bear(self.data)
+            yield functools.partial(physics.run, chunk)
+            left -= chunk
+        yield physics.finish
+
     def _hold(self, reason: str) -> None:
         self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
-        self._divergence.hold()
-        mujoco.mj_forward(self.model, self.data)
+        self._steps.divergence.hold()
+        self._steps.compute()
         self.efforts.restart()
-        for tool in self._tools:
+        for tool in self._steps.tools:
             tool.restart(self.data)
         self._check_not_diverged()
 
@@ -292,99 +291,16 @@ class Simulation:
         :param periods: number of control periods
         :raises DivergenceError: if the physics diverges
         """
-        if self._stays_untouched and all([tool.settled for tool in self._tools]):
-            begin = self._clock.step_count
-            self._divergence.remember()
-            self._compute_untouched(steps * periods)
-            if self._was_untouched and self._divergence.reason() is None:
+        physics = self._steps
+        if physics.stays_untouched and all([tool.settled for tool in physics.tools]):
+            physics.begin()
+            physics.run_untouched(steps * periods)
+            if physics.was_untouched and physics.divergence.reason() is None:
                 return
             # Run one by one, the periods show in which of them that happened.
-            self._undo(begin)
+            physics.undo()
         for _ in range(periods):
             self.advance(steps)
-
-    def _end(self) -> None:
-        """Compute all of the new instant."""
-        self.efforts.record()
-        mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
-        # After mj_step the sensors are one step older than the positions.
-        mujoco.mj_forward(self.model, self.data)
-        self._computed_for = self._first_half_state()
-
-    def _undo(self, begin: int) -> None:
-        self._divergence.undo()
-        self._computed_for = b''
-        self._clock.count(begin - self._clock.step_count)
-
-    @property
-    def _stays_untouched(self) -> bool:
-        """Whether nothing touches a tool, nor is likely to in the next period."""
-        return not self._contacts_change and not self._touch.touched
-
-    def _compute_untouched(self, steps: int) -> None:
-        """
-        Run steps at rest, and find out whether nothing can have touched a tool in them.
-
-        That is so if nothing did before and the number of contacts never changed.
-        """
-        contacts = self.data.ncon
-        self.data.maxuse_con = contacts
-        for tool in self._tools:
-            tool.begin_period()
-        mujoco.mj_step2(self.model, self.data)
-        if steps > 1:
-            mujoco.mj_step(self.model, self.data, steps - 1)
-        self._clock.count(steps)
-        self._was_untouched = bool(self.data.maxuse_con == contacts == self.data.ncon)
-        if self._was_untouched:
-            self._end()
-
-    def _step(self, steps: int) -> Iterator[Callable[[], None]]:
-        """Run steps in intervals, each begun by control, and record the forces on the tools."""
-        resumes, pushed = self._resumes(), self._touch.pushed
-        contacts = {self.data.ncon}
-        for tool in self._tools:
-            tool.begin_period()
-        left = steps
-        while left:
-            awake = [robot for robot in self.robots.values() if not robot.resting]
-            chunk = left
-            if any(robot.moving for robot in awake):
-                # Divide what is left as evenly as whole steps allow.
-                chunk = -(-left // -(-left // self._interval_steps))
-            yield Control(awake, chunk * self._timestep_s)
-            self._free_roots.bear(self.data)
-            yield functools.partial(self._compute, chunk, resumes, pushed, contacts)
-            resumes = False
-            left -= chunk
-        self._contacts_change = len(contacts) > 1
-        yield self._end
-
-    def _compute(self, steps: int, resumes: bool, pushed: bool, contacts: set[int]) -> None:
-        """Run the steps of an interval, and collect how many contacts there are in them."""
-        model, data = self.model, self.data
-        for _ in range(steps):
-            if resumes:
-                # What depends on positions and velocities alone has been computed already.
-                mujoco.mj_step2(model, data)
-                resumes = False
-            else:
-                mujoco.mj_step(model, data)
-            contacts.add(data.ncon)
-            if data.ncon or pushed:
-                for tool in self._tools:
-                    tool.record()
-        self._clock.count(steps)
-
-    def _resumes(self) -> bool:
-        """Tell whether the first half of a step has been computed."""
-        return (self._computed_for == self._first_half_state()
-                and int(self._options.integrator) in _RESUMABLE
-                and not self._options.enableflags)
-
-    def _first_half_state(self) -> bytes:
-        mujoco.mj_getState(self.model, self.data, self._first_half, _FIRST_HALF)
-        return self._first_half.tobytes()
 
     def reset(self, seed: int | None = None) -> None:
         """
@@ -408,18 +324,16 @@ class Simulation:
         for robot in self.robots.values():
             robot.reset()
         self.diverged = None
-        self._computed_for = b''
-        self._contacts_change = False
-        mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
-        mujoco.mj_forward(self.model, self.data)
+        self._steps.contacts_change = False
+        self._steps.compute()
+        self._steps.compute_anew()
         self.efforts.restart()
-        for tool in self._tools:
+        for tool in self._steps.tools:
             tool.reset(self.data)
 
     def forward(self) -> None:
         """Compute all of the present instant anew, after :attr:`data` was changed by hand."""
-        mujoco.mj_getState(self.model, self.data, self._computed_from, PHYSICS)
-        mujoco.mj_forward(self.model, self.data)
+        self._steps.compute()
 
     # ------------------------------------------------------------------ saved states
 
@@ -431,11 +345,11 @@ class Simulation:
         """
         return SimulationState(
             versions=self._versions(), model=self.model.signature,
-            physics=self._physics_state().tobytes(), computed_from=self._computed_from.tobytes(),
-            computed_for=self._computed_for, gains=gains(self.model), control=self._control.save(),
-            start=dict(self._start), step_count=self._clock.step_count,
-            control_steps=self._clock.control_steps, contacts_change=self._contacts_change,
-            diverged=self.diverged)
+            physics=self._steps.state().tobytes(),
+            computed_from=self._steps.computed_from.tobytes(), gains=gains(self.model),
+            control=self._control.save(), start=dict(self._start),
+            step_count=self._clock.step_count, control_steps=self._clock.control_steps,
+            contacts_change=self._steps.contacts_change, diverged=self.diverged)
 
     def restore(self, state: SimulationState) -> None:
         """
@@ -452,14 +366,11 @@ class Simulation:
             robot.abort('a saved state was restored')
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
         self._start = dict(state.start)
-        self.diverged, self._contacts_change = state.diverged, state.contacts_change
+        self.diverged, self._steps.contacts_change = state.diverged, state.contacts_change
         set_gains(self.model, state.gains)
-        self._computed_from[:] = np.frombuffer(state.computed_from)
-        mujoco.mj_setState(self.model, self.data, self._computed_from, PHYSICS)
-        mujoco.mj_forward(self.model, self.data)
-        # Commands may have changed controls since; forces are those of before.
+        # Commands may have changed controls since the present forces were computed.
+        self._steps.compute_from(np.frombuffer(state.computed_from))
         mujoco.mj_setState(self.model, self.data, np.frombuffer(state.physics), PHYSICS)
-        self._computed_for = state.computed_for
         self._control.restore(state.control)
 
     def check_restorable(self, state: SimulationState) -> None:
@@ -473,7 +384,7 @@ class Simulation:
             raise ModelError(f'the state was saved by {state.versions}, this is '
                              + self._versions())
         if (state.model != self.model.signature
-                or len(state.physics) != self._computed_from.nbytes):
+                or len(state.physics) != self._steps.computed_from.nbytes):
             raise ModelError('the state was saved in a simulation of another world, or with other '
                              'objects in it')
 
@@ -484,7 +395,7 @@ class Simulation:
         It is the same for the same commands since the last reset, in any process, after any
         other episodes, and whatever was read meanwhile.
         """
-        digest = hashlib.sha256(self._physics_state().tobytes())
+        digest = hashlib.sha256(self._steps.state().tobytes())
         for name, content in gains(self.model).items():
             digest.update(name.encode() + content)
         for content in self._control.encoded():
@@ -494,8 +405,3 @@ class Simulation:
     @staticmethod
     def _versions() -> str:
         return f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'
-
-    def _physics_state(self) -> FloatArray:
-        physics = np.empty(len(self._computed_from))
-        mujoco.mj_getState(self.model, self.data, physics, PHYSICS)
-        return physics

@@ -11,7 +11,7 @@ from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.robots import robot_names
-from manip_sim.simulation import Simulation, simulation as module
+from manip_sim.simulation import physics_steps as module, Simulation
 
 EVERYTHING = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 PERIODS = 80
@@ -50,14 +50,17 @@ def run(name, integrator, between=lambda simulation, period: None):
 
 @pytest.fixture
 def count(monkeypatch):
-    """Return a list that grows with each second half of a step."""
-    halves, step2 = [], mujoco.mj_step2
+    """Return a list that grows by the name of each part of a step that is not a whole one."""
+    parts = []
 
-    def counted(model, data):
-        halves.append(1)
-        step2(model, data)
-    monkeypatch.setattr(mujoco, 'mj_step2', counted)
-    return halves
+    def counted(name, function):
+        def call(model, data):
+            parts.append(name)
+            function(model, data)
+        return call
+    for name in ('mj_step2', 'mj_Euler', 'mj_implicit'):
+        monkeypatch.setattr(mujoco, name, counted(name, getattr(mujoco, name)))
+    return parts
 
 
 @pytest.mark.parametrize('name', robot_names())
@@ -71,6 +74,31 @@ def test_the_states_are_those_of_whole_steps_to_the_last_bit(
     whole, _ = run(name, integrator)
     assert not count
     assert np.array_equal(resumed, whole)
+
+
+@pytest.mark.parametrize('name', ['Panda', 'Baxter', 'PandaOmron'])
+@pytest.mark.parametrize('integrator, part', [
+    ('EULER', 'mj_Euler'), ('IMPLICITFAST', 'mj_implicit')])
+def test_periods_at_rest_only_integrate_first_and_are_whole_steps_to_the_last_bit(
+        name, integrator, part, monkeypatch, count):
+    def rest():
+        simulation = Simulation(compose(name, arena=create_arena('table', cube=True)))
+        simulation.model.opt.integrator = getattr(mujoco.mjtIntegrator, f'mjINT_{integrator}')
+        states = []
+        for period in range(40):
+            if period == 20:  # Something falls: not all has been computed.
+                simulation.data.joint('cube_joint').qpos[2] += 0.05
+            if period == 30:  # Something is pushed: only what forces depend on was not.
+                simulation.data.xfrc_applied[simulation.model.body('cube').id, 0] = 0.2
+            simulation.advance(5)
+            states.append(whole_state(simulation))
+        return np.array(states)
+    resumed = rest()
+    assert set(count) == {part, 'mj_step2'} and count.count(part) > 20
+    count.clear()
+    monkeypatch.setattr(module, '_RESUMABLE', ())
+    assert np.array_equal(resumed, rest())
+    assert not count
 
 
 def test_other_integrators_take_whole_steps(count):
