@@ -102,5 +102,6 @@ setup(
     ],
     entry_points={
         'console_scripts': [f'{name} = {function}' for name, function in PROGRAMS.items()],
+        'pytest11': [f'{PACKAGE} = {PACKAGE}.testing.plugin'],
     },
 )

@@ -15,7 +15,8 @@ PACKAGE = HERE.parent / 'manip_sim'
 #: Rooms from top to bottom: each imports from rooms below it only.
 FLOORS = (
     {'viewer': 'a client: see and drive', 'examples': 'clients: pick, hand over',
-     'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration'},
+     'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration',
+     'testing': 'a fixture of pytest'},
     {'ros': 'how it is seen: node, topics, services'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing',
      'tasks': 'starts, success', 'rendering': 'pictures', 'worlds': 'many copies of one'},

@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 
-from domains import reserve_domain
+from manip_sim.testing.domains import reserve_domain
 import numpy as np
 import pytest
 

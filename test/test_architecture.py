@@ -35,7 +35,7 @@ MAY_IMPORT = {
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
-WITH_RCLPY = ('ros', 'examples', 'viewer/ros', f'{INTERNALS}.py')
+WITH_RCLPY = ('ros', 'examples', 'testing', 'viewer/ros', f'{INTERNALS}.py')
 TOP_LEVEL = {'algebra', 'arrays', 'entry_points', 'environment', 'errors', 'quoting', 'resources',
              'startup'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}

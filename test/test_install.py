@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 
-from domains import reserve_domain
+from manip_sim.testing.domains import reserve_domain
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -45,7 +45,8 @@ def picture_of_world(world: World, size: tuple[int, int], views: Sequence[View] 
     :raises ManipSimError: if nothing can be rendered
     """
     model, data = _start_of(world, grippers_open)
-    return _picture(model, data, size, views, in_studio, _FLOOR if not world.robots else ())
+    return picture_of_state(model, data, size, views, in_studio,
+                            _FLOOR if not world.robots else ())
 
 
 def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
@@ -78,12 +79,20 @@ def picture_of_part(part: MujocoXMLModel, size: tuple[int, int],
         if not len(corners):
             raise ModelError(f'{part.name} has no visible shapes (group 0 to 2), so no picture')
         height += _ABOVE_FLOOR - float(corners[:, 2].min())
-    return _picture(model, data, size, views, in_studio)
+    return picture_of_state(model, data, size, views, in_studio)
 
 
-def _picture(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
-             views: Sequence[View], in_studio: bool,
-             else_shown: Sequence[Sequence[float]] = ()) -> Image:
+def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int],
+                     views: Sequence[View] = TWO_SIDES, in_studio: bool = False,
+                     else_shown: Sequence[Sequence[float]] = ()) -> Image:
+    """
+    Render the present state of a model.
+
+    :param data: after ``mj_forward``
+    :param else_shown: points that fill the picture if nothing but the world has visible shapes [m]
+
+    The other parameters and errors are those of :func:`picture_of_world`.
+    """
     import mujoco
     import numpy as np
     from PIL import Image

@@ -33,6 +33,8 @@ _KNOWN = '7.1.'
 _EVENTS_S = 0.2
 #: How long to pause when there is nothing to wait for, as while the context is shut down [s].
 _CLOSING_S = 0.01
+#: How many messages of a topic are taken at once: what a subscription keeps.
+_TAKEN_AT_ONCE = 10
 
 
 class _NotByExecutors(CallbackGroup):
@@ -170,6 +172,9 @@ class CommandThread:
     def __init__(self, inbox: CommandInbox) -> None:
         self._inbox = inbox
         self._ending = False
+        self._lock = threading.Lock()
+        #: Are set as soon as what had come before is taken.
+        self._taken: list[threading.Event] = []
         self._thread = threading.Thread(target=self._run, name='commands')
 
     def start(self) -> None:
@@ -188,10 +193,26 @@ class CommandThread:
         """Whether it takes messages."""
         return self._thread.is_alive()
 
+    def take(self) -> None:
+        """Wait until the messages that have come are taken, of a flood only the first ones."""
+        taken = threading.Event()
+        with self._lock:
+            self._taken.append(taken)
+        self._inbox.wake()
+        while self.is_alive and not taken.wait(_EVENTS_S):
+            pass
+
     def _run(self) -> None:
         while not self._ending:
             begin_s = time.thread_time()
-            self._inbox.wait(_EVENTS_S)
+            with self._lock:
+                waiting, self._taken = self._taken, []
+            if waiting:
+                self._inbox.take(_TAKEN_AT_ONCE)
+                for taken in waiting:
+                    taken.set()
+            else:
+                self._inbox.wait(_EVENTS_S)
             time.sleep(time.thread_time() - begin_s)
 
 

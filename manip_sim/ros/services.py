@@ -26,14 +26,18 @@ class SimulationServices:
     :param node: the node
     :param simulation: what is controlled
     :param thread: runs it
+    :param take_commands: takes the commands that have come, which count before ``~/pause`` and
+        ``~/step``
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread) -> None:
+    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
+                 take_commands: Callable[[], None]) -> None:
         self._thread = thread
+        self._take_commands = take_commands
         self._simulation = simulation
         node.create_service(SetBool, '~/pause', self._pause)
         for name, function, done in (
-                ('~/step', thread.step, 'advanced by one control period'),
+                ('~/step', self._step, 'advanced by one control period'),
                 ('~/reset', thread.reset, 'back at the start'),
                 ('~/reset_reflex', self._reset_reflex, 'all parts take commands again'),
                 ('~/tare_wrench', self._tare, 'external wrenches read zero now'),
@@ -41,9 +45,14 @@ class SimulationServices:
             node.create_service(Trigger, name, self._trigger(function, done))
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._take_commands()
         already = 'already ' if self._thread.paused == request.data else ''
         return _answer(response, lambda: self._thread.pause(request.data),
                        already + ('paused' if request.data else 'running'))
+
+    def _step(self) -> None:
+        self._take_commands()
+        self._thread.step()
 
     def _tare(self) -> None:
         def tare() -> None:

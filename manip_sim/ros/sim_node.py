@@ -111,7 +111,7 @@ class SimNode(Node):
         self._show_world(world, frame_prefix)
         self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
-        SimulationServices(self, self.simulation, self.thread)
+        SimulationServices(self, self.simulation, self.thread, self._take_commands)
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
                                     spawn_files(value('spawn_roots')))
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
@@ -281,6 +281,10 @@ class SimNode(Node):
         if self._actions is not None:
             self._actions.destroy()
         super().destroy_node()
+
+    def _take_commands(self) -> None:
+        if self._command_thread is not None:
+            self._command_thread.take()
 
     @property
     def takes_commands(self) -> bool:

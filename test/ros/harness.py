@@ -12,7 +12,7 @@ import threading
 import time
 from typing import Any
 
-from domains import reserve_domain
+from manip_sim.testing.domains import reserve_domain
 from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.executors import SingleThreadedExecutor

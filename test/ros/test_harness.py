@@ -5,7 +5,7 @@
 
 import os
 
-from domains import lives, reserve_domain
+from manip_sim.testing.domains import lives, reserve_domain
 from harness import DOMAIN
 
 

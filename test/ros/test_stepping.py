@@ -12,6 +12,7 @@ import pytest
 from rclpy.duration import Duration as WaitDuration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 
@@ -135,3 +136,23 @@ def test_a_start_that_is_paused_is_told(serve, client):
     log = client.log()
     serve(start_paused=True)
     client.spin_until(lambda: any('paused until ~/pause is called' in line for line in log))
+
+
+def test_commands_that_came_before_a_step_count_in_it(serve, client):
+    node = serve(start_paused=True)
+    client.state()
+    # The thread that takes commands is late, and takes none by itself.
+    node._inbox.wait = lambda timeout_s: time.sleep(0.01)
+    publisher = client.publisher(JointState, 'joint_command')
+    for goal in (0.3, -0.2, 0.4):
+        publisher.publish(JointState(name=['robot0_joint1'], position=[goal]))
+        assert publisher.wait_for_all_acked()
+        client.call(Trigger, 'manip_sim/step')
+        (command,) = node.simulation.robot.joints.commands.running
+        assert command.values.tolist() == [goal]
+    publisher.publish(JointState(name=['robot0_joint1'], position=[0.1]))
+    assert publisher.wait_for_all_acked()
+    client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=True))
+    assert node.thread.call(lambda: node.simulation.robot.joints.commands.running) == [command]
+    client.call(Trigger, 'manip_sim/step')
+    assert node.simulation.robot.joints.commands.running[0].values.tolist() == [0.1]

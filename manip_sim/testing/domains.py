@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""ROS domains that no other process uses."""
+"""ROS domains that no other process uses: a node and its clients meet nobody else there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import tempfile
 
 def reserve_domain() -> tuple[int, int]:
     """
-    Find a domain that nobody lives in, and keep it from other runs of these tests.
+    Find a domain that nobody lives in, and keep it from other tests that call this.
 
     :returns: its number, and a file descriptor that reserves it until it is closed
     """

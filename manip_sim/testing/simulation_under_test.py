@@ -1,0 +1,371 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A simulation that stands still unless a test lets simulated time pass, and what it published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import math
+from pathlib import Path
+import subprocess
+import threading
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from manip_sim.errors import ManipSimError, UnknownNameError
+from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.testing.evidence import save_evidence
+from manip_sim.testing.history import (
+    joint_history, JointHistory, wrench_history, WrenchHistory)
+from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
+
+#: What is recorded, by the name of the type of the topic.
+_RECORDED = {f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}': kind
+             for kind in (JointState, WrenchStamped, PoseStamped, TwistStamped)}
+#: How many control periods pass at once: fewer than the messages that a publisher keeps.
+_AT_ONCE = 5
+#: How often the node, ten times a second, repeats a state until the test gives it up as stalled.
+_PATIENCE = 600
+#: Longest wait for a message at once; what is waited for may also come about otherwise [s].
+_LOOK_S = 0.05
+_MOST_MESSAGES = 100_000
+
+
+class SimulationStalled(ManipSimError):
+    """Simulated time does not pass although the test lets it."""
+
+
+class NotInTime(ManipSimError, AssertionError):
+    """What a test waits for has not come about within its limit of simulated time."""
+
+
+class SimulationUnderTest:
+    """
+    A node in a domain of its own; its time passes only in :meth:`run_for` and :meth:`wait_for`.
+
+    The fixture ``sim_node`` makes it. The node starts paused. With ``stepping='lockstep'`` it
+    waits for the commands of the controller under test, so that results repeat to the last bit;
+    with ``'free'``, the default here, nothing waits, which fits tests that send goals.
+
+    :param domain: the ROS domain
+    :param parameters: of the node, by name
+    :param as_process: start the node as a process of its own
+    :raises ManipSimError: if the node cannot start
+    :ivar domain: the ROS domain
+    :ivar node: an ``rclpy`` node for what a test publishes, calls or subscribes to; its callbacks
+        run while the test waits
+    :ivar period_s: length of a control period [s]
+    """
+
+    def __init__(self, domain: int, parameters: Mapping[str, Any], as_process: bool) -> None:
+        given = {'stepping': 'free', **parameters, 'start_paused': True}
+        self._lockstep = given['stepping'] == 'lockstep'
+        self.domain = domain
+        self.server: ServedNode = (
+            NodeProcess(given) if as_process else NodeInProcess(domain, given))
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain, args=[])
+        self.node = rclpy.create_node('test_of_a_controller', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._publishers: dict[str, Any] = {}
+        self._messages: dict[str, list[Any]] = {}
+        self._spinning: list[tuple[SingleThreadedExecutor, threading.Thread]] = []
+        self._processes: list[subprocess.Popen[Any]] = []
+        self._now_ns = self._repeats = 0
+        try:
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self) -> None:
+        values = self.call(GetParameters, 'manip_sim/get_parameters',
+                           GetParameters.Request(names=['publish_rate', 'robots'])).values
+        self.period_s = 1.0 / float(values[0].double_value)
+        spaces = [f'{name}/' for name in values[1].string_array_value if name] or ['']
+        wanted = [f'/{space}joint_states' for space in spaces]
+        self._spin_until(lambda: all(map(self.node.count_publishers, wanted)))
+        for topic, types in self.node.get_topic_names_and_types():
+            if types[0] in _RECORDED and self.node.count_publishers(topic):
+                self._record(topic, _RECORDED[types[0]])
+        # Topics of a robot without an arm, or of objects that come later, have no message yet.
+        self._spin_until(lambda: self._repeats > 2 and all(self._messages[t] for t in wanted))
+        self._topics = [topic for topic, messages in self._messages.items() if messages]
+        self._now_ns = nanoseconds_of(self._messages[wanted[0]][0].header.stamp)
+
+    def _record(self, topic: str, message_type: Any) -> None:
+        messages = self._messages[topic] = []
+
+        def take(message: Any) -> None:
+            stamp_ns = nanoseconds_of(message.header.stamp)
+            if not messages or stamp_ns > nanoseconds_of(messages[-1].header.stamp):
+                messages.append(message)
+                self._repeats = 0
+            else:
+                self._repeats += topic.endswith('/joint_states') and topic.count('/') == 1
+        self.node.create_subscription(message_type, topic, take, 1000)
+
+    # ------------------------------------------------------------------ time
+
+    @property
+    def time_s(self) -> float:
+        """Simulation time now, that of the newest state [s]."""
+        return self._now_ns * 1e-9
+
+    def run_for(self, duration_s: float) -> None:
+        """
+        Let simulated time pass, in whole control periods.
+
+        :param duration_s: simulated time [s]
+        :raises ManipSimError: if the duration is negative or not finite, or the node has ended
+        :raises SimulationStalled: if no control period begins, such as for want of commands
+        """
+        if not (math.isfinite(duration_s) and duration_s >= 0.0):
+            raise ManipSimError(f'a duration must be finite and 0 or more, got {duration_s}')
+        left = round(duration_s / self.period_s)
+        while left:
+            periods = min(left, _AT_ONCE)
+            self._advance(periods)
+            left -= periods
+
+    def wait_for(self, predicate: Callable[[], bool], limit_s: float = 10.0) -> None:
+        """
+        Let simulated time pass until something is true, and no longer.
+
+        :param predicate: is called once at each instant, such as with ``states()``
+        :param limit_s: simulated time [s]
+        :raises NotInTime: if it has not become true
+        :raises SimulationStalled: if no control period begins
+        """
+        periods = max(0, math.ceil(limit_s / self.period_s - 1e-9))
+        for _ in range(periods):
+            if predicate():
+                return
+            self._advance(1)
+        if not predicate():
+            raise NotInTime(f'not true within {limit_s:g} s of simulated time, at '
+                            f'{self.time_s:.3f} s')
+
+    def _advance(self, periods: int) -> None:
+        end_ns = self._now_ns + periods * round(self.period_s * 1e9)
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked()
+        self._set('pause_at', end_ns * 1e-9)
+        self._repeats = 0
+        self.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
+        self._spin_until(lambda: all(
+            nanoseconds_of(self._messages[topic][-1].header.stamp) >= end_ns
+            for topic in self._topics), self._check_not_stalled)
+        self._now_ns = end_ns
+
+    def _check_not_stalled(self) -> None:
+        if self._repeats > _PATIENCE:
+            parts = ('lock-step waits for a command of the parts in lockstep_parts'
+                     if self._lockstep else 'is it paused by somebody else, or has it diverged?')
+            raise SimulationStalled(f'the simulation stands still at {self.time_s:.3f} s: {parts}')
+
+    def _set(self, name: str, value: Any) -> None:
+        result = self.call(SetParametersAtomically, 'manip_sim/set_parameters_atomically',
+                           SetParametersAtomically.Request(parameters=[
+                               Parameter(name, value=value).to_parameter_msg()])).result
+        if not result.successful:
+            raise ManipSimError(result.reason)
+
+    def set_parameter(self, name: str, value: Any) -> None:
+        """
+        Change a live parameter of the node.
+
+        :param name: such as ``control_mode.arm``
+        :param value: the new value
+        :raises ManipSimError: if the node rejects it, with its reason
+        """
+        self._set(name, value)
+
+    def reset(self) -> None:
+        """
+        Put the simulation back to its start; time and what was recorded go on.
+
+        :raises ManipSimError: if the node refuses
+        """
+        response = self.call(Trigger, 'manip_sim/reset')
+        if not response.success:
+            raise ManipSimError(response.message)
+        end_ns = self._now_ns + round(self.period_s * 1e9)
+        self._spin_until(lambda: all(
+            nanoseconds_of(self._messages[topic][-1].header.stamp) >= end_ns
+            for topic in self._topics))
+        self._now_ns = end_ns
+
+    # ------------------------------------------------------------------ what was published
+
+    def messages(self, topic: str) -> list[Any]:
+        """
+        Return the messages of a recorded topic up to now, one for each control period, a copy.
+
+        :param topic: such as ``right/eef_pose``; joint states, wrenches, poses and twists
+        :raises UnknownNameError: if there is no such topic
+        """
+        name = f'/{topic.lstrip("/")}'
+        if name not in self._messages:
+            raise UnknownNameError('recorded topic', topic, [t[1:] for t in self._messages])
+        return list(self._messages[name])
+
+    def recorded(self, message_type: Any) -> list[str]:
+        """Return the names of the recorded topics of a type of messages that have a message."""
+        return [name[1:] for name, messages in self._messages.items()
+                if messages and isinstance(messages[0], message_type)]
+
+    def receive(self, message_type: Any, topic: str, qos: Any = 10) -> Any:
+        """
+        Return the next message of any topic; of a latched one the last that was published.
+
+        :param message_type: such as ``std_msgs.msg.String``
+        :param topic: such as ``manip_sim/mjcf``
+        :param qos: profile, or depth of the history
+        """
+        messages: list[Any] = []
+        subscription = self.node.create_subscription(message_type, topic, messages.append, qos)
+        self._spin_until(lambda: bool(messages))
+        self.node.destroy_subscription(subscription)
+        return messages[0]
+
+    def states(self, topic: str = 'joint_states') -> JointHistory:
+        """
+        Return the states of joints up to now.
+
+        :param topic: such as ``arm/joint_states``
+        :raises UnknownNameError: if there is no such topic
+        """
+        return joint_history(self.messages(topic))
+
+    def wrenches(self, topic: str = 'right/external_wrench') -> WrenchHistory:
+        """
+        Return the wrenches at a tool up to now.
+
+        :param topic: such as ``left/wrench``
+        :raises UnknownNameError: if there is no such topic
+        """
+        return wrench_history(self.messages(topic))
+
+    # ------------------------------------------------------------------ what a test does
+
+    def publish(self, topic: str, message: Any) -> None:
+        """
+        Publish a command; the next control period uses it.
+
+        :param topic: such as ``arm/joint_command``
+        :param message: of the type of the topic
+        :raises ManipSimError: if the node has ended
+        """
+        if topic not in self._publishers:
+            publisher = self.node.create_publisher(type(message), topic, 100)
+            self._spin_until(lambda: publisher.get_subscription_count() > 0)
+            self._publishers[topic] = publisher
+        self._publishers[topic].publish(message)
+
+    def call(self, service_type: Any, name: str, request: Any = None) -> Any:
+        """
+        Call a service and return its response.
+
+        :param service_type: such as ``std_srvs.srv.Trigger``
+        :param name: such as ``manip_sim/tare_wrench``
+        :param request: None for an empty one
+        :raises ManipSimError: if the node has ended
+        """
+        client = self.node.create_client(service_type, name)
+        try:
+            self._spin_until(client.service_is_ready)
+            future = client.call_async(request or service_type.Request())
+            self._spin_until(future.done)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def spin(self, node: Node) -> None:
+        """
+        Run the callbacks of a controller's node in a thread of its own, until the test ends.
+
+        :param node: of the context that ``rclpy.init()`` initialised in the test, or of any other
+        """
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        thread = threading.Thread(target=_spin, args=(executor,), name=node.get_name())
+        thread.start()
+        self._spinning.append((executor, thread))
+
+    def start(self, command: Sequence[str], **arguments: Any) -> subprocess.Popen[Any]:
+        """
+        Start a controller as a process in the domain of the node; it is ended with the test.
+
+        :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
+        :param arguments: further arguments of ``subprocess.Popen``
+        """
+        process = subprocess.Popen(command, **arguments)
+        self._processes.append(process)
+        return process
+
+    def wait_for_publisher(self, topic: str) -> None:
+        """
+        Wait until the controller under test publishes a topic; simulated time does not pass.
+
+        :param topic: such as ``arm/joint_command``
+        :raises ManipSimError: if the node or a process of :meth:`start` has ended meanwhile
+        """
+        self._spin_until(lambda: self.node.count_publishers(topic) > 0, self._check_processes)
+
+    def _check_processes(self) -> None:
+        for process in self._processes:
+            if process.poll() is not None:
+                raise ManipSimError(f'{process.args!r} has ended with exit code '
+                                    f'{process.returncode}')
+
+    def _spin_until(self, condition: Callable[[], bool],
+                    check: Callable[[], None] = lambda: None) -> None:
+        while not condition():
+            self.server.check()
+            check()
+            self._executor.spin_once(timeout_sec=_LOOK_S)
+
+    # ------------------------------------------------------------------ the end
+
+    def save_evidence(self, folder: Path) -> list[str]:
+        """
+        Save what was recorded, and a picture of the present instant.
+
+        :param folder: is created
+        :returns: a line for each file
+        """
+        return save_evidence(self, folder)
+
+    def close(self) -> None:
+        """
+        End controllers and node.
+
+        :raises ManipSimError: if the node has failed
+        """
+        for process in self._processes:
+            process.kill()
+            process.wait()
+        for executor, thread in self._spinning:
+            executor.shutdown()
+            thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+        self.server.close()
+
+
+def _spin(executor: SingleThreadedExecutor) -> None:
+    with contextlib.suppress(ExternalShutdownException):
+        executor.spin()

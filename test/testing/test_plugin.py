@@ -1,0 +1,78 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The plugin of pytest as a user has it: in a folder of tests of their own."""
+
+import importlib.util
+import subprocess
+import sys
+
+import numpy as np
+from pages import blocks, DOCS
+from PIL import Image
+import pytest
+
+from manip_sim.models.archive import load_archive
+
+needs_ros = pytest.mark.skipif(importlib.util.find_spec('rclpy') is None,
+                               reason='the fixture sim_node needs ROS 2')
+
+
+def pytest_in(folder, *arguments):
+    return subprocess.run([sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider',
+                           *arguments], cwd=folder, capture_output=True, text=True, timeout=500)
+
+
+@needs_ros
+def test_the_tests_of_the_page_on_testing_pass(tmp_path):
+    files = {block.file: block.text
+             for block in blocks(DOCS / 'how_to' / 'test_your_controller.md') if block.tested_by}
+    assert set(files) == {'test_reach.py', 'test_follower.py', 'test_pick.py'}
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    done = pytest_in(tmp_path)
+    assert done.returncode == 0, done.stdout
+    assert '3 passed' in done.stdout
+
+
+FAILS = """
+from sensor_msgs.msg import JointState
+
+
+def test_that_fails(sim_node):
+    sim = sim_node(robot='UR5e', arena='table', gripper='none')
+    sim.publish('joint_command', JointState(name=['robot0_wrist_3_joint'], position=[1.0]))
+    sim.run_for(0.2)
+    assert False
+"""
+
+
+@needs_ros
+def test_a_failed_test_leaves_states_model_and_picture(tmp_path, renderer):
+    (tmp_path / 'test_of_mine.py').write_text(FAILS)
+    done = pytest_in(tmp_path, '--sim-node-failures', 'left')
+    assert done.returncode == 1
+    folder = tmp_path / 'left' / 'test_of_mine.py_test_that_fails'
+    assert f'the last instant: {folder}/picture.png' in done.stdout
+    with np.load(folder / 'states.npz') as states:
+        assert states['joint_states/position'].shape == (21, 6)
+        assert states['joint_states/time_s'][-1] == pytest.approx(0.21)
+    assert load_archive((folder / 'model.mjz').read_bytes()).nq == 13  # With the free cube.
+    with Image.open(folder / 'picture.png') as picture:
+        assert len(np.unique(np.asarray(picture.convert('RGB')).reshape(-1, 3), axis=0)) > 1000
+
+
+def test_the_plugin_imports_neither_ros_nor_mujoco():
+    script = ('import sys; import manip_sim.testing.plugin; '
+              'print(*{"rclpy", "mujoco", "numpy"}.intersection(sys.modules))')
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          check=True)
+    assert not done.stdout.strip()
+
+
+def test_without_ros_the_fixture_skips_a_test(tmp_path):
+    (tmp_path / 'rclpy.py').write_text('raise ModuleNotFoundError("no ROS here")')
+    (tmp_path / 'test_of_mine.py').write_text('def test_it(sim_node):\n    sim_node()\n')
+    done = pytest_in(tmp_path, '-rs')
+    assert done.returncode == 0
+    assert 'the fixture sim_node needs ROS 2' in done.stdout

@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The fixture for tests of controllers: simulated time, lock-step, records of failures."""
+
+import math
+
+import pytest
+
+pytest.importorskip('rclpy', reason='the fixture sim_node needs ROS 2')
+
+import numpy as np  # noqa: E402
+import rclpy  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from manip_sim.errors import ManipSimError, UnknownNameError  # noqa: E402
+
+
+@pytest.mark.parametrize('as_process', [False, True])
+def test_time_passes_only_while_the_test_lets_it(sim_node, as_process):
+    sim = sim_node(robot='UR5e', as_process=as_process)
+    assert sim.time_s == pytest.approx(0.01)
+    sim.run_for(0.37)
+    sim.publish('arm/joint_command', JointState(name=['robot0_wrist_3_joint'], position=[0.2]))
+    sim.run_for(1.0)
+    states = sim.states('arm/joint_states')
+    # No control period is missing, and none comes twice.
+    np.testing.assert_allclose(states.time_s, 0.01 * np.arange(1, 139), atol=1e-12)
+    assert sim.time_s == pytest.approx(1.38)
+    last = states.names.index('robot0_wrist_3_joint')
+    start = states.position[37, last]
+    assert np.abs(states.position[:38, last] - start).max() < 1e-4
+    # The command that was published before the time went on counts from its first period on.
+    assert abs(states.velocity[38, last]) > 1e-3
+    assert states.position[-1, last] == pytest.approx(0.2, abs=1e-3)
+
+
+def test_waiting_ends_in_the_period_in_which_it_becomes_true(sim_node):
+    sim = sim_node()
+    sim.publish('joint_command', JointState(name=['robot0_joint1'], position=[0.5]))
+    sim.wait_for(lambda: sim.states().position[-1, 0] > 0.25, limit_s=2.0)
+    position = sim.states().position[:, 0]
+    assert position[-1] > 0.25 >= position[-2]
+    with pytest.raises(AssertionError, match=r'not true within 0\.1 s of simulated time, at '):
+        sim.wait_for(lambda: False, limit_s=0.1)
+
+
+class Follower(Node):
+    """Answers each state with a sine, as a controller of somebody else does."""
+
+    def __init__(self):
+        super().__init__('follower')
+        self.publisher = self.create_publisher(JointState, 'arm/joint_command', 10)
+        self.create_subscription(JointState, 'arm/joint_states', self.answer, 10)
+        self.start, self.stamp = None, None
+
+    def answer(self, state):
+        stamp = (state.header.stamp.sec, state.header.stamp.nanosec)
+        if stamp == self.stamp or not self.publisher.get_subscription_count():
+            return
+        self.stamp = stamp
+        self.start = self.start or state.position
+        sway = 0.1 * math.sin(2.0 * math.pi * (stamp[0] + stamp[1] * 1e-9))
+        command = JointState(name=state.name, position=[p + sway for p in self.start])
+        command.header.stamp = state.header.stamp
+        self.publisher.publish(command)
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """Let a test create nodes as controllers do, in the domain of its environment."""
+    yield rclpy.init
+    rclpy.try_shutdown()
+
+
+def test_a_controller_in_lock_step_gives_the_same_states_to_the_last_bit(sim_node, ros):
+    def run():
+        sim = sim_node(stepping='lockstep')
+        ros()
+        follower = Follower()
+        sim.spin(follower)
+        sim.run_for(0.5)
+        sim.run_for(0.5)
+        states = sim.states('arm/joint_states')
+        rclpy.shutdown()
+        return states
+    first, again = run(), run()
+    assert len(first.time_s) == 101
+    assert np.ptp(first.position[:, 0]) > 0.15
+    for field in ('time_s', 'position', 'velocity', 'effort'):
+        assert getattr(first, field).tobytes() == getattr(again, field).tobytes()
+
+
+def test_lock_step_without_a_controller_is_told(sim_node, monkeypatch):
+    from manip_sim.testing import simulation_under_test
+    monkeypatch.setattr(simulation_under_test, '_PATIENCE', 3)
+    sim = sim_node(stepping='lockstep')
+    with pytest.raises(simulation_under_test.SimulationStalled,
+                       match=r'stands still at 0\.010 s: lock-step waits for a command'):
+        sim.run_for(0.1)
+
+
+def test_what_a_test_asks_wrongly_is_told(sim_node):
+    with pytest.raises(ManipSimError, match=r'parameter .robot.: unknown value'):
+        sim_node(robot='Pandaa')
+    sim = sim_node()
+    for duration in (-1.0, math.nan, math.inf):
+        with pytest.raises(ManipSimError, match='must be finite and 0 or more'):
+            sim.run_for(duration)
+    with pytest.raises(UnknownNameError, match='unknown recorded topic'):
+        sim.states('leg/joint_states')
+    with pytest.raises(ManipSimError, match='pause_at out of range'):
+        sim.set_parameter('pause_at', -1.0)
