@@ -16,6 +16,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import JointSetpoint
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.worlds.setpoint_rows import SetpointRows
+from manip_sim.worlds.shared_goals import take_goals
 
 
 class Views(NamedTuple):
@@ -66,10 +67,11 @@ class JointRows:
         for joints, clock in zip(self._joints, self._clocks):
             generators.append(joints._setpoints)
             joints._setpoints.now_s = clock.control_s
-            if joints._setpoints._waiting:
-                joints._setpoints._take_goals()
             joints._written = True
-        self._generators, self._setpoints = generators, SetpointRows(generators)
+        shared = take_goals(generators)
+        self._setpoints = SetpointRows(generators)
+        for goals in shared:
+            self._setpoints.take(goals)
         servos = [joints._servos for joints in self._joints]
         self._servos = servos[0]
         self._drag, self._stiffness, self._lead = (
@@ -80,9 +82,7 @@ class JointRows:
 
     def release(self) -> None:
         """Give the joints back to their controllers."""
-        for row, own in enumerate(self._own):
-            if own:
-                self._setpoints.release(row)
+        self._setpoints.release([row for row, own in enumerate(self._own) if own])
         self._own = [False] * len(self._own)
 
     def tick(self, duration_s: float) -> list[SimulatedRobot]:
@@ -110,7 +110,7 @@ class JointRows:
             if own:
                 ctrl[servos._ids] = rates[row]
                 if not moves:
-                    setpoints.release(row)
+                    setpoints.release([row])
                     self._own[row] = False
                     arrived.append(self._robots[row])
         return arrived

@@ -15,11 +15,16 @@ from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.simulation.profiles import (
     braking_velocity, low_pass, ramp, velocity_before_the_end, way_of_ramp, within)
 from manip_sim.simulation.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
+from manip_sim.worlds.shared_goals import SharedGoals
 
 #: What a generator is made of that changes in time, of shape (n,).
-_STATE = ('position', 'velocity', 'acceleration', '_reference', '_reference_goal', '_goal',
-          '_ramp', '_bound', '_until_s', '_seeks', '_brakes')
-_OF_ESTIMATOR = ('interval_s', 'jitter_s', 'sent_s')
+_NUMBERS = ('position', 'velocity', 'acceleration', '_reference', '_reference_goal', '_goal',
+            '_ramp', '_bound', '_until_s')
+_STATE = (*_NUMBERS, '_seeks', '_brakes')
+#: What estimators of streams are made of: what is always needed, and what new goals change too.
+_OF_STREAMS = ('interval_s', 'jitter_s', 'sent_s')
+_OF_GOALS = ('goal', 'velocity', 'acceleration', '_last', '_change')
+_OF_STEPS = ('_steps', '_curves')
 
 
 class SetpointRows(SetpointGenerator):
@@ -42,9 +47,7 @@ class SetpointRows(SetpointGenerator):
         stages = np.concatenate([of._stages for of in generators], axis=1)
         self._stages = np.reshape(stages, (len(stages), rows, -1))
         self._estimator = copy.copy(first._estimator)
-        for name in _OF_ESTIMATOR:
-            setattr(self._estimator, name,
-                    _stacked([getattr(of._estimator, name) for of in generators]))
+        self._stack_estimators(_OF_STREAMS)
         self._low, self._high = first._low, first._high
         self._velocity_limit = first._velocity_limit
         self._acceleration_limit = first._acceleration_limit
@@ -53,8 +56,55 @@ class SetpointRows(SetpointGenerator):
         self._terms = None
         self._now_s = np.array([of.now_s for of in generators])[:, None]
         self._next_ends_s = np.array([of._next_end_s for of in generators])
+        self._goals_taken = False
         self._catching: BoolArray = np.array([of._catches for of in generators])
         self.moves: BoolArray = np.array([of.moving for of in generators])
+
+    def _stack_estimators(self, names: Sequence[str]) -> None:
+        for name in names:
+            setattr(self._estimator, name,
+                    _stacked([getattr(of._estimator, name) for of in self._generators]))
+
+    def take(self, shared: SharedGoals) -> None:
+        """
+        Let some rows come to goals, or follow a stream of them.
+
+        :param shared: by :func:`take_goals`
+        """
+        if not self._goals_taken:
+            self._goals_taken = True
+            self.limited = _stacked([of.limited for of in self._generators])
+            self._stack_estimators((*_OF_GOALS, 'lost'))
+            for name in _OF_STEPS:
+                setattr(self._estimator, name, np.concatenate(
+                    [getattr(of._estimator, name) for of in self._generators], axis=1))
+        rows, count = shared.rows, self.position.shape[1]
+        shared.clock.where = slice(None)
+        if len(rows) < len(self._generators):
+            shared.clock.where = (np.array(rows)[:, None] * count + np.arange(count)).ravel()
+        # Nothing in it depends on which row a joint is in.
+        flat = self._flat()
+        flat.now_s = float(self._now_s[rows[0], 0])
+        SetpointGenerator._take(flat, shared.clock, shared.message, shared.goals.ravel())
+        shared.set_clocks()
+        self._next_ends_s[rows] = self._until_s[rows].min(axis=1, initial=np.inf)
+        self._catching[rows] = self.moves[rows] = True
+        self._terms = None
+        for row in rows:
+            self._generators[row]._inside_now = None
+
+    def _flat(self) -> SetpointGenerator:
+        """Return a generator of the joints of all rows, whose arrays are views of those here."""
+        flat, rows = copy.copy(self), len(self._generators)
+        flat._estimator = copy.copy(self._estimator)
+        for name in (*_STATE, 'limited'):
+            setattr(flat, name, getattr(self, name).reshape(-1))
+        for name in (*_OF_STREAMS, *_OF_GOALS, 'lost'):
+            setattr(flat._estimator, name, getattr(self._estimator, name).reshape(-1))
+        flat._stages = self._stages.reshape(len(self._stages), -1)
+        flat._velocity_limit, flat._acceleration_limit = (
+            np.tile(limit, rows) for limit in (self._velocity_limit, self._acceleration_limit))
+        return flat
 
     def set_time(self, now_s: FloatArray) -> None:
         """
@@ -64,19 +114,36 @@ class SetpointRows(SetpointGenerator):
         """
         self._now_s = now_s[:, None]
 
-    def release(self, row: int) -> None:
-        """Give the state of a row back to its generator."""
-        of = self._generators[row]
-        of.position, of.velocity, of.acceleration = (
-            self.position[row].copy(), self.velocity[row].copy(), self.acceleration[row].copy())
-        of._reference, of._reference_goal = (
-            self._reference[row].copy(), self._reference_goal[row].copy())
-        of._ramp, of._bound, of._until_s = (
-            self._ramp[row].copy(), self._bound[row].copy(), self._until_s[row].copy())
-        of._brakes, of._stages = self._brakes[row].copy(), self._stages[:, row].copy()
-        of._catches, of.moving = bool(self._catching[row]), bool(self.moves[row])
-        of.now_s, of._next_end_s = float(self._now_s[row, 0]), float(self._next_ends_s[row])
-        of._terms = None
+    def release(self, rows: Sequence[int]) -> None:
+        """Give the states of rows back to their generators."""
+        states = np.stack([*(getattr(self, name) for name in _NUMBERS), *self._stages], axis=1)
+        brakes, catches, moves = self._brakes[rows], self._catching.tolist(), self.moves.tolist()
+        times, ends = self._now_s[:, 0].tolist(), self._next_ends_s.tolist()
+        for row, braking in zip(rows, brakes):
+            of, state = self._generators[row], states[row].copy()
+            # Views of an array of its own, so that they are made quickly.
+            (of.position, of.velocity, of.acceleration, of._reference, of._reference_goal,
+             of._goal, of._ramp, of._bound, of._until_s) = state[:len(_NUMBERS)]
+            of._stages, of._brakes = state[len(_NUMBERS):], braking.copy()
+            of._catches, of.moving = catches[row], moves[row]
+            of.now_s, of._next_end_s, of._terms = times[row], ends[row], None
+        if self._goals_taken:
+            self._release_goals(rows)
+
+    def _release_goals(self, rows: Sequence[int]) -> None:
+        estimator, count = self._estimator, len(self._generators)
+        states = np.stack([
+            *(getattr(estimator, name) for name in (*_OF_STREAMS, *_OF_GOALS)),
+            *(part for name in _OF_STEPS
+              for part in getattr(estimator, name).reshape(2, count, -1))], axis=1)
+        for row, seeks, limited, lost in zip(
+                rows, self._seeks[rows], self.limited[rows], estimator.lost[rows]):
+            of, state = self._generators[row], states[row].copy()
+            own = of._estimator
+            (own.interval_s, own.jitter_s, own.sent_s, own.goal, own.velocity, own.acceleration,
+             own._last, own._change) = state[:8]
+            own._steps, own._curves = state[8:10], state[10:]
+            of._seeks, of.limited, own.lost = seeks.copy(), limited.copy(), lost.copy()
 
     def advance(self, duration_s: float) -> None:
         """

@@ -196,6 +196,19 @@ def test_joints_that_arrive_stop_at_ends_or_are_held_back_do_so_in_each_world(pa
     assert mode == 'velocity' or not all(moving)
 
 
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+def test_streams_whose_messages_are_late_or_lost_are_the_same_in_each_world(pair, mode):
+    start(pair, mode)
+    names = pair.simulations[0].robot.joint_names[:7]
+    draw = np.random.default_rng(5)
+    for steps in [5] * 6 + draw.choice([3, 5, 5, 6, 11], 24).tolist():
+        time_s = pair.worlds.time_ns[0] * 1e-9
+        goals = np.array([0.1, 0.3, 2.0])[:, None] * np.sin((1.0 + np.arange(7)) * time_s)
+        pair._both('joint_command', (names,), None, **{mode: goals})
+        pair.advance(steps)
+    pair.check_equal()
+
+
 def test_worlds_with_other_objects_or_with_several_robots_go_on_together():
     def world():
         return World([compose_robot('Panda', idn=0), compose_robot('UR5e', idn=1)],
