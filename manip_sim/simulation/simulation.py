@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 import functools
 import hashlib
 
@@ -38,22 +37,27 @@ _SETTLE_S = 0.5
 _INTERVAL_S = 0.004
 
 
-@dataclass(frozen=True)
-class Control:
+class Interval:
     """
-    The control of robots for an interval, as a function.
+    An interval of a control period: what control has to do in it, and then physics.
 
-    :ivar robots: of one world
-    :ivar duration_s: length of the interval [s]
+    :param robots: whose controls are written
+    :param duration_s: length of the interval [s]
+    :param compute: computes the physics; it may be called in another thread, and spends most of
+        its time without Python's global interpreter lock
     """
 
-    robots: Sequence[SimulatedRobot]
-    duration_s: float
+    __slots__ = ('robots', 'duration_s', 'compute')
 
-    def __call__(self) -> None:
-        """Write the controls of the interval."""
+    def __init__(self, robots: Sequence[SimulatedRobot], duration_s: float,
+                 compute: Callable[[], None]) -> None:
+        self.robots, self.duration_s, self.compute = robots, duration_s, compute
+
+    def run(self) -> None:
+        """Run control and physics."""
         for robot in self.robots:
             robot.tick(self.duration_s)
+        self.compute()
 
 
 class Simulation:
@@ -218,16 +222,14 @@ class Simulation:
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
-        for compute in self.period(steps):
-            compute()
+        for interval in self.period(steps):
+            interval.run()
 
-    def period(self, steps: int) -> Iterator[Callable[[], None]]:
+    def period(self, steps: int) -> Iterator[Interval]:
         """
-        Run one control period as :meth:`advance`, but leave the work to the caller.
+        Run one control period as :meth:`advance`, but leave its intervals to the caller.
 
-        Each function that is yielded has to be called before the next one is asked for. Those that
-        are no :class:`Control` compute physics: they may be called in another thread, and spend
-        most of their time without Python's global interpreter lock.
+        Each one has to be run before the next one is asked for.
 
         :param steps: number of physics steps
         :raises DivergenceError: as :meth:`advance`
@@ -238,12 +240,13 @@ class Simulation:
         physics = self._steps
         untouched = physics.begin() and self._rests() and physics.stays_untouched
         if untouched:
-            yield functools.partial(physics.run_untouched, steps)
+            yield Interval((), steps * self._timestep_s,
+                           functools.partial(physics.run_untouched, steps))
             untouched = physics.was_untouched
             if not untouched:
                 physics.undo()
         if not untouched:
-            yield from self._run(steps)
+            yield from self._intervals(steps)
         reason = physics.divergence.reason()
         if reason is None:
             for tool in physics.tools:
@@ -251,22 +254,27 @@ class Simulation:
         else:
             self._hold(reason)
 
-    def _run(self, steps: int) -> Iterator[Callable[[], None]]:
-        """Run a period in intervals, each of which control begins."""
-        physics = self._steps
-        physics.begin_run()
+    def _intervals(self, steps: int) -> Iterator[Interval]:
+        """Divide a period into intervals, each of which control begins."""
+        self._steps.begin_run()
+        robots = tuple(self.robots.values())
         left = steps
         while left:
-            awake = [robot for robot in self.robots.values() if not robot.resting]
+            awake = [robot for robot in robots if not robot.resting]
             chunk = left
-            if any(robot.moving for robot in awake):
+            if any([robot.moving for robot in awake]):
                 # Divide what is left as evenly as whole steps allow.
                 chunk = -(-left // -(-left // self._interval_steps))
-            yield Control(awake, chunk * self._timestep_s)
-            self._free_roots.bear(self.data)
-            yield functools.partial(physics.run, chunk)
             left -= chunk
-        yield physics.finish
+            yield Interval(awake, chunk * self._timestep_s,
+                           functools.partial(self._compute, chunk, not left))
+
+    def _compute(self, steps: int, ends: bool) -> None:
+        """Compute the physics of an interval, and all of the new instant if a period ends."""
+        self._free_roots.bear(self.data)
+        self._steps.run(steps)
+        if ends:
+            self._steps.finish()
 
     def _hold(self, reason: str) -> None:
         self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import contextlib
 
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.simulation import Control
+from manip_sim.simulation.simulation import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes, Views, views_of
 
 #: With fewer worlds, one by one is as fast.
@@ -43,23 +43,23 @@ class ControlTogether:
                 rows.release()
             self._rows_of.clear()
 
-    def run(self, works: Sequence[Control]) -> None:
-        """Write the controls of the next interval."""
-        if works and not self._began:
+    def run(self, intervals: Sequence[Interval]) -> None:
+        """Write the controls of the next interval of each world."""
+        if not self._began:
             self._began = True
-            self._begin([robot for work in works for robot in work.robots])
+            self._begin([robot for interval in intervals for robot in interval.robots])
         arrived: list[SimulatedRobot] = []
         ticked: set[JointRows] = set()
-        for work in works:
-            for robot in work.robots:
+        for interval in intervals:
+            for robot in interval.robots:
                 rows = self._rows_of.get(id(robot))
                 if rows is None:
-                    robot.tick(work.duration_s)
+                    robot.tick(interval.duration_s)
                     continue
                 if rows not in ticked:
                     ticked.add(rows)
-                    arrived += rows.tick(work.duration_s)
-                robot.tick_grippers(work.duration_s)
+                    arrived += rows.tick(interval.duration_s)
+                robot.tick_grippers(interval.duration_s)
         for robot in arrived:
             del self._rows_of[id(robot)]
 

@@ -17,7 +17,7 @@ from manip_sim.errors import DivergenceError, ModelError, UnknownNameError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
-from manip_sim.simulation.simulation import Control
+from manip_sim.simulation.simulation import Interval
 from manip_sim.worlds.control_together import ControlTogether
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
@@ -140,11 +140,9 @@ class Worlds:
                    if simulation.diverged is None]
         with self._control.period():
             while periods:
-                periods, work = _next_work(periods)
-                # Control comes before the physics of the interval.
-                self._control.run([function for function in work if isinstance(function, Control)])
-                self._threads.run([
-                    function for function in work if not isinstance(function, Control)])
+                periods, intervals = _next_intervals(periods)
+                self._control.run(intervals)
+                self._threads.run([interval.compute for interval in intervals])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -226,14 +224,14 @@ def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[],
     return lambda: reset(seed)
 
 
-def _next_work(periods: list[Iterator[Callable[[], None]]]
-               ) -> tuple[list[Iterator[Callable[[], None]]], list[Callable[[], None]]]:
-    """Return the control periods that go on, and what each of them has to do next."""
-    going, work = [], []
+def _next_intervals(periods: list[Iterator[Interval]]
+                    ) -> tuple[list[Iterator[Interval]], list[Interval]]:
+    """Return the control periods that go on, and the next interval of each."""
+    going, intervals = [], []
     for period in periods:
         try:
-            work.append(next(period))
+            intervals.append(next(period))
         except (StopIteration, DivergenceError):
             continue
         going.append(period)
-    return going, work
+    return going, intervals
