@@ -1,7 +1,9 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names for the array types used in annotations."""
+"""Names for the array types used in annotations, and slices for indices."""
+
+from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
@@ -9,3 +11,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+
+def as_slice(indices: IntArray) -> slice | IntArray:
+    """Return the slice that indices are, whose elements are found faster, or else themselves."""
+    if indices.size and np.array_equal(indices, np.arange(indices[0], indices[0] + len(indices))):
+        return slice(int(indices[0]), int(indices[0]) + len(indices))
+    return indices

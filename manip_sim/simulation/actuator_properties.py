@@ -92,6 +92,11 @@ class DryFriction:
         self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
         self._none = not self._largest.any()
 
+    @property
+    def acts(self) -> bool:
+        """Whether any joint has dry friction."""
+        return not self._none
+
     def at(self, velocity: FloatArray) -> FloatArray:
         """Return the effort that overcomes it [N m or N], shape of ``velocity``."""
         if self._none:

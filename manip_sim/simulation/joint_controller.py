@@ -341,12 +341,8 @@ class JointController(ControlledJoints):
         if not setpoints.settled:
             setpoints.advance(duration_s)
         self._follow_trajectories(data, now_s + duration_s)
-        # Joints faster than their limit go far in an interval; they must not stop at once.
-        measured, velocity = data.qpos[servos.qpos], data.qvel[servos.dofs]
-        if np.count_nonzero(np.abs(velocity) > servos.velocity_limit):
-            measured += duration_s * (velocity - np.clip(
-                velocity, -servos.velocity_limit, servos.velocity_limit))
-        setpoints.hold_back(measured, servos.lead)
+        if servos.follows:
+            setpoints.hold_back(servos.measured(duration_s), servos.reach)
         servos.write(data, duration_s, setpoints.position, setpoints.velocity,
                      setpoints.acceleration, self._effort)
         self._written, self._efforts_due = True, False

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import as_slice, FloatArray, IntArray
 
 #: Messages no farther apart than this are a stream, unless it is told otherwise [s].
 STREAM_INTERVAL_S = 0.105
@@ -355,6 +355,4 @@ class MessageClocks:
         if not indices.size:
             return
         self._by_indices[indices.tobytes()] = clock
-        first, count = int(indices[0]), len(indices)
-        if np.array_equal(indices, np.arange(first, first + count)):
-            clock.where = slice(first, first + count)
+        clock.where = as_slice(indices)

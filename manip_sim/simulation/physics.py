@@ -24,6 +24,12 @@ class Physics:
     :ivar plan: what :attr:`model` was compiled from
     :ivar model: the ``mujoco.MjModel``
     :ivar data: its ``mujoco.MjData``
+    :ivar qpos: view of its field, as the others are, so that it need not be fetched each time
+    :ivar qvel: of ``qvel``
+    :ivar act: of ``act``
+    :ivar ctrl: of ``ctrl``
+    :ivar bias: of ``qfrc_bias``
+    :ivar gravcomp: of ``qfrc_gravcomp``
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -33,7 +39,9 @@ class Physics:
     def _take(self, live: LiveWorld) -> None:
         self.plan: Plan = live.plan
         self.model: mujoco.MjModel = live.model
-        self.data: mujoco.MjData = live.data
+        data = self.data = live.data
+        self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
+        self.bias, self.gravcomp = data.qfrc_bias, data.qfrc_gravcomp
         for adapt in self._adapt:
             adapt()
 

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
@@ -63,11 +63,13 @@ class Servos:
     :ivar acceleration_limit: after a jump of the goal [rad/s^2 or m/s^2], shape (n,)
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
+    :ivar reach: the same, infinite for sources of effort, whose setpoints are not used
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
-    #: Where results are written.
-    not_in_digest = ('_effort_force', '_all_accelerations')
+    #: Where results are written, and what follows from the rest.
+    not_in_digest = ('_effort_force', '_all_accelerations', '_places', '_all_compensated',
+                     '_geared', '_sources', 'reach')
 
     def __init__(self, physics: Physics, actuators: Sequence[str],
                  joints: Sequence[str]) -> None:
@@ -103,11 +105,17 @@ class Servos:
         self.acceleration_limit = self._acceleration_limit(data, joint_ids)
         self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
+        self._sources, self.reach = 0, self.lead
+        #: Where the joints are in ``qpos``, ``qvel``, ``act`` and ``ctrl``.
+        self._places = tuple(
+            as_slice(of) for of in (self.qpos, self.dofs, self._activation, ids))
         physics.on_change(self._make_room)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
         model.actuator_ctrllimited[ids] = 0
         self._compensated = model.body_gravcomp[model.jnt_bodyid[joint_ids]] > 0.0
+        self._all_compensated = bool(self._compensated.all())
+        self._geared = bool((self._gear != 1.0).any())
         self._set_gains(np.arange(len(ids)))
 
     def _soften(self) -> None:
@@ -195,7 +203,18 @@ class Servos:
         changed = indices[self._gives_effort[indices] != gives]
         if changed.size:
             self._gives_effort[changed] = gives
+            self._sources = int(np.count_nonzero(self._gives_effort))
+            self._find_reach()
             self._set_gains(changed)
+
+    def _find_reach(self) -> None:
+        self.reach = np.where(self._gives_effort, np.inf, self.lead) if self._sources else (
+            self.lead)
+
+    @property
+    def follows(self) -> bool:
+        """Whether any joint follows its setpoint."""
+        return self._sources < len(self._ids)
 
     def gives_effort(self, indices: IntArray) -> BoolArray:
         """Tell which of some actuators are sources of effort, shape of ``indices``."""
@@ -228,6 +247,7 @@ class Servos:
         self._stiffness[indices], self._damping[indices] = stiffness, damping
         self._drag[indices] = damping + self.passive_damping[indices]
         self.lead[indices] = self._lead(indices)
+        self._find_reach()
         self._set_gains(indices)
         return True
 
@@ -266,6 +286,22 @@ class Servos:
         """Keep the setpoints where they are."""
         data.ctrl[self._ids] = 0.0
 
+    def measured(self, duration_s: float) -> FloatArray:
+        """
+        Return where the joints are; setpoints within :attr:`reach` of it need not be held back.
+
+        Joints faster than their limit go far in an interval, and must not stop at once.
+
+        :param duration_s: length of the interval [s]
+        :returns: [rad or m], shape (n,), may be a view
+        """
+        positions, velocities, _, _ = self._places
+        position, velocity = self._physics.qpos[positions], self._physics.qvel[velocities]
+        limit = self.ranges['velocity'][:, 1]
+        if np.count_nonzero(np.abs(velocity) > limit):
+            position = position + duration_s * (velocity - np.clip(velocity, -limit, limit))
+        return np.asarray(position)
+
     def write(self, data: mujoco.MjData, duration_s: float, position: FloatArray,
               velocity: FloatArray, acceleration: FloatArray, effort: FloatArray) -> None:
         """
@@ -280,30 +316,43 @@ class Servos:
         :param acceleration: at its end [rad/s^2 or m/s^2], shape (n,)
         :param effort: of the sources of effort, at once [N m or N], shape (n,)
         """
-        sources = np.count_nonzero(self._gives_effort)
-        if sources == len(self._ids):
-            data.ctrl[self._ids] = 0.0
-            data.act[self._activation] = effort / self._gear
+        activations, controls = self._physics.act, self._physics.ctrl
+        _, _, activation, ids = self._places
+        if not self.follows:
+            controls[ids] = 0.0
+            activations[activation] = effort / self._gear
             return
-        activations = data.act
-        here = activations[self._activation]
-        rate = (self._goal(data, position, velocity, acceleration) - here) / duration_s
-        if sources:
+        rate = self._goal(data, position, velocity, acceleration)
+        rate -= activations[activation]
+        rate /= duration_s
+        if self._sources:
             rate[self._gives_effort] = 0.0
-            activations[self._activation] = np.where(
-                self._gives_effort, effort / self._gear, here)
-        data.ctrl[self._ids] = rate
+            sources = np.flatnonzero(self._gives_effort)
+            activations[self._activation[sources]] = effort[sources] / self._gear[sources]
+        controls[ids] = rate
 
     def _goal(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
               acceleration: FloatArray) -> FloatArray:
         """Return the activations of servos with the force that the motion needs."""
-        self._all_accelerations[self.dofs] = np.where(self._gives_effort, 0.0, acceleration)
-        mujoco.mj_mulM(self._physics.model, data, self._effort_force, self._all_accelerations)
-        force = self._drag * velocity + self._effort_force[self.dofs]
-        force += self._friction.at(velocity)
+        physics, (_, dofs, _, _) = self._physics, self._places
+        if self._sources:
+            acceleration = np.where(self._gives_effort, 0.0, acceleration)
+        self._all_accelerations[dofs] = acceleration
+        mujoco.mj_mulM(physics.model, data, self._effort_force, self._all_accelerations)
+        force = self._drag * velocity
+        force += self._effort_force[dofs]
+        if self._friction.acts:
+            force += self._friction.at(velocity)
         # The bias force minus the weight, which the actuators carry already.
-        force += self._compensated * (data.qfrc_bias[self.dofs] - data.qfrc_gravcomp[self.dofs])
-        return np.asarray((position + force / self._stiffness) * self._gear)
+        coriolis = physics.bias[dofs] - physics.gravcomp[dofs]
+        if not self._all_compensated:
+            coriolis *= self._compensated
+        force += coriolis
+        force /= self._stiffness
+        force += position
+        if self._geared:
+            force *= self._gear
+        return np.asarray(force)
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:
