@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation import SimulatedRobot, Wrench
-from manip_sim.simulation.commands import Command
+from manip_sim.simulation.commands import Command, JointSetpoint
+from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector
 from manip_sim.worlds.rows import chosen, rows
@@ -185,9 +186,38 @@ class Commands(RowByRow):
         given = {field: self._rows(values, f'{part or "joint_command"}: {field}')
                  for field, values in (('position', position), ('velocity', velocity),
                                        ('effort', effort)) if values is not None}
-        self._apply(lambda robot, world: robot.parse.joint_command(
-            names, part=part, **{field: values[world] for field, values in given.items()}),
-            where, period_s)
+        alike: dict[int, JointSetpoint] = {}
+        if len(given) == 1:
+            (field, values), = given.items()
+            alike = self._alike(names, field, values, part, where)
+        self._apply(lambda robot, world: [alike[world]] if world in alike else
+                    robot.parse.joint_command(names, part=part, **{
+                        field: values[world] for field, values in given.items()}),
+                    where, period_s)
+
+    def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
+               where: ArrayLike | None) -> dict[int, JointSetpoint]:
+        """Return the commands, by world, of those that differ in nothing but numbers in range."""
+        mask = chosen(where, len(self._robots))
+        fine = mask & np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if np.count_nonzero(fine) < 2:
+            return {}
+        robots, first = self._robots, int(np.flatnonzero(fine)[0])
+        joints = robots[first].joints
+        try:
+            parsed = robots[first].parse.joint_command(names, part=part, **{field: values[first]})
+        except CommandError:  # One by one, the message names the world.
+            return {}
+        if len(parsed) != 1 or not isinstance(parsed[0], JointSetpoint) or (
+                len(parsed[0].indices) != values.shape[1]):
+            return {}
+        one, modes = parsed[0], joints.modes
+        inside = (clamp(values, joints.clamps(one.indices))[0] == values).all(axis=1)
+        return {world: JointSetpoint(
+                    robot=one.robot, parts=one.parts, indices=one.indices, modes=one.modes,
+                    values=values[world].copy())
+                for world in np.flatnonzero(fine & inside).tolist()
+                if robots[world].joints.modes == modes}
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None, *,
