@@ -8,26 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 import contextlib
 
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.simulation import Interval
-from manip_sim.worlds.joint_rows import JointRows, takes, Views, views_of
+from manip_sim.worlds.joint_rows import JointRows, takes
 
 #: With fewer worlds, one by one is as fast.
 _LEAST = 3
 
 
 class ControlTogether:
-    """
-    The control of robots in several worlds.
+    """The control of robots in several worlds."""
 
-    :param simulations: of all worlds
-    """
-
-    def __init__(self, simulations: Sequence[Simulation]) -> None:
-        self._simulation_of = {
-            id(robot): simulation for simulation in simulations
-            for robot in simulation.robots.values()}
-        self._views: dict[int, Views] = {}
+    def __init__(self) -> None:
         self._began = False
         #: By id of the robot, which rows its joints are in.
         self._rows_of: dict[int, JointRows] = {}
@@ -68,17 +60,10 @@ class ControlTogether:
         groups: dict[object, list[SimulatedRobot]] = {}
         for robot in robots:
             if takes(robot.joints):
-                model = self._simulation_of[id(robot)].model
-                key = robot.name, model.nq, model.nv, model.na, model.nu
+                physics = robot._physics
+                key = robot.name, len(physics.qpos), len(physics.qvel), len(physics.act)
                 groups.setdefault(key, []).append(robot)
         for group in groups.values():
             if len(group) >= _LEAST:
-                simulations = [self._simulation_of[id(robot)] for robot in group]
-                rows = JointRows(group, simulations, [self._view(of) for of in simulations])
+                rows = JointRows(group)
                 self._rows_of.update((id(robot), rows) for robot in group)
-
-    def _view(self, simulation: Simulation) -> Views:
-        views = self._views.get(id(simulation))
-        if views is None or views.data is not simulation.data:
-            views = self._views[id(simulation)] = views_of(simulation)
-        return views

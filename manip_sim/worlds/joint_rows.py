@@ -6,43 +6,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import JointSetpoint
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.worlds.setpoint_rows import SetpointRows
 from manip_sim.worlds.shared_goals import take_goals
 
 
-class Views(NamedTuple):
-    """What control reads of a ``MjData``, and where it writes; never replaced while it lives."""
-
-    data: mujoco.MjData
-    qpos: FloatArray
-    qvel: FloatArray
-    bias: FloatArray
-    gravcomp: FloatArray
-    act: FloatArray
-    ctrl: FloatArray
-
-
-def views_of(simulation: Simulation) -> Views:
-    """Return the views of a simulation's present data."""
-    data = simulation.data
-    return Views(
-        data, data.qpos, data.qvel, data.qfrc_bias, data.qfrc_gravcomp, data.act, data.ctrl)
-
-
 def takes(joints: JointController) -> bool:
     """Tell whether :class:`JointRows` can control joints until the next command."""
     return (joints._setpoints.moving and not joints._efforts_due
-            and not joints.commands.waiting and not np.count_nonzero(joints._servos._gives_effort)
-            and all(type(command) is JointSetpoint for command in joints.commands.running))
+            and not joints.commands.waiting and not joints._servos._sources
+            and all([type(command) is JointSetpoint for command in joints.commands.running]))
 
 
 class JointRows:
@@ -50,35 +30,31 @@ class JointRows:
     The joints of one robot in several worlds, each a row, in one control period.
 
     :param robots: the robot in each of these worlds, whose joints are those that :func:`takes`
-        tells
-    :param simulations: of these worlds
-    :param views: of their data
+        tells, in models of the same size
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot], simulations: Sequence[Simulation],
-                 views: Sequence[Views]) -> None:
-        self._clocks = [robot._clock for robot in robots]
-        self._joints = [robot.joints for robot in robots]
-        self._physics = [(simulation.model, simulation.data) for simulation in simulations]
+    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
         self._robots = robots
-        self._fields = {name: [getattr(of, name) for of in views] for name in Views._fields}
+        self._clocks = [robot._clock for robot in robots]
+        self._physics = [robot._physics for robot in robots]
         self._own = [True] * len(robots)
         generators = []
-        for joints, clock in zip(self._joints, self._clocks):
-            generators.append(joints._setpoints)
-            joints._setpoints.now_s = clock.control_s
-            joints._written = True
+        for robot, clock in zip(robots, self._clocks):
+            generators.append(robot.joints._setpoints)
+            robot.joints._setpoints.now_s = clock.control_s
+            robot.joints._written = True
         shared = take_goals(generators)
         self._setpoints = SetpointRows(generators)
         for goals in shared:
             self._setpoints.take(goals)
-        servos = [joints._servos for joints in self._joints]
-        self._servos = servos[0]
+        servos = [robot.joints._servos for robot in robots]
+        self._servos, self._places = servos[0], servos[0]._places
         self._drag, self._stiffness, self._lead = (
             np.stack(of) for of in zip(*((s._drag, s._stiffness, s.lead) for s in servos)))
-        self._limit = self._servos.velocity_limit
-        self._accelerations, self._forces = np.zeros((2, len(robots), len(views[0].qvel)))
-        self._products = list(zip(self._physics, self._forces, self._accelerations))
+        self._accelerations, self._forces = np.zeros((2, len(robots), len(self._physics[0].qvel)))
+        self._products = [
+            (physics.model, physics.data, force, acceleration) for physics, force, acceleration
+            in zip(self._physics, self._forces, self._accelerations)]
 
     def release(self) -> None:
         """Give the joints back to their controllers."""
@@ -92,42 +68,58 @@ class JointRows:
         :param duration_s: length of the interval [s]
         :returns: robots whose setpoints have come to rest, so their joints were given back
         """
-        setpoints, servos = self._setpoints, self._servos
+        setpoints, (_, _, activation, ids) = self._setpoints, self._places
         setpoints.set_time(np.array([clock.control_s for clock in self._clocks]))
         setpoints.advance(duration_s)
-        measured = self._read('qpos')[:, servos.qpos]
-        velocity = self._read('qvel')[:, servos.dofs]
-        fast = np.asarray((np.abs(velocity) > self._limit).any(axis=1))
-        if np.count_nonzero(fast):
-            measured = np.where(fast[:, None], measured + duration_s * (
-                velocity - np.clip(velocity, -self._limit, self._limit)), measured)
-        setpoints.hold_back(measured, self._lead)
-        here = self._read('act')[:, servos._activation]
-        rates = (self._activations() - here) / duration_s
-        arrived = []
-        for row, (ctrl, own, moves) in enumerate(zip(
-                self._fields['ctrl'], self._own, setpoints.moves.tolist())):
+        setpoints.hold_back(self._measured(duration_s), self._lead)
+        rates = self._goals()
+        rates -= _stacked([physics.act for physics in self._physics])[:, activation]
+        rates /= duration_s
+        for physics, own, rate in zip(self._physics, self._own, rates):
             if own:
-                ctrl[servos._ids] = rates[row]
-                if not moves:
-                    setpoints.release([row])
-                    self._own[row] = False
-                    arrived.append(self._robots[row])
-        return arrived
+                physics.ctrl[ids] = rate
+        if setpoints.moves.all():
+            return []
+        arrived = [row for row, (own, moves) in enumerate(zip(self._own, setpoints.moves))
+                   if own and not moves]
+        setpoints.release(arrived)
+        for row in arrived:
+            self._own[row] = False
+        return [self._robots[row] for row in arrived]
 
-    def _activations(self) -> FloatArray:
+    def _measured(self, duration_s: float) -> FloatArray:
+        """Return where the joints are, farther on where they are too fast."""
+        positions, velocities, _, _ = self._places
+        position = _stacked([physics.qpos for physics in self._physics])[:, positions]
+        velocity = _stacked([physics.qvel for physics in self._physics])[:, velocities]
+        limit = self._servos.velocity_limit
+        fast = np.asarray((np.abs(velocity) > limit).any(axis=1))
+        if np.count_nonzero(fast):
+            position = np.where(fast[:, None], position + duration_s * (
+                velocity - np.clip(velocity, -limit, limit)), position)
+        return np.asarray(position)
+
+    def _goals(self) -> FloatArray:
         """Return the activations of servos with the force that the motion needs."""
-        setpoints, servos = self._setpoints, self._servos
-        self._accelerations[:, servos.dofs] = setpoints.acceleration
-        for (model, data), force, acceleration in self._products:
-            mujoco.mj_mulM(model, data, force, acceleration)
-        force = self._drag * setpoints.velocity + self._forces[:, servos.dofs]
-        force += servos._friction.at(setpoints.velocity)
-        force += servos._compensated * (self._read('bias')[:, servos.dofs]
-                                        - self._read('gravcomp')[:, servos.dofs])
-        return np.asarray((setpoints.position + force / self._stiffness) * servos._gear)
+        setpoints, servos, (_, dofs, _, _) = self._setpoints, self._servos, self._places
+        self._accelerations[:, dofs] = setpoints.acceleration
+        for product in self._products:
+            mujoco.mj_mulM(*product)
+        force = self._drag * setpoints.velocity
+        force += self._forces[:, dofs]
+        if servos._friction.acts:
+            force += servos._friction.at(setpoints.velocity)
+        coriolis = (_stacked([physics.bias for physics in self._physics])[:, dofs]
+                    - _stacked([physics.gravcomp for physics in self._physics])[:, dofs])
+        if not servos._all_compensated:
+            coriolis *= servos._compensated
+        force += coriolis
+        force /= self._stiffness
+        force += setpoints.position
+        if servos._geared:
+            force *= servos._gear
+        return np.asarray(force)
 
-    def _read(self, field: str) -> FloatArray:
-        """Return a field of the data of all rows, shape (rows, ...)."""
-        fields = self._fields[field]
-        return np.concatenate(fields).reshape(len(fields), -1)
+
+def _stacked(fields: list[FloatArray]) -> FloatArray:
+    return np.concatenate(fields).reshape(len(fields), -1)

@@ -54,7 +54,7 @@ class Worlds:
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
-        self._control = ControlTogether(self.simulations)
+        self._control = ControlTogether()
         self.robots = {name: RobotInWorlds([simulation.robots[name]
                                             for simulation in self.simulations])
                        for name in first.robots}
