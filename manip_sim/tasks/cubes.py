@@ -66,7 +66,8 @@ class PickCube(Task):
 
     def success(self, simulation: Simulation) -> bool:
         """Return whether the cube is in the air, held by the arm alone."""
-        return self._lifted(simulation) > _LIFT_M and held_only_by(simulation, 'cube', self.arm)
+        return self._lifted(simulation) > _LIFT_M and held_only_by(
+            simulation, 'cube', simulation.robot, self.arm)
 
     def progress(self, simulation: Simulation) -> float:
         """Return a half for being at the cube, and a half for lifting it."""

@@ -36,27 +36,16 @@ def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -
     return {int(simulation.model.body(name).id) for name in gripper.bodies}
 
 
-def holders(simulation: Simulation, body: str) -> list[str]:
+def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: str) -> bool:
     """
-    Return the arms that hold an object: two bodies of the gripper or more touch it.
+    Return whether an arm holds an object: two bodies of its gripper touch it, and nothing else.
 
     :param body: of the object
+    :param robot: that has the arm
+    :param arm: such as ``right``
     """
     touched = touching(simulation, body)
-    return [arm for robot in simulation.robots.values() for arm in robot.end_effectors
-            if len(touched & bodies_of_gripper(simulation, robot, arm)) >= 2]
-
-
-def held_only_by(simulation: Simulation, body: str, arm: str) -> bool:
-    """
-    Return whether an arm holds an object, and nothing else touches it.
-
-    :param body: of the object
-    :param arm: of the only robot
-    """
-    touched = touching(simulation, body)
-    own = bodies_of_gripper(simulation, simulation.robot, arm)
-    return touched <= own and len(touched) >= 2
+    return touched <= bodies_of_gripper(simulation, robot, arm) and len(touched) >= 2
 
 
 def speed(simulation: Simulation, body: str) -> float:

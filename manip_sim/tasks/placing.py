@@ -14,6 +14,7 @@ import math
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
@@ -25,14 +26,15 @@ from manip_sim.simulation.poses import Pose, Twist
 _GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)
 
 
-def draw(random: np.random.Generator, low: Sequence[float], high: Sequence[float]) -> FloatArray:
+def draw(random: np.random.Generator, low: ArrayLike, high: ArrayLike) -> FloatArray:
     """
     Return numbers that are evenly distributed in a box.
 
     :param low: the least, shape (n,)
     :param high: the greatest, shape (n,)
     """
-    lowest, highest = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    lowest: FloatArray = np.asarray(low, dtype=float)
+    highest: FloatArray = np.asarray(high, dtype=float)
     numbers: FloatArray = lowest + (highest - lowest) * random.random(len(lowest))
     return numbers
 

@@ -52,7 +52,7 @@ class Task(ABC):
     :raises ModelError: if the robot cannot do it, naming those that can, or as ``compose`` does
     :raises UnknownNameError: if a name is not known
     :ivar world: the world of the task
-    :ivar robot: the model of the robot
+    :ivar robot: the model of the robot, of several the first
     :ivar arm: the arm that the task is for, the right one of two
     """
 
@@ -70,16 +70,27 @@ class Task(ABC):
 
     def __init__(self, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                  **composition: Any) -> None:
-        objects = [*self.objects(), *composition.pop('objects', ())]
-        composition = {'initialization_noise': _NOISE, 'seed': 0, **composition}
-        self.world: World = compose(
-            robot, self.own_gripper if gripper == DEFAULT else gripper, arena=self.arena(),
-            objects=objects, **composition)
-        (model,) = self.world.robots
+        self.world: World = self.compose(
+            robot, self.own_gripper if gripper == DEFAULT else gripper, {
+                'initialization_noise': _NOISE, 'seed': 0, **composition, 'arena': self.arena(),
+                'objects': [*self.objects(), *composition.get('objects', ())]})
+        model = self.world.robots[0]
         self._check(model)
         assert isinstance(model, ManipulatorModel)
         self.robot = model
-        self.arm = next(arm for arm in model.arms if arm in model.grippers)
+        self.arm = usable_arms(model, self.needs_fingers)[0]
+
+    def compose(self, robot: Robot, gripper: Gripper | Grippers, composition: dict[str, Any]
+                ) -> World:
+        """
+        Return the world; by default with one robot.
+
+        :param robot: as for ``compose``
+        :param gripper: as for ``compose``
+        :param composition: all else that ``compose`` gets, with arena and objects of the task
+        :raises ModelError: as ``compose`` does
+        """
+        return compose(robot, gripper, **composition)
 
     def _check(self, robot: Any) -> None:
         """Reject a robot that cannot do the task."""

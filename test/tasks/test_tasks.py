@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.robots import create_robot
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode, Task, task_names
+from manip_sim.tasks.grasping import held_only_by
 from manip_sim.tasks.placing import place
 from manip_sim.tasks.task import TASKS
 
@@ -133,6 +135,78 @@ def test_a_peg_beside_the_hole_or_at_its_mouth_is_not_inserted():
                           ([0.05, 0.0, 0.05], False)):
         place(simulation, 'peg', hole[:3] + off, hole[3:])
         assert episode.success == inserted
+
+
+def test_spots_are_wiped_off_only_by_a_gripper_that_presses_on_them():
+    episode = episode_of('wipe_table')
+    task, simulation = episode.task, episode.simulation
+    expert = task.expert(simulation)
+    episode.reset(1)
+    expert.reset(1)
+    pressed = []
+    while not episode.over:
+        before = task.left(simulation)
+        episode.step(expert.act())
+        wiped = before & ~task.left(simulation)
+        touch = sum(simulation.data.sensor(f'gripper0_right_touch{corner}').data[0]
+                    for corner in range(1, 5))
+        pressed += [touch > 0.5] * int(wiped.sum())
+    assert len(pressed) == 12 and all(pressed)
+
+
+def test_spots_that_were_wiped_off_are_part_of_a_saved_state():
+    episode = episode_of('wipe_table')
+    task, simulation = episode.task, episode.simulation
+    expert = task.expert(simulation)
+    episode.reset(1)
+    expert.reset(1)
+    while task.left(simulation).sum() > 8:
+        episode.step(expert.act())
+    state, left = simulation.save(), task.left(simulation)
+    episode.reset(1)
+    assert task.left(simulation).all()
+    simulation.restore(state)
+    np.testing.assert_array_equal(task.left(simulation), left)
+
+
+def test_a_drawer_is_open_by_its_joint():
+    episode = episode_of('open_drawer')
+    episode.reset(1)
+    slide = episode.simulation.data.joint('drawer_slide')
+    for opened_m, is_open in ((0.11, False), (0.13, True)):
+        slide.qpos[0] = opened_m
+        episode.simulation.forward()
+        assert episode.success == is_open
+        assert episode.task.goal(episode.simulation)[-1] == opened_m
+
+
+def test_a_bar_is_handed_over_only_when_the_second_gripper_alone_holds_it():
+    episode = episode_of('hand_over')
+    expert = episode.task.expert(episode.simulation)
+    episode.reset(1)
+    expert.reset(1)
+    held = []
+    while not episode.over:
+        episode.step(expert.act())
+        held.append([held_only_by(episode.simulation, 'bar', robot, 'right')
+                     for robot in episode.simulation.robots.values()])
+    assert [True, False] in held and held[-1] == [False, True]
+    assert not any(taker for _, taker in held[:-1])
+    place(episode.simulation, 'bar', np.array([0.0, 0.3, 1.1]))
+    assert not episode.success
+
+
+def test_a_robot_with_two_arms_hands_over_alone():
+    episode = episode_of('hand_over', 'Baxter')
+    assert len(episode.simulation.robots) == 1
+    assert episode.run(episode.task.expert(episode.simulation), 3)
+
+
+def test_two_robots_of_a_task_are_given_by_name():
+    with pytest.raises(ModelError, match='hand_over has two robots of Panda0: give robot and'):
+        create_task('hand_over', create_robot('Panda'))
+    with pytest.raises(ModelError, match='two robots of Panda3, for which there is no idn'):
+        create_task('hand_over', 'Panda', idn=3)
 
 
 def test_a_saved_state_holds_what_an_episode_has_drawn():

@@ -1,0 +1,167 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The task to hand a bar from one gripper to another one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+import math
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from manip_sim.algebra import length
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError
+from manip_sim.models.composing import compose_robot, DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.grippers import GripperModel
+from manip_sim.models.objects import Description
+from manip_sim.models.world import World
+from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.tasks.expert import Expert, Hold, pointing_down
+from manip_sim.tasks.grasping import held_only_by
+from manip_sim.tasks.placing import draw, draw_yaw, nearness, place, position_of, rotation_of
+from manip_sim.tasks.task import Task, TABLE_M, usable_arms
+
+#: Length and edge of the bar, and how far from its middle it is held [m].
+_BAR_M, _EDGE_M, _HELD_AT_M = 0.28, 0.03, 0.105
+#: How far on the giver's side the bar is, and by how much that varies along and across [m].
+_ASIDE_M, _HALF_AREA, _TURN_RAD = 0.02, np.array([0.03, 0.06]), 0.3
+#: How high the bar must be held above the table, and where it changes hands [m].
+_HIGH_M, _HANDED_AT_M = 0.1, 0.16
+
+
+class HandOver(Task):
+    """
+    Take a bar from one arm with another one; in the end only that holds it, in the air.
+
+    A robot with two arms does it alone, from right to left. Of others there are two, face to face,
+    the second one with the ``idn`` 1.
+    """
+
+    name = 'hand_over'
+    instruction = 'Pick up the bar with one hand, and take it over with the other.'
+    horizon_s = 10.0
+
+    def objects(self) -> Iterable[Description]:
+        """Return the bar; its x is along it."""
+        return [{'name': 'bar', 'shape': 'box', 'size': [_BAR_M, _EDGE_M, _EDGE_M], 'mass': 0.1,
+                 'rgba': [0.8, 0.15, 0.1, 1.0], 'condim': 4}]
+
+    def compose(self, robot: Robot, gripper: Gripper | Grippers, composition: dict[str, Any]
+                ) -> World:
+        """
+        Return the world, with two robots if one has not two arms with grippers.
+
+        :param robot: as for ``compose``
+        :param gripper: as for ``compose``
+        :param composition: all else that ``compose`` gets, with arena and objects of the task
+        :raises ModelError: as ``compose`` does, and for what is about one robot if there are two
+        """
+        world = super().compose(robot, gripper, composition)
+        (first,) = world.robots
+        if len(usable_arms(first, self.needs_fingers)) != 1:
+            return world
+        if not isinstance(robot, (str, PathLike)) or isinstance(gripper, GripperModel):
+            raise ModelError(f'{self.name} has two robots of {first.name}: give robot and gripper '
+                             'by name')
+        alone = {'idn', 'prefix', 'position', 'orientation'} & composition.keys()
+        if alone:
+            raise ModelError(f'{self.name} has two robots of {first.name}, for which there is no '
+                             + ', '.join(sorted(alone)))
+        second = compose_robot(robot, gripper, composition.get('base', DEFAULT), idn=1)
+        x, y, z = world.arena.robot_position(first)
+        second.set_base_xpos([-x, -y, z])
+        second.set_base_ori([0.0, 0.0, math.pi])
+        return World([first, second], world.arena, world.timestep_s, world.gravity_compensation,
+                     objects=composition['objects'], cameras=world.cameras,
+                     initialization_noise=composition['initialization_noise'],
+                     seed=composition['seed'])
+
+    @property
+    def onward(self) -> FloatArray:
+        """The horizontal direction from the giver to the taker, in ``world``, shape (3,)."""
+        return np.array([0.0, 1.0, 0.0] if len(self.world.robots) == 1 else [1.0, 0.0, 0.0])
+
+    @property
+    def work_area(self) -> FloatArray:
+        """Middle of the area on the table, in ``world`` [m], shape (3,)."""
+        return np.array([0.0, 0.0, TABLE_M])
+
+    def start(self, simulation: Simulation, random: np.random.Generator) -> None:
+        """Draw where the bar is, on the giver's side, and how it is turned."""
+        along, across = draw(random, -_HALF_AREA, _HALF_AREA)
+        onward, (w, _, _, z) = self.onward, draw_yaw(random, _TURN_RAD)
+        aside = np.array([-onward[1], onward[0], 0.0])
+        position = self.work_area + (along - _ASIDE_M) * onward + across * aside
+        # Half a quarter turn more if the bar lies along y.
+        if onward[1]:
+            w, z = math.sqrt(0.5) * (w - z), math.sqrt(0.5) * (w + z)
+        place(simulation, 'bar', position + [0.0, 0.0, _EDGE_M / 2.0], [w, 0.0, 0.0, z])
+
+    def _taker(self, simulation: Simulation) -> tuple[SimulatedRobot, str]:
+        robot = list(simulation.robots.values())[-1]
+        return robot, usable_arms(robot.robot_model, self.needs_fingers)[-1]
+
+    def success(self, simulation: Simulation) -> bool:
+        """Return whether only the second gripper holds the bar, in the air."""
+        high = position_of(simulation, 'bar')[2] - TABLE_M
+        return bool(high > _HIGH_M) and held_only_by(simulation, 'bar', *self._taker(simulation))
+
+    def progress(self, simulation: Simulation) -> float:
+        """Return thirds: the first hand at the bar, the bar in the air, the second hand at it."""
+        bar, data = position_of(simulation, 'bar'), simulation.data
+        giver = next(iter(simulation.robots.values())).end_effectors[self.arm].pose(data)[:3]
+        robot, arm = self._taker(simulation)
+        taker = robot.end_effectors[arm].pose(data)[:3]
+        high = min(max(float(bar[2] - TABLE_M) / _HIGH_M, 0.0), 1.0)
+        return (max(nearness(length(giver - bar)), nearness(length(taker - bar))) + high
+                + nearness(length(taker - bar))) / 3.0
+
+    def expert(self, simulation: Simulation) -> Expert:
+        """Return an expert whose hands hold the ends of the bar from above."""
+        return _Giver(simulation, self.onward)
+
+
+class _Giver(Expert):
+    """Picks the bar up with the first hand and takes it over with the second one."""
+
+    def __init__(self, simulation: Simulation, onward: FloatArray) -> None:
+        self._onward = onward
+        super().__init__(simulation)
+
+    def script(self) -> Iterator[None]:
+        giver, taker, up = self.arms[0], self.arms[-1], np.array([0.0, 0.0, 0.07])
+        along = self._along()
+        end = position_of(self.simulation, 'bar') - _HELD_AT_M * along
+        yield from self.move(giver, end + up, self._down(giver, along), within_m=0.02)
+        yield from self.move(giver, end)
+        yield from self.grip(giver, 1.0)
+        yield from self.move(giver, end + up, within_m=0.02)
+        middle = np.array([0.0, 0.0, TABLE_M + _HANDED_AT_M])
+        # The taker comes over its end while the giver brings the bar.
+        taker.position = middle + _HELD_AT_M * self._onward + up
+        taker.rotation = self._down(taker, self._onward)
+        yield from self.move(giver, middle - _HELD_AT_M * self._onward,
+                             self._down(giver, self._onward))
+        yield from self.move(taker, taker.position, within_m=0.02)
+        end = position_of(self.simulation, 'bar') + _HELD_AT_M * self._along()
+        yield from self.move(taker, end, longest_m=0.03)
+        yield from self.grip(taker, 1.0)
+        yield from self.grip(giver, -1.0, 6)
+        yield from self.move(giver, self.hand(giver)[0] + up)
+
+    def _down(self, arm: Hold, along: FloatArray) -> FloatArray:
+        """Return the rotation of a hand over a bar that lies along a direction."""
+        across = np.array([-along[1], along[0], 0.0])
+        # The arms of one robot reach less far in front of it if they are turned the other way.
+        both = len(self.simulation.robots) > 1
+        return pointing_down([across, -across] if both else [across], arm.rotation)
+
+    def _along(self) -> FloatArray:
+        """Return the horizontal direction of the bar towards the taker."""
+        along: FloatArray = rotation_of(self.simulation, 'bar')[:, 0] * [1.0, 1.0, 0.0]
+        ahead = float((along * self._onward).sum())
+        return along / math.copysign(length(along), ahead)
