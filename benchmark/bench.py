@@ -33,7 +33,7 @@ import time
 from typing import Any
 
 _HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(_HERE), str(_HERE.parent / 'test')]
+sys.path.insert(0, str(_HERE))
 
 import mujoco  # noqa: E402
 from targets.figures import Figure, MeasureError, Settings, table  # noqa: E402
@@ -131,7 +131,7 @@ def save(series: dict[str, Any], folder: Path) -> None:
 
 def settle_down() -> None:
     """Set the environment and the CPU affinity of this process and all that it starts."""
-    from domains import reserve_domain  # Of the tests.
+    from manip_sim.testing.domains import reserve_domain
     from targets.processes import stay_on_two_cores
     os.environ['ROS_DOMAIN_ID'] = str(reserve_domain()[0])
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'

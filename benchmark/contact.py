@@ -27,7 +27,6 @@ import argparse
 import itertools
 import math
 import os
-from pathlib import Path
 import sys
 from typing import Any
 
@@ -307,8 +306,7 @@ TOPICS_HEADER = """\
 
 def press_over_topics():
     """Print a row for each force and rate: a client presses, a node in another process answers."""
-    sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
-    from domains import reserve_domain  # Of the tests.
+    from manip_sim.testing.domains import reserve_domain
     os.environ.update(ROS_DOMAIN_ID=str(reserve_domain()[0]),
                       ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
     import pressing

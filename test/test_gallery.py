@@ -106,7 +106,7 @@ def test_what_is_shown_fills_both_views_before_a_backdrop_of_one_colour(name, wi
 def test_robots_are_shown_with_open_hands(monkeypatch):
     from manip_sim.gallery import _pictures
     shown = []
-    monkeypatch.setattr('manip_sim.cli.rendering._picture',
+    monkeypatch.setattr('manip_sim.cli.rendering.picture_of_state',
                         lambda model, data, *_: shown.append(data))
     list(_pictures('robots', ['Jaco', 'Panda'], optional=False))
     jaco, panda = shown

@@ -183,5 +183,5 @@ def _other_domain() -> str:
     If a participant is stopped for a second while others in its domain write to it, Fast DDS
     abandons its shared-memory segment, and it receives nothing after it is resumed.
     """
-    from domains import reserve_domain  # Of the tests.
+    from manip_sim.testing.domains import reserve_domain
     return str(reserve_domain()[0])
