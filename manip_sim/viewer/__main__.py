@@ -22,6 +22,7 @@ The printed address ends with a token, which is new at each start unless SIM_VIE
 ROS arguments come last: '--ros-args -r __ns:=/cell' looks for the node in a namespace.
 """
 _PORT = 8080
+_SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY')
 
 
 def main() -> int:
@@ -40,7 +41,6 @@ def _run() -> int:
     from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
     try:
-        from manip_sim.viewer.display import check_display
         check_ros_environment()
         use_one_blas_thread()  # viser imports NumPy.
         if options.native:
@@ -90,6 +90,20 @@ def _parser() -> argparse.ArgumentParser:
 def _fail(message: str) -> int:
     print(f'sim_view: {message}', file=sys.stderr)
     return 1
+
+
+def check_display() -> None:
+    """
+    Check that there is a screen.
+
+    :raises ManipSimError: if there is none
+    """
+    import os
+
+    from manip_sim.errors import ManipSimError
+    if sys.platform == 'linux' and not any(os.environ.get(name) for name in _SCREENS):
+        raise ManipSimError('--native needs a screen, and neither DISPLAY nor WAYLAND_DISPLAY is '
+                            'set; without --native, any browser shows the page')
 
 
 if __name__ == '__main__':

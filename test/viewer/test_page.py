@@ -15,10 +15,9 @@ from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
-from manip_sim.viewer.page.commands import Events  # noqa: E402
+from manip_sim.viewer.page.commands import Events, Following  # noqa: E402
 from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status  # noqa: E402
-from manip_sim.viewer.page.following import Following  # noqa: E402
-from manip_sim.viewer.page.pace import Pace  # noqa: E402
+from manip_sim.viewer.page.latest import RealTimeFactor  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
 from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
 from manip_sim.viewer.page.posture import Posture  # noqa: E402
@@ -121,14 +120,14 @@ def test_the_history_goes_ten_seconds_back_and_begins_anew_with_the_time():
     assert len(History().columns()[0]) == 0
 
 
-def test_the_pace_is_that_of_the_last_two_seconds():
-    pace = Pace()
-    assert pace.factor is None
+def test_the_real_time_factor_is_that_of_the_last_two_seconds():
+    real_time_factor = RealTimeFactor()
+    assert real_time_factor.factor is None
     for tenth in range(50):
-        pace.add(tenth / 10.0, min(tenth, 20) / 10.0 + max(0, tenth - 20) / 20.0)
-    assert pace.factor == pytest.approx(0.5)
-    pace.add(5.0, 0.0)  # Simulation time began anew.
-    assert pace.factor is None
+        real_time_factor.add(tenth / 10.0, min(tenth, 20) / 10.0 + max(0, tenth - 20) / 20.0)
+    assert real_time_factor.factor == pytest.approx(0.5)
+    real_time_factor.add(5.0, 0.0)  # Simulation time began anew.
+    assert real_time_factor.factor is None
 
 
 SIMULATION = Status(0, 'simulation', 'running', {

@@ -14,15 +14,14 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.viewer.page.cameras import CameraPanel  # noqa: E402
 from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.hand_target import HandTarget  # noqa: E402
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_inward  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
+from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel  # noqa: E402
 from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
 from manip_sim.viewer.page.poses import PosePanel, Poses  # noqa: E402
 from manip_sim.viewer.page.robots import Joint, Part, Robot  # noqa: E402
-from manip_sim.viewer.page.simulation_panel import SimulationPanel  # noqa: E402
 
 RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}
 ARM = Part('arm', (Joint('robot0_a', 'a', False, RANGES), Joint('robot0_b', 'b', False, RANGES)))

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from manip_sim.errors import ManipSimError
-from manip_sim.viewer.display import check_display
+from manip_sim.viewer.__main__ import check_display
 
 #: Run it as if a module were not installed.
 WITHOUT = """

@@ -10,8 +10,7 @@ import math
 import time
 from typing import Any
 
-from manip_sim.viewer.page.commands import Commands, Events
-from manip_sim.viewer.page.following import Following
+from manip_sim.viewer.page.commands import Commands, Events, Following
 from manip_sim.viewer.page.plain_text import plain
 from manip_sim.viewer.page.robots import Joint, Part, Robot
 

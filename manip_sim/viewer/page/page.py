@@ -12,22 +12,19 @@ import mujoco
 
 from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
-from manip_sim.viewer.page.cameras import CameraPanel
 from manip_sim.viewer.page.commands import Commands, Events
 from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
 from manip_sim.viewer.page.latest import Latest
-from manip_sim.viewer.page.overlays import Overlays
+from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel, ViewPanel
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
 from manip_sim.viewer.page.poses import PosePanel, Poses
 from manip_sim.viewer.page.posture import Posture
 from manip_sim.viewer.page.robots import Part, Robot
-from manip_sim.viewer.page.scene import Scene
+from manip_sim.viewer.page.scene import Overlays, Scene
 from manip_sim.viewer.page.server import set_theme
-from manip_sim.viewer.page.simulation_panel import SimulationPanel
-from manip_sim.viewer.page.view_panel import ViewPanel
 
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
 _MANY_JOINTS, _UNFOLDED = 8, 2

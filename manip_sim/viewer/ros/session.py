@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 
 from manip_sim.quoting import counted
 from manip_sim.viewer.page.diagnosis import Status, WARN
-from manip_sim.viewer.page.pace import Pace
+from manip_sim.viewer.page.latest import RealTimeFactor
 from manip_sim.viewer.page.page import Page
 from manip_sim.viewer.page.poses import Poses
 from manip_sim.viewer.ros.commands import CommandSender
@@ -59,7 +59,7 @@ class Session:
         self._was_there = False
         self._paused = False
         self._level = 0
-        self._pace = Pace()
+        self._real_time_factor = RealTimeFactor()
         self._next_look_s = self._next_tell_s = 0.0
 
     def _watch(self, camera: str, wanted: bool) -> None:
@@ -95,7 +95,7 @@ class Session:
             self._next_look_s = now_s + _LOOK_S
             self._look()
         for states in self._states.latest.joints.values():
-            self._pace.add(self._states.latest.joints_s, states.time_s)
+            self._real_time_factor.add(self._states.latest.joints_s, states.time_s)
             break
         self._page.update(now_s, self._states.latest, self._paused)
         if now_s >= self._next_tell_s:
@@ -110,7 +110,8 @@ class Session:
                 self._states.forget()
                 if self._sender is not None:
                     self._sender.forget_waiting()
-                self._layout, self._was_there, self._pace = None, False, Pace()
+                self._layout, self._was_there = None, False
+                self._real_time_factor = RealTimeFactor()
             return
         layout = discovery.layout
         if layout is None or discovery.model is None:
@@ -166,6 +167,6 @@ class Session:
         new = '' if self._discovery.checking is None else ', checking a new model'
         if self._paused:
             return 'paused', f'paused at {time_s:.2f} s{new}', True
-        factor = self._pace.factor
+        factor = self._real_time_factor.factor
         text = f'{time_s:.1f} s' + ('' if factor is None else f', {factor:.3f} × real time') + new
         return ('trouble' if self._level else 'running'), text, False
