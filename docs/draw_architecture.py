@@ -17,7 +17,7 @@ FLOORS = (
     {'viewer': 'a client: see and drive', 'examples': 'clients: pick, hand over',
      'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration',
      'testing': 'a fixture of pytest'},
-    {'ros': 'how it is seen: node, topics, services'},
+    {'ros': 'how it is seen: node, topics, services', 'records': 'episodes in MCAP files'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing',
      'tasks': 'starts, success', 'rendering': 'pictures', 'worlds': 'many copies of one'},
     {'simulation': 'what happens: physics, control, sensors'},

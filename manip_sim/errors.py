@@ -52,6 +52,10 @@ class SimulationEnded(ManipSimError):
     """The simulation is no longer running."""
 
 
+class RecordError(ManipSimError):
+    """A record cannot be written, read, repeated or converted."""
+
+
 class UnknownNameError(ModelError, KeyError):
     """
     A name is not among those available.

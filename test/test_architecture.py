@@ -23,6 +23,8 @@ MAY_IMPORT = {
     'rendering': ({'rendering'}, PURE),
     'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
     'tasks': ({'models', 'simulation', 'tasks'}, PURE),
+    'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},
+                PURE | {'PIL', 'lz4', 'mcap', 'mcap_ros2', 'zstandard'}),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
     'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering', 'tasks'},
             PURE | {'PIL'}),
@@ -36,8 +38,8 @@ MAY_IMPORT = {
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'examples', 'testing', 'viewer/ros', f'{INTERNALS}.py')
-TOP_LEVEL = {'algebra', 'arrays', 'entry_points', 'environment', 'errors', 'quoting', 'resources',
-             'startup'}
+TOP_LEVEL = {'algebra', 'arrays', 'entry_points', 'environment', 'errors', 'patching', 'quoting',
+             'resources', 'startup'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 
 

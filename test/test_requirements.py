@@ -18,8 +18,8 @@ import setuptools
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ('3.10', '3.11', '3.12', '3.13')
-FILES = {'run': ['jazzy', 'viewer'],
-         'test': ['jazzy', 'viewer', 'jazzy-test', 'test', 'docs', 'mutate']}
+FILES = {'run': ['jazzy', 'viewer', 'records'],
+         'test': ['jazzy', 'viewer', 'records', 'jazzy-test', 'test', 'docs', 'mutate']}
 
 
 @pytest.fixture(scope='module')

@@ -51,6 +51,7 @@ class Task(ABC):
         ``objects`` are there in addition to those of the task
     :raises ModelError: if the robot cannot do it, naming those that can, or as ``compose`` does
     :raises UnknownNameError: if a name is not known
+    :ivar arguments: what it was made of: ``robot``, ``gripper`` and the composition
     :ivar world: the world of the task
     :ivar robot: the model of the robot, of several the first
     :ivar arm: the arm that the task is for, the right one of two
@@ -70,6 +71,7 @@ class Task(ABC):
 
     def __init__(self, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                  **composition: Any) -> None:
+        self.arguments: dict[str, Any] = {'robot': robot, 'gripper': gripper, **composition}
         self.world: World = self.compose(
             robot, self.own_gripper if gripper == DEFAULT else gripper, {
                 'initialization_noise': _NOISE, 'seed': 0, **composition, 'arena': self.arena(),

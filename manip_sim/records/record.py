@@ -1,0 +1,297 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read records of episodes, whole or cut off, and reject damaged ones with bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+import json
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import RecordError
+from manip_sim.quoting import quoted
+from manip_sim.records.definitions import definition, full_name
+from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, FORMAT, MODEL, RESULT, STATE
+
+#: Largest record in a file, largest chunk, and most content of one episode [bytes].
+_MAX_RECORD, _MAX_CHUNK, _MAX_EPISODE = 2**28, 2**26, 2**31
+_MAGIC = b'\x89MCAP0\r\n'
+_KEYS = ('number', 'seed', 'task', 'arguments', 'robot', 'period_s', 'action', 'settings',
+         'steps', 'manip_sim', 'mujoco')
+
+
+@dataclass
+class RecordedEpisode:
+    """
+    An episode of a record.
+
+    :ivar about: what its recorder wrote at its begin
+    :ivar result: what its recorder wrote at its end; None if the record ends before
+    :ivar types: of the topics
+    :ivar messages: time [ns] and serialized content, by topic, in the order of the file
+    :ivar model: the model archive, as ``load_archive`` takes it
+    """
+
+    about: Mapping[str, str]
+    model: bytes
+    result: Mapping[str, str] | None = None
+    types: dict[str, str] = field(default_factory=dict)
+    messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+
+    @property
+    def number(self) -> int:
+        """Which episode of the record it is, from 0."""
+        return int(self.about['number'])
+
+    @property
+    def seed(self) -> int:
+        """The seed that it was reset with."""
+        return int(self.about['seed'])
+
+    @property
+    def period_s(self) -> float:
+        """Length of a control period [s]."""
+        return float(self.about['period_s'])
+
+    @property
+    def success(self) -> bool:
+        """Whether it ended with success."""
+        return self.result is not None and self.result['success'] == 'true'
+
+    @property
+    def versions(self) -> str:
+        """What it was recorded with."""
+        return f'manip_sim {self.about["manip_sim"]} with MuJoCo {self.about["mujoco"]}'
+
+    def json(self, key: str) -> dict[str, Any]:
+        """
+        Return arguments of the task or settings of the run.
+
+        :param key: ``arguments`` or ``settings``
+        """
+        found: dict[str, Any] = json.loads(self.about[key])
+        return found
+
+    def decoded(self, topic: str, type_name: str) -> list[Any]:
+        """
+        Return the messages of a topic; there are none if nothing was recorded.
+
+        :param topic: its name
+        :param type_name: that it must have, such as ``std_msgs/Bool``
+        :raises RecordError: if it has another type, or a message cannot be read
+        """
+        found = self.types.get(topic)
+        if found not in (None, full_name(type_name)):
+            raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(found)}')
+        decode = _decoder(type_name)
+        return [decode(content) for _, content in self.messages.get(topic, ())]
+
+    def arrays(self, topic: str) -> FloatArray:
+        """
+        Return the numbers of a topic, shape (messages, n).
+
+        :param topic: of the type ``std_msgs/Float64MultiArray``
+        :raises RecordError: if the messages are not of that type and of one length
+        """
+        found = [np.array(message.data, dtype=np.float64)
+                 for message in self.decoded(topic, 'std_msgs/Float64MultiArray')]
+        if len({len(numbers) for numbers in found}) > 1:
+            raise RecordError(f'{topic} has arrays of different lengths')
+        return np.stack(found) if found else np.empty((0, 0))
+
+    @property
+    def actions(self) -> FloatArray:
+        """The action of each control period, shape (periods, n)."""
+        return self.arrays(ACTION)
+
+    @property
+    def states(self) -> FloatArray:
+        """qpos, qvel and mocap poses at the start and after each period, (periods + 1, n)."""
+        return self.arrays(STATE)
+
+    @property
+    def digests(self) -> dict[int, str]:
+        """Digests by control period; 0 is the start."""
+        start = self.messages.get(STATE, [(0, b'')])[0][0]
+        found = self.decoded(DIGEST, 'std_msgs/String')
+        return {round((time_ns - start) / (self.period_s * 1e9)): message.data
+                for (time_ns, _), message in zip(self.messages.get(DIGEST, ()), found)}
+
+
+def _decoder(type_name: str) -> Callable[[bytes], Any]:
+    from mcap_ros2._dynamic import generate_dynamic
+    decode = generate_dynamic(full_name(type_name), definition(type_name))[full_name(type_name)]
+
+    def checked(content: bytes) -> Any:
+        try:
+            return decode(content)
+        except Exception as error:  # The reader raises whatever its operations do.
+            raise RecordError(f'a message of {type_name} cannot be read: {error}') from error
+    return checked
+
+
+class Record:
+    """
+    A record of episodes.
+
+    :param path: of the file
+    :ivar path: of the file
+    :ivar cut_off: whether the file has turned out to end before its end was written, as when its
+        writer was killed
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.cut_off = False
+
+    def episodes(self) -> Iterator[RecordedEpisode]:
+        """
+        Yield the episodes, each once it is read; the last one may have no end.
+
+        :raises RecordError: if it is no record of episodes, of another version, or damaged
+        """
+        try:
+            with self.path.open('rb') as file:
+                yield from self._episodes(file)
+        except OSError as error:
+            raise RecordError(f'{self.path}: {error.strerror or error}') from error
+        except RecordError as error:
+            raise RecordError(f'{self.path}: {error}') from error
+
+    def _episodes(self, file: BinaryIO) -> Iterator[RecordedEpisode]:
+        from mcap.records import Attachment, Channel, Message, Metadata, Schema
+        model, episode, size = b'', None, 0
+        schemas: dict[int, str] = {}
+        channels: dict[int, tuple[str, str]] = {}
+        any_episode = False
+        for item in self._items(file):
+            if isinstance(item, Attachment) and item.name == MODEL:
+                model = item.data
+            elif isinstance(item, Schema):
+                schemas[item.id] = item.name
+            elif isinstance(item, Channel):
+                channels[item.id] = item.topic, schemas.get(item.schema_id, '')
+            elif isinstance(item, Metadata) and item.name == EPISODE:
+                if episode is not None:
+                    yield episode
+                _check(item.metadata)
+                episode, size, any_episode = RecordedEpisode(item.metadata, model), 0, True
+            elif isinstance(item, Metadata) and item.name == RESULT and episode is not None:
+                if item.metadata.get('number') != episode.about['number'] or not {
+                        'success', 'digest'} <= item.metadata.keys():
+                    raise RecordError(f'the end of episode {episode.number} is damaged')
+                episode.result = item.metadata
+                yield episode
+                episode = None
+            elif isinstance(item, Message) and episode is not None:
+                size += len(item.data)
+                if size > _MAX_EPISODE:
+                    raise RecordError(f'episode {episode.number} has more than {_MAX_EPISODE} '
+                                      'bytes')
+                if item.channel_id not in channels:
+                    raise RecordError('damaged: a message of a topic that is not described')
+                topic, type_name = channels[item.channel_id]
+                episode.types[topic] = type_name
+                episode.messages.setdefault(topic, []).append((item.log_time, item.data))
+        if episode is not None:
+            yield episode
+        if not any_episode:
+            raise RecordError('no episodes of tasks are recorded in it' + (
+                ', it ends early' if self.cut_off else ''))
+
+    def _items(self, file: BinaryIO) -> Iterator[Any]:
+        """Yield what is in the file up to the end of its data, or to where it is cut off."""
+        from mcap.records import Chunk, DataEnd
+        from mcap.stream_reader import breakup_chunk, StreamReader
+        size = self.path.stat().st_size
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise RecordError('no MCAP file')
+        file.seek(max(0, size - len(_MAGIC)))
+        whole = file.read() == _MAGIC
+        file.seek(0)
+        stream = _Bounded(file, size)
+        try:
+            for item in StreamReader(stream, emit_chunks=True, validate_crcs=True,
+                                     record_size_limit=_MAX_RECORD).records:
+                if isinstance(item, DataEnd):
+                    return
+                if isinstance(item, Chunk):
+                    whole_chunk = replace(item, data=_unpacked(item), compression='')
+                    yield from breakup_chunk(whole_chunk, validate_crc=True)
+                else:
+                    yield item
+        except _CutOff:
+            if whole:
+                raise RecordError(f'damaged before byte {stream.position}') from None
+            self.cut_off = True
+        except (RecordError, GeneratorExit, OSError):
+            raise
+        except Exception as error:  # The library raises whatever its operations do.
+            raise RecordError(f'damaged before byte {stream.position}: {type(error).__name__} '
+                              f'{error}') from error
+
+
+def _check(about: Mapping[str, str]) -> None:
+    """Reject metadata of another version, and damaged ones."""
+    if about.get('format') != FORMAT:
+        raise RecordError(f'the record has the format {quoted(about.get("format", ""))}, and '
+                          f'manip_sim reads {FORMAT}')
+    missing = [key for key in _KEYS if key not in about]
+    if missing:
+        raise RecordError(f'damaged: an episode has no {missing[0]}')
+    try:
+        int(about['number']), int(about['seed']), int(about['steps']), float(about['period_s'])
+        are_objects = all(isinstance(json.loads(about[key]), dict)
+                          for key in ('arguments', 'settings'))
+    except (ValueError, RecursionError) as error:
+        raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
+                          ) from error
+    if not are_objects or not float(about['period_s']) > 0.0:
+        raise RecordError('damaged: an episode is described by what cannot be used')
+
+
+def _unpacked(chunk: Any) -> bytes:
+    """Return the content of a chunk, which has the size that it says."""
+    if chunk.uncompressed_size > _MAX_CHUNK:
+        raise RecordError(f'a chunk has {chunk.uncompressed_size} bytes, and at most {_MAX_CHUNK} '
+                          'are read')
+    if chunk.compression == 'lz4':
+        import lz4.frame
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        data: bytes = decompressor.decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
+    elif chunk.compression == 'zstd':
+        import zstandard
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = reader.read(chunk.uncompressed_size + 1)
+    elif chunk.compression:
+        raise RecordError(f'the compression {quoted(chunk.compression)} is unknown')
+    else:
+        data = chunk.data
+    if len(data) != chunk.uncompressed_size:
+        raise RecordError('damaged: a chunk has not the size that it says')
+    return data
+
+
+class _CutOff(Exception):
+    """More was asked for than there is."""
+
+
+class _Bounded:
+    """A file that never reads, or reserves memory for, more than it has."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._size = file, size
+        self.position = 0
+
+    def read(self, length: int) -> bytes:
+        if length > self._size - self.position:
+            raise _CutOff
+        data = self._file.read(length)
+        self.position += len(data)
+        return data

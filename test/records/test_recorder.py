@@ -1,0 +1,157 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Records of episodes, as rosbags and mcap read them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from manip_sim.errors import RecordError
+from manip_sim.simulation import Simulation
+from manip_sim.tasks import create_task, Episode
+
+for needed in ('mcap', 'mcap_ros2', 'rosbags'):
+    pytest.importorskip(needed, reason='needs the extras records and test')
+
+from mcap.reader import make_reader  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
+
+from manip_sim.models.archive import load_archive  # noqa: E402
+from manip_sim.records import EpisodeRecorder  # noqa: E402
+
+_IMAGE = np.zeros((48, 64, 3), np.uint8)
+_IMAGE[:, :32, 0] = 255
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory):
+    """Return the file of two episodes with pick_cube, its simulation, and what happened."""
+    task = create_task('pick_cube', 'UR5e')
+    episode = Episode(task, Simulation(task.world))
+    expert = task.expert(episode.simulation)
+    path = tmp_path_factory.mktemp('records') / 'run.mcap'
+    seen = []
+    with EpisodeRecorder(path, episode, settings={'policy': 'expert'}, digest_every=5) as recorder:
+        for seed in (3, 11):
+            episode.reset(seed)
+            expert.reset(seed)
+            recorder.begin(seed)
+            for _ in range(12):
+                action = expert.act()
+                episode.step(action)
+                recorder.period(action, images={'front': _IMAGE})
+                seen.append((episode.simulation.time_ns, action,
+                             episode.simulation.robot.measured(), episode.reward,
+                             episode.simulation.entities.pose(episode.simulation.data, 'cube')))
+            recorder.end()
+            seen.append(episode.digest)
+    return path, episode, seen
+
+
+def messages(path, topic):
+    """Return the messages of a topic, as rosbags reads them by the types in the file."""
+    with AnyReader([path]) as reader:
+        connections = [item for item in reader.connections if item.topic == topic]
+        return [reader.deserialize(content, item.msgtype)
+                for item, _, content in reader.messages(connections)]
+
+
+def test_rosbags_reads_states_and_actions_to_the_last_bit(recorded):
+    path, episode, seen = recorded
+    periods = [item for item in seen if isinstance(item, tuple)]
+    states = messages(path, '/joint_states')
+    assert len(states) == 26 and tuple(states[0].name) == episode.simulation.robot.joint_names
+    states = states[1:13] + states[14:]
+    actions = messages(path, '/episode/action')
+    rewards = messages(path, '/episode/reward')
+    cubes = messages(path, '/objects/cube/pose')
+    cubes = cubes[1:13] + cubes[14:]
+    for (time_ns, action, measured, reward, cube), state, sent, given, pose in zip(
+            periods, states, actions, rewards, cubes, strict=True):
+        assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == time_ns
+        found = np.concatenate([state.position, state.velocity, state.effort])
+        np.testing.assert_array_equal(found, measured)
+        np.testing.assert_array_equal(sent.data, action)
+        assert given.data == reward
+        place, turn = pose.pose.position, pose.pose.orientation
+        assert [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w] == cube.tolist()
+        assert pose.header.frame_id == 'world'
+
+
+def test_every_topic_has_a_type_and_messages(recorded):
+    with AnyReader([recorded[0]]) as reader:
+        topics = {topic: info.msgtype for topic, info in reader.topics.items()}
+        for item, _, content in reader.messages():
+            reader.deserialize(content, item.msgtype)
+    assert topics == {
+        '/clock': 'rosgraph_msgs/msg/Clock',
+        '/episode/action': 'std_msgs/msg/Float64MultiArray',
+        '/episode/digest': 'std_msgs/msg/String',
+        '/episode/reward': 'std_msgs/msg/Float64',
+        '/episode/state': 'std_msgs/msg/Float64MultiArray',
+        '/episode/success': 'std_msgs/msg/Bool',
+        '/front/color/image_raw/compressed': 'sensor_msgs/msg/CompressedImage',
+        '/joint_states': 'sensor_msgs/msg/JointState',
+        '/objects/cube/pose': 'geometry_msgs/msg/PoseStamped',
+        '/right/eef_pose': 'geometry_msgs/msg/PoseStamped',
+        '/right/external_wrench': 'geometry_msgs/msg/WrenchStamped',
+        '/right/wrench': 'geometry_msgs/msg/WrenchStamped'}
+
+
+def test_metadata_and_attachment_say_what_it_takes_to_repeat_it(recorded):
+    path, episode, seen = recorded
+    with path.open('rb') as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == 'ros2'
+        metadata = [(item.name, item.metadata) for item in reader.iter_metadata()]
+        (attached,) = reader.iter_attachments()
+    assert [name for name, _ in metadata] == ['manip_sim/episode', 'manip_sim/result'] * 2
+    begin, end = metadata[2][1], metadata[3][1]
+    assert (begin['task'], begin['seed'], begin['number']) == ('pick_cube', '11', '1')
+    assert json.loads(begin['arguments']) == {'robot': 'UR5e', 'gripper': 'default'}
+    assert json.loads(begin['settings']) == {'policy': 'expert'}
+    assert end['digest'] == seen[-1] and end['periods'] == '12' and end['success'] == 'false'
+    assert attached.name == 'model.mjz'
+    model = load_archive(attached.data)
+    assert model.nq == episode.simulation.model.nq
+
+
+def test_digests_are_recorded_at_the_start_and_every_so_many_periods(recorded):
+    digests = messages(recorded[0], '/episode/digest')
+    assert len(digests) == 2 * 3
+    assert len({digest.data for digest in digests}) == 6
+
+
+def test_images_are_jpeg(recorded):
+    import io
+
+    from PIL import Image
+    images = messages(recorded[0], '/front/color/image_raw/compressed')
+    assert len(images) == 24 and images[0].header.frame_id == 'front_optical_frame'
+    found = np.asarray(Image.open(io.BytesIO(images[0].data.tobytes())))
+    assert found.shape == _IMAGE.shape and abs(found.astype(int) - _IMAGE).mean() < 3
+
+
+def test_a_file_that_is_there_is_overwritten_only_if_asked(tmp_path, episode):
+    path = tmp_path / 'a.mcap'
+    path.write_bytes(b'precious')
+    with pytest.raises(RecordError, match='a.mcap is there already, and is not overwritten'):
+        EpisodeRecorder(path, episode)
+    assert path.read_bytes() == b'precious'
+    EpisodeRecorder(path, episode, overwrite=True).close()
+    assert path.read_bytes()[1:5] == b'MCAP'
+
+
+def test_a_folder_that_is_not_there_is_an_error(tmp_path, episode):
+    with pytest.raises(RecordError, match='a.mcap: No such file or directory'):
+        EpisodeRecorder(tmp_path / 'none/a.mcap', episode)
+
+
+def test_arguments_that_are_no_json_are_an_error(tmp_path):
+    task = create_task('reach', 'Panda', objects=[
+        {'name': 'ball', 'shape': 'sphere', 'size': [0.02], 'position': np.array([1.0, 0, 1])}])
+    with pytest.raises(RecordError, match='arguments of reach cannot be recorded: .*ndarray'):
+        EpisodeRecorder(tmp_path / 'a.mcap', Episode(task, Simulation(task.world)))
+    assert not list(tmp_path.iterdir())
