@@ -7,9 +7,9 @@ from pathlib import Path
 import re
 
 from manip_sim.interface.parameters import (
-    arena_specs, camera_parameters, cartesian_parameters, composition_parameters, MODEL_PATH,
-    mode_parameters, node_parameters, place_parameters, reflex_parameters, stream_parameters,
-    timeout_parameters, wrench_parameters)
+    actuation_parameters, arena_specs, camera_parameters, cartesian_parameters,
+    composition_parameters, MODEL_PATH, mode_parameters, node_parameters, place_parameters,
+    reflex_parameters, stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.scope import Scope
 from manip_sim.models.image_settings import ImageSettings
 
@@ -39,7 +39,7 @@ def test_every_parameter_is_listed_with_type_default_and_unit():
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
     specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *arena_specs('bins'),
-             *composition_parameters(scope),
+             *composition_parameters(scope), *actuation_parameters(scope, ['arm']),
              *place_parameters(scope, place), *mode_parameters(scope, ['arm', 'base']),
              *timeout_parameters(scope, ['arm', 'base']),
              *stream_parameters(scope, ['arm', 'base']),

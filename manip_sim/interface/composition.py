@@ -15,7 +15,7 @@ import mujoco
 from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
-    arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
+    actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
     place_parameters, reflex_parameters, steps_per_period, stream_parameters,
     timeout_parameters, wrench_parameters)
@@ -26,6 +26,7 @@ from manip_sim.models.arenas import arena_parameters
 from manip_sim.models.image_settings import ImageSettings
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel
+from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
@@ -36,8 +37,8 @@ _SPACING_M = 1.0
 #: What a namespace, a parameter and the names of joints may all begin with.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: What else is in the node's namespace or begins names of parameters.
-_RESERVED = ('arena', 'camera', 'control_mode', 'command_timeout', 'objects', 'qos_overrides',
-             'stream_hold', 'stream_interval')
+_RESERVED = ('arena', 'armature', 'camera', 'control_mode', 'command_timeout', 'friction',
+             'objects', 'qos_overrides', 'stream_hold', 'stream_interval', 'torque_speed')
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ def compose_world(parameters: ParameterSource) -> Composition:
             value(scope.parameter(name)) for name in ('robot', 'gripper', 'base', 'prefix'))
         robots.append(compose_robot(robot, gripper, base, prefix=prefix,
                                     idn=value('idn') if not scope.name else scope.name))
+        _set_actuation(parameters, scope, robots[-1])
     arena = compose_arena(parameters)
     for scope, robot, position in zip(scopes, robots, _side_by_side(arena, robots)):
         parameters.declare(place_parameters(scope, position))
@@ -87,6 +89,27 @@ def compose_world(parameters: ParameterSource) -> Composition:
                   initialization_noise=noise if noise['magnitude'] else None,
                   cameras=described_cameras(value('cameras')))
     return Composition(scopes, world, steps)
+
+
+def _set_actuation(parameters: ParameterSource, scope: Scope, robot: RobotModel) -> None:
+    """Declare the parameters of the actuation of a robot, and do what they say."""
+    subsystems = [name for name in SUBSYSTEMS if robot.actuators_of(name)]
+    parameters.declare(actuation_parameters(scope, subsystems))
+    for subsystem in subsystems:
+        chosen: dict[str, Any] = {}
+        for kind, default in (('friction', 'none'), ('torque_speed', 'none'),
+                              ('armature', 'model')):
+            name = scope.parameter(f'{kind}.{subsystem}')
+            text = parameters.value(name)
+            if text == default:
+                continue
+            if kind == 'armature':
+                text = f'{{armature: {text}}}'
+            chosen[kind] = parse_yaml(text, f"parameter '{name}'") if '{' in text else text
+        if 'armature' in chosen:
+            chosen['armature'] = chosen['armature'].get('armature')
+        if chosen:
+            robot.set_actuation(subsystem, **chosen)
 
 
 def declare_node(parameters: ParameterSource) -> None:

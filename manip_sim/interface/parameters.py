@@ -126,6 +126,25 @@ def composition_parameters(scope: Scope) -> list[ParameterSpec]:
     return [spec.within(scope) for spec in specs]
 
 
+def actuation_parameters(scope: Scope, subsystems: Sequence[str]) -> list[ParameterSpec]:
+    """
+    Return the parameters of what motors and gears add to joints.
+
+    :param subsystems: those with actuators
+    """
+    return [spec.within(scope) for name in subsystems for spec in (
+        ParameterSpec(f'friction.{name}', 'none', f'Friction of the joints of the {name}: none '
+                      "(but that of the model), 'catalogue', or values such as '{coulomb: 0.5, "
+                      "static: 0.8, stribeck_velocity: 0.05, viscous: 1.0}', each a number or "
+                      'one for each joint.'),
+        ParameterSpec(f'torque_speed.{name}', 'none', 'Velocity up to which all torque of the '
+                      f"joints of the {name} is there, and at which none is left: none, "
+                      "'catalogue', or values such as '{knee: 1.5, no_load: 3.0}'."),
+        ParameterSpec(f'armature.{name}', 'model', 'Inertia of the rotors as the joints of the '
+                      f"{name} feel it, in kg m^2 (kg): model, or a number such as '0.1', or one "
+                      "for each joint such as '[0.6, 0.6, 0.5]'."))]
+
+
 def place_parameters(scope: Scope, position: Sequence[float]) -> list[ParameterSpec]:
     """
     Return the parameters that say where a robot stands.

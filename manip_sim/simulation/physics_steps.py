@@ -23,6 +23,7 @@ from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.external_wrench import ExternalWrench, TouchWatch
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.saved_state import PHYSICS
+from manip_sim.simulation.velocity_laws import VelocityLaws
 
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
 #: Integrators with which a step after ``mj_forward`` may go on from there, with the same bits.
@@ -41,6 +42,7 @@ class PhysicsSteps:
     :param clock: that counts the steps
     :param efforts: of the actuators, recorded at the end of each period
     :param tools: whose external wrenches are recorded
+    :param laws: what changes the model with the velocities, or None
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
     :ivar contacts_change: whether contacts came or went in the last period
@@ -48,11 +50,12 @@ class PhysicsSteps:
     """
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
-                 tools: Sequence[ExternalWrench]) -> None:
+                 tools: Sequence[ExternalWrench], laws: VelocityLaws | None = None) -> None:
         self._physics = physics
         self._clock = clock
         self._efforts = efforts
         self.tools = tools
+        self._laws = laws
         physics.on_change(self._look_at_model)
 
     def _look_at_model(self) -> None:
@@ -80,6 +83,8 @@ class PhysicsSteps:
     def compute(self) -> None:
         """Compute all of the present instant."""
         mujoco.mj_getState(self._model, self._data, self.computed_from, PHYSICS)
+        if self._laws is not None:
+            self._laws.write(self._model, self._data)
         mujoco.mj_forward(self._model, self._data)
         self._computed = True
 
@@ -128,7 +133,7 @@ class PhysicsSteps:
     @property
     def stays_untouched(self) -> bool:
         """Whether nothing touches a tool, nor is likely to in the next period."""
-        if self.contacts_change or self._touch.pushed:
+        if self.contacts_change or self._touch.pushed or self._laws is not None:
             return False
         # Contacts do not come or go where nothing has changed since such a period.
         stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
@@ -160,8 +165,10 @@ class PhysicsSteps:
 
     def run(self, steps: int) -> None:
         """Run some steps of a period, and record the forces on the tools in each."""
-        model, data, contacts = self._model, self._data, self._contacts
+        model, data, contacts, laws = self._model, self._data, self._contacts, self._laws
         for _ in range(steps):
+            if laws is not None:
+                laws.write(model, data)
             if self._resumes:
                 # What depends on positions and velocities alone has been computed already.
                 mujoco.mj_step2(model, data)

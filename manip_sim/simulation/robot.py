@@ -289,7 +289,8 @@ class SimulatedRobot:
 
     def dynamics(self) -> dict[str, JointDynamics]:
         """Return inertia, damping, friction and limits of all scalar joints, by name."""
-        return joint_dynamics(self._physics.model, self.joints, self.joint_names)
+        return joint_dynamics(self._physics.model, self.joints, self.joint_names,
+                              self.robot_model.velocity_laws)
 
     def controller_state(self, part: str) -> ControllerState:
         """

@@ -30,6 +30,7 @@ from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
 from manip_sim.simulation.spawning import Plan, plan_world
 from manip_sim.simulation.start_check import check_start
+from manip_sim.simulation.velocity_laws import VelocityLaws
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5
@@ -102,8 +103,11 @@ class Simulation:
         robots = [SimulatedRobot(self.physics, robot, self.efforts, self._clock)
                   for robot in world.robots]
         self.robots = {robot.name: robot for robot in robots}
+        laws = {joint: law for robot in world.robots
+                for joint, law in robot.velocity_laws.items()}
         self._steps = PhysicsSteps(self.physics, self._clock, self.efforts, [
-            reader.external for robot in robots for reader in robot.end_effectors.values()])
+            reader.external for robot in robots for reader in robot.end_effectors.values()],
+            VelocityLaws(self.physics, laws) if laws else None)
         self.physics.on_change(self._look_at_model)
         self._settle_linkages()
         self._reset()
