@@ -97,7 +97,7 @@ def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[st
         module, function, needs_ros, limit_s = ROWS[name]
         if needs_ros and importlib.util.find_spec('rclpy') is None:
             missing[name] = 'skipped: it needs ROS 2'
-            settings.tell(f'{name}: {missing[name]}')
+            settings.report(f'{name}: {missing[name]}')
             continue
         row: Callable[[Settings], Iterator[Figure]] = getattr(
             importlib.import_module(f'targets.{module}'), function)
@@ -107,7 +107,7 @@ def measure(names: list[str], settings: Settings) -> tuple[list[Figure], dict[st
         except Exception as error:  # The other rows shall be measured.
             failed = True
             missing[name] = f'failed: {error}'
-            settings.tell(f'{name}: {missing[name]}')
+            settings.report(f'{name}: {missing[name]}')
     return figures, missing, failed
 
 
@@ -173,10 +173,10 @@ def main() -> int:
     about['rounds'] = arguments.rounds or (3 if arguments.quick else 5)
     about['quick'] = arguments.quick
 
-    def tell(what: str) -> None:
+    def progress(what: str) -> None:
         print(f'{time.time() - begin:5.0f} s  {what}', file=sys.stderr, flush=True)
     settings = Settings(about['rounds'], _QUICK if arguments.quick else 1.0, arguments.hours,
-                        tell)
+                        progress)
     figures, missing, failed = measure(arguments.only, settings)
     about['seconds'] = round(time.time() - begin, 1)
     of_others_s = max(0.0, busy_s() - of_all_s - own_s())

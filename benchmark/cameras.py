@@ -86,7 +86,7 @@ class Rounds:
                 'ms': float('nan') if took == '-' else float(took)}
 
 
-def tell(what: str, rounds: list[dict[str, float]]) -> dict[str, float]:
+def report(what: str, rounds: list[dict[str, float]]) -> dict[str, float]:
     """Print and return the medians over some rounds."""
     found = {key: statistics.median(values[key] for values in rounds) for key in rounds[0]}
     print(f'{what}: {found["factor"]:.4f} x real time, 99 % of the periods below '
@@ -119,7 +119,7 @@ def main() -> None:
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(timeout=20.0)
-    alone, seen = tell('without', without), tell('with   ', with_camera)
+    alone, seen = report('without', without), report('with   ', with_camera)
     print(f'ratios : {seen["factor"] / alone["factor"]:.4f} of the real-time factor, '
           f'{seen["late"] / alone["late"]:.2f} of the 99 % quantile; {seen["images"]:.1f} images '
           f'per second of {IMAGES}, {seen["ms"]:.1f} ms each')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What grippers feel and hold: press, drag, hold and shake, as a table.
+Contact forces and grasps of grippers: press, drag, hold and shake, as a table.
 
     python3 benchmark/contact.py [--topics] [NAME ...]
 

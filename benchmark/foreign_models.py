@@ -111,23 +111,23 @@ def bare_holds(file: Path) -> tuple[Any, bool]:
 
 def differences(original: Any, model: Any, prefix: str, robot_root: str) -> list[str]:
     """Return how a composed model differs from the original, in words."""
-    told = []
+    found = []
     joints = [original.joint(i).name for i in range(original.njnt)
               if original.joint(i).name and original.jnt_type[i] >= 2]
     ours = {model.joint(i).name for i in range(model.njnt)}
     missing = [name for name in joints if prefix + name not in ours]
     if missing:
-        told.append(f'joints are gone: {missing[:3]}')
+        found.append(f'joints are gone: {missing[:3]}')
     joints = [name for name in joints if name not in missing]
     for name in joints:
         a, b = original.joint(name), model.joint(prefix + name)
         if a.limited[0] != b.limited[0] or not np.allclose(a.range, b.range, atol=1e-9):
-            told.append(f'limits of {name}')
+            found.append(f'limits of {name}')
     bodies = [original.body(i).name for i in range(1, original.nbody) if original.body(i).name]
     names = {model.body(i).name for i in range(model.nbody)}
     bodies = [name for name in bodies if prefix + name in names]
-    told += [f'mass of {name}' for name in bodies
-             if not np.isclose(original.body(name).mass[0], model.body(prefix + name).mass[0])]
+    found += [f'mass of {name}' for name in bodies
+              if not np.isclose(original.body(name).mass[0], model.body(prefix + name).mass[0])]
     sites = [original.site(i).name for i in range(original.nsite) if original.site(i).name]
     site_names = {model.site(i).name for i in range(model.nsite)}
     sites = [name for name in sites if prefix + name in site_names]
@@ -146,10 +146,10 @@ def differences(original: Any, model: Any, prefix: str, robot_root: str) -> list
                 pose, other = (_relative(getattr(d, kind)(p + name), d.body(p + first))
                                for d, p in ((a, ''), (b, prefix)))
                 if not np.allclose(pose, other, atol=1e-6):
-                    told.append(f'pose of {kind} {name}')
-        if told:
+                    found.append(f'pose of {kind} {name}')
+        if found:
             break
-    return told
+    return found
 
 
 def _relative(place: Any, root: Any) -> Any:

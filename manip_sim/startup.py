@@ -77,7 +77,7 @@ class EndSignals:
             signal.signal(number, lambda *_: None)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a signal, at most for a timeout [s]; tell whether one has come."""
+        """Wait for a signal, at most for a timeout [s]; return whether one has come."""
         return bool(select.select([self._arrived], [], [], max(0.0, timeout_s))[0])
 
 

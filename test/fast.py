@@ -44,7 +44,7 @@ def git(*words: str) -> list[str]:
 
 
 def changed_lines(since: str) -> dict[str, list[int]]:
-    """Return the lines that differ from a revision, by file; of new files none is told."""
+    """Return the lines that differ from a revision, by file; new files have none."""
     changed: dict[str, list[int]] = {name: [] for name in git(
         'ls-files', '--others', '--exclude-standard')}
     lines: list[int] = []

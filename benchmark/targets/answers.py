@@ -26,7 +26,7 @@ _COMMANDS, _ROUND_S = 300, 2.0
 
 def measure_effect(settings: Settings) -> Iterator[Figure]:
     """Measure the time from a controller's publication until it sees the effect."""
-    settings.tell('effect, commands at 1000 Hz in real time')
+    settings.report('effect, commands at 1000 Hz in real time')
     count = round(_COMMANDS * settings.scale)
     with tempfile.TemporaryDirectory() as folder:
         model = Bare(panda(PERIOD_S, 'effort')).save(Path(folder))
@@ -63,7 +63,7 @@ def _effect(pair: tuple[Process, Process], count: int) -> list[float]:
 
 def measure_lockstep(settings: Settings) -> Iterator[Figure]:
     """Measure round trips with a controller in another process, against a bare ping-pong."""
-    settings.tell('lockstep, round trips')
+    settings.report('lockstep, round trips')
     words = f'rounds {_ROUND_S * settings.scale}'
     with start_node('stepping:=lockstep', *NODE), start_script('commander.py', 'rounds') as ours, \
             start_script('echo.py', piped=False, apart=True), \
@@ -71,7 +71,7 @@ def measure_lockstep(settings: Settings) -> Iterator[Figure]:
         ours.line()
         theirs.line()
         rates = [(ours.ask(words), theirs.ask(words)) for _ in range(settings.rounds + 1)][1:]
-    settings.tell(f'lockstep, round trips per second: {[round(r[0]) for r in rates]} of '
-                  f'{[round(r[1]) for r in rates]}')
+    settings.report(f'lockstep, round trips per second: {[round(r[0]) for r in rates]} of '
+                    f'{[round(r[1]) for r in rates]}')
     yield Figure('lockstep', '`lockstep` round trips, of a bare ping-pong',
                  [mine / bare for mine, bare in rates], target=Target('>=', LOCKSTEP_TARGET))

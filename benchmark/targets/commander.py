@@ -26,7 +26,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 
-#: Large enough to be told from what else acts on the joint [N m].
+#: Large enough to be distinguished from what else acts on the joint [N m].
 _EFFORT = 0.2
 #: What keeps the joint from drifting away [N m s/rad], [N m/rad].
 _DAMPING, _STIFFNESS = 0.05, 0.2

@@ -27,14 +27,14 @@ class Settings:
     :ivar rounds: of each figure, A B A B
     :ivar scale: of durations; 1 is what the targets are meant for
     :ivar hours: simulated time of the row ``memory``; 0 is what fits
-    :ivar tell: shows a line of progress
+    :ivar report: shows a line of progress
     :ivar series: data for the pictures, by name
     """
 
     rounds: int
     scale: float
     hours: float
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
     series: dict[str, Any] = field(default_factory=dict)
 
 
@@ -50,7 +50,7 @@ class Target:
     value: float
 
     def met(self, figure: float) -> bool:
-        """Tell whether a figure reaches the target."""
+        """Return whether a figure reaches the target."""
         return figure >= self.value if self.sign == '>=' else figure <= self.value
 
 

@@ -69,7 +69,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
         run = FreeRun(Path(folder), settings)
         for who, topics, targets in SITUATIONS:
             for (every, words), target in zip(EVERY, targets):
-                settings.tell(f'free, {who}, {words}')
+                settings.report(f'free, {who}, {words}')
                 ours, theirs = run.ratios(topics, every, settings.rounds, topics != ('all',))
                 yield Figure('free', f'`free`, {who}, {words}, of bare `mj_step`', ours,
                              target=Target('>=', target), plain=theirs)
@@ -82,7 +82,7 @@ def measure_rates(settings: Settings) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         run = FreeRun(Path(folder), settings)
         for every in STEPS:
-            settings.tell(f'rates, a state every {every} steps')
+            settings.report(f'rates, a state every {every} steps')
             node, loop = run.ratios(ONE_CLIENT, every, rounds, True)
             ours.append(statistics.median(node))
             theirs.append(statistics.median(loop))

@@ -24,7 +24,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
     with start_node('stepping:=free') as node, \
             start_script('listener.py', *ONE_CLIENT) as listener:
         listener.ask('ready', 60.0)
-        settings.tell('memory, the first minute')
+        settings.report('memory, the first minute')
         time.sleep(_WARM_S * settings.scale)
         listener.ask('begin')
         begin, taken, simulated_h = time.monotonic(), [], 0.0
@@ -35,7 +35,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
             simulated_h += listener.ask('report')[0] * 1e-9 / _HOUR_S
             listener.ask('begin')
             if len(taken) % 15 == 1:
-                settings.tell(f'memory, {simulated_h:.2f} h simulated, {taken[-1]:.1f} MB')
+                settings.report(f'memory, {simulated_h:.2f} h simulated, {taken[-1]:.1f} MB')
     few = max(1, len(taken) // 10)
     before = statistics.median(taken[:few])
     grown = [memory - before for memory in taken]

@@ -34,7 +34,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
             parts.append(('publish, nobody listens', publish))
         parts.append(('advance with goals that are streamed', _streaming(simulation)))
         for what, part in parts:
-            settings.tell(f'period, {what}')
+            settings.report(f'period, {what}')
             ratios = []
             for _ in range(settings.rounds):
                 ours = rate(part, duration_s)

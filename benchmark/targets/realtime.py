@@ -29,7 +29,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
             model = Bare(panda(timestep_s)).save(Path(folder))
             every = round(1.0 / (rate * timestep_s))
             length_s = whole_s * settings.scale / settings.rounds
-            settings.tell(f'realtime, {rate} Hz')
+            settings.report(f'realtime, {rate} Hz')
             with (watched_node(_TOPIC, f'timestep:={timestep_s}',
                                f'publish_rate:={rate}.0') as node,
                   watched_loop(_TOPIC, model, every, True) as loop):

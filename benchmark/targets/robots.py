@@ -45,7 +45,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
     duration_s = _ROUND_S * settings.scale
     worlds = {}
     for count in COUNTS:
-        settings.tell(f'robots, a world of {count}')
+        settings.report(f'robots, a world of {count}')
         simulation = build(count)
         worlds[count] = simulation, Bare(simulation)
 

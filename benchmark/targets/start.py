@@ -30,11 +30,11 @@ def measure(settings: Settings) -> Iterator[Figure]:
         model.write_text(compose('Panda').to_xml())
         rounds = []
         for n in range(settings.rounds + 1):
-            settings.tell(f'start, {n} of {settings.rounds}')
+            settings.report(f'start, {n} of {settings.rounds}')
             rounds.append((_bare_s(model), _first_state_s(), _first_state_s(model)))
     # The first round reads from the disk.
     rounds = rounds[1:]
-    settings.tell('start [s]: ' + '; '.join(
+    settings.report('start [s]: ' + '; '.join(
         f'{what} {[round(times[n], 2) for times in rounds]}'
         for n, what in enumerate(('bare', 'node', 'plain loop'))))
     yield Figure('start', 'start to first `joint_states`, over imports and compiling',

@@ -95,7 +95,7 @@ def _package(cls: type, kind: str) -> str:
 
 
 def _parts(kind: str, names: list[str], create: Callable[[str], Any],
-           tell: Callable[[str, Any], Row]) -> dict[str, list[Row]]:
+           columns: Callable[[str, Any], Row]) -> dict[str, list[Row]]:
     """Return a row for each part of a kind; for one that cannot be created, with the reason."""
     def row(name: str) -> Row:
         try:
@@ -104,18 +104,18 @@ def _parts(kind: str, names: list[str], create: Callable[[str], Any],
             reason = f'cannot be created: {type(error).__name__}: {error}'
             return {'name': name, 'error': one_line(reason)}
         source, file = origin(part, kind)
-        return {'name': name, **tell(name, part), 'from': source, 'file': file}
+        return {'name': name, **columns(name, part), 'from': source, 'file': file}
     return {kind: [row(name) for name in names]}
 
 
 def _robots() -> dict[str, list[Row]]:
-    def tell(_: str, robot: Any) -> Row:
+    def columns(_: str, robot: Any) -> Row:
         has_arms = isinstance(robot, ManipulatorModel)
         return {'arms': len(robot.arms) if has_arms else 0, 'joints': len(robot.joints),
                 'default gripper': list(dict.fromkeys(
                     robot.default_gripper.values() if has_arms else ())),
                 'default base': robot.default_base}
-    return _parts('robots', robot_names(), create_robot, tell)
+    return _parts('robots', robot_names(), create_robot, columns)
 
 
 def _grippers() -> dict[str, list[Row]]:

@@ -59,7 +59,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], widt
 
 
 def _all_match(pattern: re.Pattern[str], column: Sequence[str]) -> bool:
-    """Tell whether all cells below the header match."""
+    """Return whether all cells below the header match."""
     return all(pattern.fullmatch(cell) for cell in column[1:])
 
 

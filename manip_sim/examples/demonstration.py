@@ -69,7 +69,7 @@ class Demonstration(Node):
     @property
     def now_s(self) -> float:
         """
-        Simulation time up to which all topics have been heard [s].
+        Simulation time up to which messages of all topics have come [s].
 
         On a busy machine the states of an instant may come on one topic long after those on
         another.
@@ -80,7 +80,7 @@ class Demonstration(Node):
         """
         Wait for the simulation.
 
-        :param ready: tells whether all states that the task needs have come
+        :param ready: returns whether all states that the task needs have come
         :returns: the simulation's model
         :raises TaskFailed: if they do not come; the message says how to start the simulation
         """

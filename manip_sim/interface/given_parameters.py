@@ -18,7 +18,7 @@ _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 
 
 class ParameterSource(Protocol):
-    """What declares parameters and tells their values: a node, or :class:`GivenParameters`."""
+    """What declares parameters and returns their values: a node, or :class:`GivenParameters`."""
 
     def declare(self, specs: Sequence[ParameterSpec]) -> None:
         """Declare parameters; ParameterError if a given value cannot be used."""

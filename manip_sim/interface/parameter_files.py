@@ -85,7 +85,7 @@ def sections_of(content: Any) -> Iterator[tuple[str, Any]]:
 
 
 def matches(pattern: str, node_name: str) -> bool:
-    """Tell whether a node name, or a pattern with ``*`` and ``**``, stands for a node."""
+    """Return whether a node name, or a pattern with ``*`` and ``**``, stands for a node."""
     tokens = [token for token in pattern.split('/') if token]
     expression = ''.join('(/[^/]+)*' if token == '**'
                          else '/' + re.escape(token).replace(r'\*', '[^/]*') for token in tokens)

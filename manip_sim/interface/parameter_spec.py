@@ -40,7 +40,7 @@ class ParameterSpec:
     """
     One parameter.
 
-    :ivar default: also tells the type
+    :ivar default: also determines the type
     :ivar live: whether it may change while the node runs
     :ivar minimum: and ``maximum``: inclusive limits of a number
     :ivar choices: the values that a string may have
@@ -99,7 +99,7 @@ class ParameterSpec:
         """Return what is wrong with a value that has the right type, or None."""
         try:
             return self._unknown(value) or self._out_of_range(value)
-        except ModelError as error:  # In the text that tells grippers by arm.
+        except ModelError as error:  # In the text that names grippers by arm.
             return str(error)
 
     def _unknown(self, value: Any) -> str | None:

@@ -31,7 +31,7 @@ _ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
 
 
 class PartLike(Protocol):
-    """A subsystem, an arm or a gripper, as the simulation tells them."""
+    """A subsystem, an arm or a gripper, as the simulation names them."""
 
     @property
     def joints(self) -> Collection[str]:
@@ -308,7 +308,7 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
 
 
 def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:
-    """Tell whether a part or an arm has a topic."""
+    """Return whether a part or an arm has a topic."""
     if row.per == PART and (parts[name].gripper is not None) != (_GRIPPER in row.name):
         return False
     return not row.needs or bool(name in parts and getattr(parts[name], row.needs))

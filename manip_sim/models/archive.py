@@ -271,7 +271,7 @@ class _CheckedTree(ElementTree.TreeBuilder):
 
 
 def _is_light(tag: str, attributes: Mapping[str, str]) -> bool:
-    """Tell whether an element compiles quickly for sure, if there are not too many of them."""
+    """Return whether an element compiles quickly for sure, if there are not too many of them."""
     if tag == 'size':
         return all(name.startswith('nuser_') for name in attributes)
     if tag == 'texture':

@@ -33,7 +33,7 @@ class MujocoXMLModel(NamedElements):
     ``joint{n}``, ``site{n}`` and so on.
 
     :param fname: path of an MJCF file
-    :param idn: number or word that tells this part from others of its kind; part of the prefix
+    :param idn: number or word that distinguishes parts of one kind; part of the prefix
     :raises ModelError: if the file is missing, is not MJCF or does not compile
     """
 

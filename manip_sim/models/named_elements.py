@@ -22,7 +22,7 @@ class NamedElements:
     Names of the elements of a part by kind, with its prefix, in the order of the compiled model.
 
     :param file: where they come from, for messages
-    :param idn: number or word that tells this part from others of its kind; part of the prefix
+    :param idn: number or word that distinguishes parts of one kind; part of the prefix
     :ivar file: where they come from
     :ivar idn: number or word
     """

@@ -195,7 +195,7 @@ def _letters(name: str) -> str:
 
 
 def is_path(name: str) -> bool:
-    """Tell whether a name is a path: it has a slash, or ends as models and descriptions do."""
+    """Return whether a name is a path: it has a slash, or ends as models and descriptions do."""
     return not name.startswith(_SCHEMES) and (
         '/' in name or os.sep in name or Path(name).suffix.lower() in _SUFFIXES)
 

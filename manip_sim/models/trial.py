@@ -66,13 +66,13 @@ def _tried(work: bytes, cpu_s: int) -> str:
                           stderr=subprocess.DEVNULL) as process:
         _running.add(process)
         try:
-            told, _ = process.communicate(work, timeout=MAX_WALL_S)
+            problem, _ = process.communicate(work, timeout=MAX_WALL_S)
         except subprocess.TimeoutExpired:
             process.kill()
         finally:
             _running.discard(process)
     if process.returncode == 0:
-        return told.decode()
+        return problem.decode()
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return f'takes more than {cpu_s} s to compile, and may not'
     return (f'cannot be compiled: MuJoCo crashes, or needs more than '

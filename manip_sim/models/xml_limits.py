@@ -65,7 +65,7 @@ class Budget:
 
 def excess(tag: str, attributes: Mapping[str, str]) -> str:
     """
-    Tell which number in an element's attributes is too great.
+    Return which number in an element's attributes is too great.
 
     :param tag: of the element
     :param attributes: of the element, as text

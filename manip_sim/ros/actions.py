@@ -85,7 +85,7 @@ class Actions:
             if not self.tracker.goals:
                 return
             self.tracker.abort_all('the node is ending')
-        told = threading.Event()
+        answered = threading.Event()
         executor = self._node.executor
 
         def after(rounds: int) -> None:
@@ -93,9 +93,9 @@ class Actions:
             if rounds:
                 executor.create_task(after, rounds - 1)
             else:
-                told.set()
+                answered.set()
         executor.create_task(after, 5)
-        told.wait(_END_S)
+        answered.wait(_END_S)
 
 
 def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], int]

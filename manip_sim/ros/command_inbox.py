@@ -107,7 +107,7 @@ class CommandInbox(Inbox):
                     break
 
     def _receive(self, timeout_s: float) -> bool:
-        """Wait for messages and take one of each topic that has some; tell whether one has."""
+        """Wait for messages and take one of each topic that has some; return whether one has."""
         subscriptions = self._subscriptions
         now_s = time.monotonic()
         if now_s >= self._look_at_s:
@@ -226,7 +226,7 @@ def create_command_inbox(node: Node, log: RejectionLog) -> CommandInbox | None:
 
 
 def is_known() -> bool:
-    """Tell whether rclpy is a release whose wait sets are known."""
+    """Return whether rclpy is a release whose wait sets are known."""
     try:
         return version('rclpy').startswith(_KNOWN)
     except PackageNotFoundError:

@@ -41,7 +41,7 @@ class Pace:
     The window reaches back by one second of wall time, or by several control periods where these
     are longer, and begins anew with a pause, another real-time factor or a restart of time.
 
-    :param thread: tells how far the simulation has come
+    :param thread: its progress is published
     :ivar factor: simulation time per wall time; NaN when the window has just begun, 0 when paused
     :ivar loss: fraction of the simulation time that was dropped, from 0 to 1
     """
@@ -93,7 +93,7 @@ class Diagnostics:
 
     :param node: the node
     :param simulation: only read
-    :param thread: tells how far the simulation has come
+    :param thread: its progress is published
     :param commands: count the commands for each robot
     :param cameras: count the images
     """

@@ -24,7 +24,7 @@ from manip_sim.simulation.poses import Pose, Twist
 
 class EntityServices:
     """
-    The services that list robots and objects, tell where they are and move free ones.
+    The services that list robots and objects, return their poses and move free ones.
 
     :param node: the node
     :param simulation: what has the entities
@@ -38,11 +38,11 @@ class EntityServices:
         self._thread = thread
         # A group of their own: a request for many steps, in another group, does not hold them up.
         group = MutuallyExclusiveCallbackGroup()
-        for service_type, name, meet in (
+        for service_type, name, fill in (
                 (types.GetEntities, 'get_entities', self._get_entities),
                 (types.GetEntityState, 'get_entity_state', self._get_entity_state),
                 (types.SetEntityState, 'set_entity_state', self._set_entity_state)):
-            node.create_service(service_type, f'~/{name}', answering(meet), callback_group=group)
+            node.create_service(service_type, f'~/{name}', answering(fill), callback_group=group)
 
     def _get_entities(self, request: Any, response: Any) -> None:
         filters = request.filters

@@ -37,7 +37,7 @@ class RejectionLog:
     Warnings about messages, each kind of error of a topic once a second; any thread may use it.
 
     :param logger: the logger of the node
-    :param clock: tells monotonic wall time [s]
+    :param clock: returns monotonic wall time [s]
     :ivar failed: how many ``callbacks``, ``publications`` and ``commands`` have failed, and how
         often received data could not be read, as ``takes``
     """
@@ -46,8 +46,8 @@ class RejectionLog:
         self._logger = logger
         self._clock = clock
         self._lock = threading.Lock()
-        self._told_s: dict[tuple[str, str], float] = {}
-        self._untold: Counter[tuple[str, str]] = Counter()
+        self._logged_s: dict[tuple[str, str], float] = {}
+        self._left_out: Counter[tuple[str, str]] = Counter()
         self.failed = Counter({'callbacks': 0, 'publications': 0, 'takes': 0})
 
     def warn(self, topic: str, kind: str, text: str) -> None:
@@ -63,17 +63,17 @@ class RejectionLog:
         key = (topic, kind)
         with self._lock:
             now_s = self._clock()
-            if now_s - self._told_s.get(key, -_PERIOD_S) < _PERIOD_S:
-                self._untold[key] += 1
+            if now_s - self._logged_s.get(key, -_PERIOD_S) < _PERIOD_S:
+                self._left_out[key] += 1
                 return
-            untold = self._untold.pop(key, 0)
-            self._told_s.pop(key, None)
-            self._told_s[key] = now_s
-            if len(self._told_s) > _MAX_KEYS:
-                oldest = next(iter(self._told_s))
-                del self._told_s[oldest]
-                self._untold.pop(oldest, None)
-        self._logger.warning(one_line(text) + (f' ({untold} more before)' if untold else ''))
+            left_out = self._left_out.pop(key, 0)
+            self._logged_s.pop(key, None)
+            self._logged_s[key] = now_s
+            if len(self._logged_s) > _MAX_KEYS:
+                oldest = next(iter(self._logged_s))
+                del self._logged_s[oldest]
+                self._left_out.pop(oldest, None)
+        self._logger.warning(one_line(text) + (f' ({left_out} more before)' if left_out else ''))
 
     def failure(self, what: str, topic: str, error: Exception) -> None:
         """

@@ -66,8 +66,8 @@ class MarkerPublisher:
         return marker
 
     def look(self) -> bool:
-        """Tell whether there are subscribers."""
-        return self._output.heard
+        """Return whether there are subscribers."""
+        return self._output.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the markers of the present instant."""

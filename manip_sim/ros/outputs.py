@@ -43,7 +43,7 @@ class Output:
         self._closed = False
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether there are subscribers."""
         try:
             return not self._closed and self._publisher.get_subscription_count() > 0
@@ -53,10 +53,10 @@ class Output:
     @property
     def wanted(self) -> bool:
         """Whether there are subscribers and the next message can be published."""
-        return self.heard and not self._drops()
+        return self.has_subscribers and not self._drops()
 
     def _drops(self) -> bool:
-        """Tell whether the next message is dropped, and count it if so."""
+        """Return whether the next message is dropped, and count it if so."""
         if self._stalled:
             self._stalled = not self._publisher.wait_for_all_acked(Duration())
             if self._stalled:
@@ -147,18 +147,18 @@ class Publications:
 
     def __init__(self) -> None:
         self._all: tuple[Publication, ...] = ()
-        self._heard: tuple[Publication, ...] = ()
+        self._subscribed: tuple[Publication, ...] = ()
 
     def replace(self, topics: tuple[Publication, ...]) -> None:
         """Publish other topics from now on; any thread may call this."""
         self._all = topics
 
     def look(self) -> bool:
-        """Check which topics have subscribers, and tell whether any has."""
-        self._heard = tuple(topic for topic in self._all if topic.output.heard)
-        return bool(self._heard)
+        """Check which topics have subscribers, and return whether any has."""
+        self._subscribed = tuple(topic for topic in self._all if topic.output.has_subscribers)
+        return bool(self._subscribed)
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the present instant on the topics that had subscribers at the last check."""
-        for topic in self._heard:
+        for topic in self._subscribed:
             topic.publish(simulation)

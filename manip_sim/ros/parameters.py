@@ -143,7 +143,7 @@ class Parameters:
         return parameters
 
     def is_set(self, name: str) -> bool:
-        """Tell whether the user has set a timeout, or it follows the control mode."""
+        """Return whether the user has set a timeout, or it follows the control mode."""
         return name in self._set_timeouts
 
     def value(self, name: str) -> Any:

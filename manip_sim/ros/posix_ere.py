@@ -84,7 +84,7 @@ class PosixExpression:
             fork.append(len(self._program))
 
     def found_in(self, text: str) -> bool:
-        """Tell whether a part of a text matches."""
+        """Return whether a part of a text matches."""
         waiting: set[int] = set()
         for position in range(len(text) + 1):
             waiting.add(0)

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Answers of ``simulation_interfaces`` to requests that cannot be met, with their result codes."""
+"""Answers of ``simulation_interfaces`` to requests that fail, with their result codes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from manip_sim.ros.standard_codes import ResultCode
 
 
 class Rejection(ManipSimError):
-    """A request cannot be met, with the result code that says why."""
+    """A request cannot be served, with the result code that says why."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class Rejection(ManipSimError):
 
 
 @contextmanager
-def told(result: Any) -> Iterator[None]:
+def result_filled(result: Any) -> Iterator[None]:
     """
     Write into a result whether the ``with`` block succeeds; a ``ManipSimError`` is suppressed.
 
@@ -40,14 +40,14 @@ def told(result: Any) -> Iterator[None]:
         result.result, result.error_message = int(code), str(error)
 
 
-def answering(meet: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+def answering(fill: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
     """
-    Return the callback of a service, which writes into the response whether its request was met.
+    Return the callback of a service, which writes into the response whether it succeeded.
 
-    :param meet: fills the response to a request, or raises a ``ManipSimError``
+    :param fill: fills the response to a request, or raises a ``ManipSimError``
     """
     def answer(request: Any, response: Any) -> Any:
-        with told(response.result):
-            meet(request, response)
+        with result_filled(response.result):
+            fill(request, response)
         return response
     return answer

@@ -63,8 +63,8 @@ class SensorPublisher:
         return None if self._source.write(message, simulation) is False else message
 
     def look(self) -> bool:
-        """Tell whether there are subscribers, and messages for them."""
-        return self._works and self._output.heard
+        """Return whether there are subscribers, and messages for them."""
+        return self._works and self._output.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the present instant; after a failure nothing is published any more."""

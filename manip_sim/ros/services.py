@@ -71,7 +71,7 @@ class SimulationServices:
 
 
 def _answer(response: Any, function: Callable[[], str | None], done: str) -> Any:
-    """Call a function, and tell what it returned or did, or why it has failed."""
+    """Call a function, and return what it returned or did, or why it failed."""
     try:
         response.message = function() or done
         response.success = True

@@ -25,7 +25,7 @@ from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.rejection import answering, Rejection, told
+from manip_sim.ros.rejection import answering, Rejection, result_filled
 from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
@@ -73,7 +73,7 @@ class SpawningServices:
             node.create_service(service_type, f'~/{name}', answer, callback_group=group)
 
     async def _spawn(self, request: Any, response: Any) -> Any:
-        with told(response.result):
+        with result_filled(response.result):
             response.entity_name = await self._add(request)
         return response
 
@@ -138,7 +138,7 @@ def _parsing() -> Iterator[None]:
 
 
 def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], ObjectModel]]:
-    """Tell whether an object is quickly made for sure, and return what makes it."""
+    """Return whether an object is quickly made for sure, and return what makes it."""
     if request.uri:
         path = _path(request.uri)
         return False, lambda: _from_file(path, files)

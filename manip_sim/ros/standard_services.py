@@ -15,7 +15,7 @@ from manip_sim.errors import CommandError
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.optional_packages import import_optional, missing_note
-from manip_sim.ros.rejection import answering, Rejection, told
+from manip_sim.ros.rejection import answering, Rejection, result_filled
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_codes import Feature, ResultCode, Scope, SetStateCode, State
 from manip_sim.runtime import SimulationThread
@@ -88,11 +88,11 @@ class SimulationInterfaces:
         groups = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         node.create_service(types.StepSimulation, '~/step_simulation', self._step,
                             callback_group=groups[0])
-        for service_type, name, meet in (
+        for service_type, name, fill in (
                 (types.GetSimulationState, 'get_simulation_state', self._get_state),
                 (types.SetSimulationState, 'set_simulation_state', self._set_state),
                 (types.ResetSimulation, 'reset_simulation', self._reset)):
-            node.create_service(service_type, f'~/{name}', answering(meet),
+            node.create_service(service_type, f'~/{name}', answering(fill),
                                 callback_group=groups[1])
 
     def _features(self, _: Any, response: Any) -> Any:
@@ -129,7 +129,7 @@ class SimulationInterfaces:
         self._stopped = target == State.STATE_STOPPED
 
     async def _step(self, request: Any, response: Any) -> Any:
-        with told(response.result):
+        with result_filled(response.result):
             await self._advance(request.steps)
         return response
 

@@ -86,8 +86,8 @@ class TransformPublisher:
             tree.static, self._prefix, stamp_of(simulation.time_ns), tree.static_poses))
 
     def look(self) -> bool:
-        """Tell whether ``/tf`` has subscribers."""
-        return self._moving.heard
+        """Return whether ``/tf`` has subscribers."""
+        return self._moving.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the transforms of the frames that move."""

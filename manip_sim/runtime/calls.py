@@ -30,7 +30,7 @@ class Calls:
         self._ended = False
 
     def __bool__(self) -> bool:
-        """Tell whether a function waits."""
+        """Return whether a function waits."""
         return bool(self._waiting)
 
     def run(self, function: Callable[[], T]) -> T:

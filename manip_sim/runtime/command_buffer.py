@@ -46,7 +46,7 @@ class CommandBuffer:
 
     def ready(self, busy_parts: Iterable[str] = ()) -> bool:
         """
-        Tell whether each of the lock-step parts has a command.
+        Return whether each of the lock-step parts has a command.
 
         :param busy_parts: parts that need no command, such as those that follow a trajectory
         """

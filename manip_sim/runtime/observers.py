@@ -12,7 +12,7 @@ from manip_sim.simulation import Simulation
 
 #: Is called with the simulation at the end of control periods, in the simulation's thread.
 Observer = Callable[[Simulation], None]
-#: Tells whether an observer has to be called.
+#: Returns whether an observer has to be called.
 Look = Callable[[], bool]
 #: Period of checks which observers have to be called while the simulation runs, wall time [s].
 _LOOK_S = 0.02

@@ -78,7 +78,7 @@ class Pacer:
         return self._anchor_s + self._count * self._period_s / self._factor
 
     def is_due(self, now_s: float) -> bool:
-        """Tell whether a period is due, and count it as begun if so."""
+        """Return whether a period is due, and count it as begun if so."""
         late_s = now_s - self.deadline_s
         if late_s < 0.0:
             return False

@@ -315,7 +315,7 @@ class SimulationThread:
             self._calls.end()
 
     def _wait(self) -> bool:
-        """Wait until there is something to do; tell whether a control period is due."""
+        """Wait until there is something to do; return whether a control period is due."""
         while not (self._stopping or self._calls or self._show_again):
             now = time.monotonic()
             if self._repeats:

@@ -18,7 +18,7 @@ import mujoco
 
 def is_position_servo(actuator: Any) -> bool:
     """
-    Tell whether an actuator pulls its transmission towards a length that the control sets.
+    Return whether an actuator pulls its transmission towards a length that the control sets.
 
     :param actuator: of a ``mujoco.MjSpec``
     """

@@ -35,7 +35,7 @@ class Snapshot:
     mocap_quat: FloatArray
 
     def shows_the_same_as(self, other: Snapshot) -> bool:
-        """Tell whether another one is of the same instant and the same state."""
+        """Return whether another one is of the same instant and the same state."""
         return (self.time_ns == other.time_ns and self.plan is other.plan
                 and np.array_equal(self.qpos, other.qpos)
                 and np.array_equal(self.mocap_pos, other.mocap_pos)

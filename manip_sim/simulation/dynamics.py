@@ -31,7 +31,7 @@ class JointDynamics:
     ``stiffness (spring_position - q)``. Units are SI, with m and N for sliding joints. What
     depends on the velocity is described by ``manip_sim.models.joint_actuation.VelocityLaw``.
 
-    :ivar armature: inertia of the rotor as the joint feels it [kg m^2 or kg]
+    :ivar armature: inertia of the rotor reflected to the joint [kg m^2 or kg]
     :ivar damping: [N m s/rad or N s/m]
     :ivar friction_loss: dry friction [N m or N]
     :ivar static_friction: dry friction at rest [N m or N]; None if it is :attr:`friction_loss`

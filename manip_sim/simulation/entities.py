@@ -64,7 +64,7 @@ class Entities:
 
     def is_free(self, name: str) -> bool:
         """
-        Tell whether an entity is a free body, which :meth:`place` can move.
+        Return whether an entity is a free body, which :meth:`place` can move.
 
         :raises UnknownNameError: if there is no such entity
         """

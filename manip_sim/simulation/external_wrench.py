@@ -176,7 +176,7 @@ class ExternalWrench:
 
 class TouchWatch:
     """
-    Tells whether the world exerts a force on one of the tools.
+    Returns whether the world exerts a force on one of the tools.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: its ``mujoco.MjData``

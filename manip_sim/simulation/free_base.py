@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Gravity compensation of robots with a free root, which have to bear their own weight.
+Gravity compensation of robots with a free root, which have to carry their own weight.
 
 MuJoCo compensates the weight of a body at all joints between it and the world, so also at the free
 joint: the robot would float. Here the actuators of arms, torso and head carry what is mounted
-beyond them, and the root and the legs bear that weight.
+beyond them, and the root and the legs carry that weight.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) ->
 
 class FreeRoots:
     """
-    The weight of compensated links, given back to the joints of free robots that bear it.
+    The weight of compensated links, given back to the joints of free robots that carry it.
 
     :param model: the compiled ``mujoco.MjModel``
     :param roots: names of the root bodies of the robots
@@ -63,11 +63,11 @@ class FreeRoots:
             & (model.jnt_actgravcomp[joint] == 0))
 
     @property
-    def borne(self) -> bool:
+    def is_needed(self) -> bool:
         """Whether there is weight to give back."""
         return self._dofs.size > 0
 
-    def bear(self, data: mujoco.MjData) -> None:
+    def apply(self, data: mujoco.MjData) -> None:
         """
         Apply the weight as of the last ``mj_forward`` or step.
 

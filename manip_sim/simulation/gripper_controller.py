@@ -254,7 +254,7 @@ class GripperController:
         return None if command is None else low + (command + 1.0) / 2.0 * (high - low)
 
     def _turns_back(self, goal: FloatArray, data: mujoco.MjData) -> bool:
-        """Tell whether a goal moves back towards a finger, but not past it."""
+        """Return whether a goal moves back towards a finger, but not past it."""
         place = self._actuators.place(data)
         ahead, still_ahead = self._goal - place, goal - place
         back = (ahead * still_ahead > 0.0) & (np.abs(still_ahead) < np.abs(ahead))

@@ -88,7 +88,7 @@ class GripperJoints:
         return {joint: value for joint, value in following.items() if joint in self._ids}
 
     def are_still(self, data: mujoco.MjData) -> bool:
-        """Tell whether all of them have stopped, or nearly so."""
+        """Return whether all of them have stopped, or nearly so."""
         low, high = self.ranges(self.names).T
         span = np.where(np.isfinite(high - low), high - low, 1.0)
         speed = np.array([data.joint(name).qvel[0] for name in self.names])

@@ -29,7 +29,7 @@ from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
 
 C = TypeVar('C', bound=Command)
-#: Stamps are told apart modulo this, so that seconds of any clock keep their nanoseconds [ns].
+#: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
 _STAMPS_NS = 10**15
 
 

@@ -115,7 +115,7 @@ class Ledger:
         return next((owner for owner in owners if owner is not command.handle), None)
 
     def awaits(self, handle: CommandHandle) -> bool:
-        """Tell whether a trajectory has been applied and waits for its start."""
+        """Return whether a trajectory has been applied and waits for its start."""
         return any(waiting.handle is handle for waiting in self.waiting)
 
     def reference(self, handle: CommandHandle, now_s: float
@@ -138,7 +138,7 @@ class Ledger:
 
 def takes_from(newer: Command, older: Command) -> bool:
     """
-    Tell whether a command takes its joints from an older one that has not begun either.
+    Return whether a command takes its joints from an older one that has not begun either.
 
     A trajectory that begins later takes them from other trajectories only, and so does a stop.
     """

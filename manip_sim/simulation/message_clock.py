@@ -17,13 +17,13 @@ import numpy as np
 
 from manip_sim.arrays import as_slice, FloatArray, IntArray
 
-#: Messages no farther apart than this are a stream, unless it is told otherwise [s].
+#: Messages no farther apart than this are a stream, unless set otherwise [s].
 STREAM_INTERVAL_S = 0.105
 #: The clock of a stream averages over so many messages at most.
 _MEMORY = 40.0
 #: Share of what is known of the speed of the stamps' clock that is kept from message to message.
 _RATE_KEPT = 0.98
-#: It is taken to run like simulation time as if so much time had told so [s].
+#: It is taken to run like simulation time as if messages over so much time had shown it [s].
 _SAME_S = 1.0
 #: Shares of a rise and of a fall of the jitter that its measure follows with each message.
 _ATTACK, _DECAY = 0.3, 0.03
@@ -103,7 +103,7 @@ class MessageClock:
         self._arrived_s = self.until_s = -math.inf
 
     def continues(self, now_s: float) -> bool:
-        """Tell whether a message would continue the stream if it came now."""
+        """Return whether a message would continue the stream if it came now."""
         return now_s - self._arrived_s <= self.longest_s or (
             now_s <= self.until_s and self.interval_s <= self.longest_s)
 
@@ -236,14 +236,14 @@ class MessageClock:
         """
         Read the time between messages from their stamps.
 
-        :returns: whether stamps tell it, the interval from message to message in simulation time
-            [s], and the number of such intervals, which need not be whole
+        :returns: whether stamps determine it, the interval from message to message in simulation
+            time [s], and the number of such intervals, which need not be whole
         """
         stamped_s = stamp_s - self._stamp_s if streams else 0.0
         stamped = stamp_s > 0.0 and self._stamp_s > 0.0 and stamped_s > 0.0
         self._stamp_s = stamp_s
         if not streams:
-            # How fast simulation time runs by the sender's clock: as fast, until messages tell.
+            # How fast simulation time runs by the sender's clock: as fast, until messages show it.
             self._since_sum_s = self._stamps_sum_s = _SAME_S
             self._stamp_interval_s = 0.0
         if not stamped:

@@ -98,7 +98,7 @@ class PhysicsSteps:
         self.compute()
 
     def resumes(self) -> bool:
-        """Tell whether the first half of a step has been computed."""
+        """Return whether the first half of a step has been computed."""
         self._compare(self.state())
         return self._resumes
 
@@ -115,7 +115,7 @@ class PhysicsSteps:
     # ------------------------------------------------------------------ control periods
 
     def begin(self) -> bool:
-        """Begin a control period, and tell whether the first half of a step is computed."""
+        """Begin a control period, and return whether the first half of a step is computed."""
         self._begin = self._clock.step_count
         self._compare(self.divergence.remember())
         for tool in self.tools:

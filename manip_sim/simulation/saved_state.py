@@ -163,7 +163,7 @@ def _is_own(found: object) -> bool:
 
 
 def is_frozen(found: object) -> bool:
-    """Tell whether an object is of a frozen dataclass."""
+    """Return whether an object is of a frozen dataclass."""
     parameters = getattr(type(found), '__dataclass_params__', None)
     return bool(getattr(parameters, 'frozen', False))
 
@@ -176,7 +176,7 @@ def owner_of(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def is_foreign(array: NDArray[Any]) -> bool:
-    """Tell whether an array is a view into ``MjData`` or ``MjModel``."""
+    """Return whether an array is a view into ``MjData`` or ``MjModel``."""
     return type(owner_of(array).base).__name__ == 'PyCapsule'
 
 

@@ -217,7 +217,7 @@ class Servos:
         return self._sources < len(self._ids)
 
     def gives_effort(self, indices: IntArray) -> BoolArray:
-        """Tell which of some actuators are sources of effort, shape of ``indices``."""
+        """Return which of some actuators are sources of effort, shape of ``indices``."""
         return np.asarray(self._gives_effort[indices])
 
     def set_gains(self, indices: IntArray, gains: tuple[ArrayLike, ArrayLike] | None) -> bool:

@@ -126,7 +126,7 @@ class SetpointGenerator:
         return np.asarray(self._estimator.lost + self._ramp_estimator.lost)
 
     def at_rest(self, indices: IntArray) -> bool:
-        """Tell whether all of the given setpoints rest at their goals."""
+        """Return whether all of the given setpoints rest at their goals."""
         if not self.moving:
             return True
         if np.count_nonzero(self._reference[indices]) or self._waiting.brings(indices):

@@ -163,7 +163,7 @@ class Simulation:
         for joint, position in self._start.items():
             self.data.joint(joint).qpos[0] = position
         mujoco.mj_forward(self.model, self.data)
-        self._free_roots.bear(self.data)
+        self._free_roots.apply(self.data)
 
     def _settle_linkages(self) -> None:
         """
@@ -215,7 +215,7 @@ class Simulation:
         return self.diverged is None and self._steps.resumes() and self._rests()
 
     def _rests(self) -> bool:
-        return not self._free_roots.borne and all([
+        return not self._free_roots.is_needed and all([
             robot.resting for robot in self.robots.values()])
 
     def advance(self, steps: int) -> None:
@@ -275,7 +275,7 @@ class Simulation:
 
     def _compute(self, steps: int, ends: bool) -> None:
         """Compute the physics of an interval, and all of the new instant if a period ends."""
-        self._free_roots.bear(self.data)
+        self._free_roots.apply(self.data)
         self._steps.run(steps)
         if ends:
             self._steps.finish()

@@ -124,7 +124,7 @@ def _blocked(model: mujoco.MjModel, data: mujoco.MjData, contacts: list[Any], jo
 
 def _is_blocked(model: mujoco.MjModel, trial: Any, data: mujoco.MjData, joint: int) -> bool:
     """
-    Tell whether contacts hardly let the full force move a joint, forwards or backwards.
+    Return whether contacts hardly let the full force move a joint, forwards or backwards.
 
     :param trial: a copy of the model to try it with, changed in place
     """

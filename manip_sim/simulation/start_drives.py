@@ -113,13 +113,13 @@ def _too_weak(model: mujoco.MjModel, data: mujoco.MjData, drivers: dict[int, int
             'forcerange or ctrlrange of the actuator where they are lower')
 
 
-def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], told: set[int]
+def _at_full_force(model: mujoco.MjModel, data: mujoco.MjData, joints: set[int], reported: set[int]
                    ) -> Iterator[StartDefect]:
     """Yield the servos whose control is so far from the start that they exert their full force."""
     is_servo = (model.actuator_forcelimited != 0) & (model.actuator_biasprm[:, 1] < 0.0)
     for actuator in np.flatnonzero(is_servo).tolist():
         driven = actuated_joints(model, actuator)
-        if not joints.intersection(driven) or told.intersection(driven):
+        if not joints.intersection(driven) or reported.intersection(driven):
             continue
         force = float(data.actuator_force[actuator])
         limit = model.actuator_forcerange[actuator]

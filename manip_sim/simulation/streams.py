@@ -17,7 +17,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.simulation.message_clock import MessageClock, MessageClocks
 
-#: For how many intervals after a message was due the goals go on, unless it is told otherwise.
+#: For how many intervals after a message was due the goals go on, unless set otherwise.
 _HOLD_INTERVALS = 2.0
 #: Uncertainty of a step of the goals, at least, as a share of it.
 _GOAL_SPREAD = 0.05
@@ -235,7 +235,7 @@ class WaitingGoals:
         return bool(self._goals)
 
     def brings(self, indices: IntArray) -> bool:
-        """Tell whether there is a goal for any of some coordinates."""
+        """Return whether there is a goal for any of some coordinates."""
         return any(np.isin(waiting.indices, indices).any() for waiting in self._goals)
 
     def take_all(self) -> list[WaitingGoal]:

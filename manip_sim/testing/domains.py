@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""ROS domains that no other process uses: a node and its clients meet nobody else there."""
+"""ROS domains that no other process uses: a node and its clients find nobody else there."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _locked(path: Path) -> int | None:
 
 
 def lives(domain: int) -> bool:
-    """Tell whether a participant of a domain has bound a port (DDSI-RTPS 2.2, 9.6.1.1)."""
+    """Return whether a participant of a domain has bound a port (DDSI-RTPS 2.2, 9.6.1.1)."""
     for participant in range(20):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:

@@ -19,7 +19,7 @@ from manip_sim.worlds.shared_goals import take_goals
 
 
 def takes(joints: JointController) -> bool:
-    """Tell whether :class:`JointRows` can control joints until the next command."""
+    """Return whether :class:`JointRows` can control joints until the next command."""
     return (joints._setpoints.moving and not joints._efforts_due
             and not joints.commands.waiting and not joints._servos._sources
             and all([type(command) is JointSetpoint for command in joints.commands.running]))
@@ -30,7 +30,7 @@ class JointRows:
     The joints of one robot in several worlds, each a row, in one control period.
 
     :param robots: the robot in each of these worlds, whose joints are those that :func:`takes`
-        tells, in models of the same size
+        accepts, in models of the same size
     """
 
     def __init__(self, robots: Sequence[SimulatedRobot]) -> None:

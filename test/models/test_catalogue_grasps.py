@@ -21,7 +21,7 @@ LIFT_M = 0.1
 
 
 def has_pads(name):
-    """Tell whether a gripper has two sides that close on something."""
+    """Return whether a gripper has two sides that close on something."""
     roles = create_gripper(name).important_geoms
     return bool(roles['left_fingerpad'] and roles['right_fingerpad'])
 

@@ -33,7 +33,7 @@ def driven_directly():
 
 
 def can_be_created(cls):
-    """Tell whether a class has a file of its own, so that it takes no arguments."""
+    """Return whether a class has a file of its own, so that it takes no arguments."""
     return hasattr(cls, '_folder')
 
 

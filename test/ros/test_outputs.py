@@ -59,7 +59,7 @@ def test_an_output_whose_reader_stops_drops_messages_at_once_and_recovers_with_t
     lines, publisher = Lines(), client.node.create_publisher(Clock, 'times', EVERYTHING)
     log = RejectionLog(lines)
     output = Output(publisher, log)
-    assert not output.heard and not output.wanted
+    assert not output.has_subscribers and not output.wanted
     client.spin_until(lambda: output.wanted)
     reader.send_signal(signal.SIGSTOP)
     publish, tries = publisher.publish, []
@@ -71,7 +71,7 @@ def test_an_output_whose_reader_stops_drops_messages_at_once_and_recovers_with_t
     # From the first message that was not taken on, none waits for the reader.
     assert log.failed['publications'] == 1 and 'RCLError' in lines[0]
     tried = len(tries)
-    assert output.heard and not output.wanted
+    assert output.has_subscribers and not output.wanted
     for message in times(100):
         output.publish(message)
     assert len(tries) == tried

@@ -19,7 +19,7 @@ from manip_sim.ros.command_inbox import is_known
 
 
 def catches(process, number):
-    """Tell whether a process has come as far as to catch a signal."""
+    """Return whether a process has come as far as to catch a signal."""
     status = Path(f'/proc/{process.pid}/status').read_text()
     return bool(int(status.split('SigCgt:')[1].split()[0], 16) >> (number - 1) & 1)
 

@@ -35,7 +35,7 @@ class Record:
 
     def __init__(self):
         self.messages = []
-        self.heard = True
+        self.has_subscribers = True
 
     def publish(self, message):
         self.messages.append(copy.deepcopy(message))
@@ -184,7 +184,7 @@ def test_the_nearest_rate_is_that_of_the_smallest_difference(publish_rate, tf_ra
 
 def test_while_nobody_listens_no_frames_are_made(serve, client, records):
     moving = records[0]
-    moving.heard = False
+    moving.has_subscribers = False
     serve()
     client.state()
     assert moving.messages == [] and len(records[1].messages) == 1

@@ -73,7 +73,7 @@ def parsed(parse, *arguments, **options):
 
 
 def usable(values, count):
-    """Tell whether values are finite numbers, and as many as are needed."""
+    """Return whether values are finite numbers, and as many as are needed."""
     # A whole number may be greater than any double.
     return len(values) == count and all(
         isinstance(v, (float, int)) and abs(v) <= sys.float_info.max for v in values)

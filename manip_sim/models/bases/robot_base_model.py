@@ -22,7 +22,7 @@ class RobotBaseModel(MujocoXMLModel):
     in the frame of the base.
     """
 
-    #: The subsystem of joints whose names tell none.
+    #: The subsystem of joints whose names contain no keyword.
     subsystem_of_others = 'arm'
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

@@ -41,7 +41,7 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
     :param start: where joints start, by name [rad or m]
     :returns: names of the actuators that hold still, and a sentence for each change
     """
-    model, told = tree.model, []
+    model, notes = tree.model, []
     still: set[str] = set()
     owner: dict[int, int] = {}
     for actuator in sorted(actuators, key=lambda a: not _is_position_servo(model, a)):
@@ -50,22 +50,22 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
         if joint is None and int(model.actuator_trntype[actuator]) == _TENDON:
             joint = _drive_leader(spec, tree, actuator)
             if joint is not None:
-                told.append(f"actuator '{name}' drives joint '{model.joint(joint).name}' and "
-                            'those that are tied to it, not their tendon')
+                notes.append(f"actuator '{name}' drives joint '{model.joint(joint).name}' and "
+                             'those that are tied to it, not their tendon')
         if joint is None or not _is_usable(model, actuator):
             _hold(spec, model, actuator, start)
             still.add(name)
         elif joint in owner:
             spec.delete(spec.actuator(name))
-            told.append(f"actuator '{name}' is left out: joint '{model.joint(joint).name}' has "
-                        f"'{model.actuator(owner[joint]).name}'")
+            notes.append(f"actuator '{name}' is left out: joint '{model.joint(joint).name}' has "
+                         f"'{model.actuator(owner[joint]).name}'")
         else:
             owner[joint] = actuator
-    told += _give_rotors(spec, model, owner)
+    notes += _give_rotors(spec, model, owner)
     if still:
-        told.append(f'holding still: actuators {", ".join(sorted(still))}, which are neither '
-                    'motors nor servos of one joint')
-    return still, told
+        notes.append(f'holding still: actuators {", ".join(sorted(still))}, which are neither '
+                     'motors nor servos of one joint')
+    return still, notes
 
 
 def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int, int]

@@ -80,8 +80,8 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     tree = BodyTree(model)
     if model.njnt == 0:
         return FileMount(model_file, _top(model_file, model, description), idn)
-    _, told = own_each_joint(model_file.spec, tree, range(model.nu), model_file.start)
-    model_file.inferred += told
+    _, notes = own_each_joint(model_file.spec, tree, range(model.nu), model_file.start)
+    model_file.inferred += notes
     bodies = [tree.name(body) for body in range(1, model.nbody)]
     support = description.support or ('support' if 'support' in bodies else None)
     if support is None:

@@ -176,7 +176,7 @@ def _told(file: Path, kind: type[BaseModel], error: Any) -> ModelError:
 
 
 def _is_of_union(part: Any) -> bool:
-    """Tell whether a part of a location is the name of a union member, not a key in the file."""
+    """Return whether a part of a location is the name of a union member, not a key in the file."""
     return isinstance(part, str) and ('[' in part or part in _UNION_MEMBERS)
 
 

@@ -192,8 +192,8 @@ class Fingers:
                 low, high = (self._tips_at(trial, actuator, control) for control in limits)
             # Positive where the fingers are farther apart at the upper end.
             change = self._change(low, high)
-            tells = abs(change) > _TELLING
-            found[actuator] = (*(limits[::-1] if tells and change > 0.0 else limits), tells)
+            is_clear = abs(change) > _TELLING
+            found[actuator] = (*(limits[::-1] if is_clear and change > 0.0 else limits), is_clear)
         return found
 
     def _change(self, low: FloatArray, high: FloatArray) -> float:

@@ -91,11 +91,11 @@ class HandFromFile(GripperModel, registered=False):
             span = (high - low) or 1.0
             ends.append(2.0 * (np.array([opened, closed]) - low) / span - 1.0)
         self._open, self._closed = np.array(ends).reshape(-1, 2).T
-        told = [f'{names[ids.index(actuator)]} from {opened:g} to {closed:g}'
-                f'{"" if tells else " (a guess)"}'
-                for actuator, (opened, closed, tells) in found.items()]
-        if told:
-            self.inferred.append(f'closing: {", ".join(told)}')
+        notes = [f'{names[ids.index(actuator)]} from {opened:g} to {closed:g}'
+                 f'{"" if is_clear else " (a guess)"}'
+                 for actuator, (opened, closed, is_clear) in found.items()]
+        if notes:
+            self.inferred.append(f'closing: {", ".join(notes)}')
 
     @property
     def dof(self) -> int:
@@ -149,13 +149,13 @@ def fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: l
     :param model: the same, compiled
     :returns: a sentence for each actuator without limits, whose range becomes [-1, 1]
     """
-    told = []
+    notes = []
     for actuator in actuators:
         element = spec.actuator(model.actuator(actuator).name)
         limits = control_range(model, actuator)
         if limits is None:
             limits = (-1.0, 1.0)
-            told.append(f"actuator '{element.name}' has no limits: actions are its control")
+            notes.append(f"actuator '{element.name}' has no limits: actions are its control")
         element.ctrlrange, element.ctrllimited = limits, int(mujoco.mjtLimited.mjLIMITED_TRUE)
         element.inheritrange = 0.0
-    return told
+    return notes

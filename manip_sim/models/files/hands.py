@@ -89,7 +89,7 @@ def _by_side(tree: BodyTree, joints: Iterable[int]) -> dict[str | None, set[int]
 
 
 def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
-    """Tell whether groups of joints are the left and right fingers of one hand."""
+    """Return whether groups of joints are the left and right fingers of one hand."""
     carriers = [_common_carrier(tree, group) for group in groups]
     shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
                         for body in [tree.common(carriers), *carriers])

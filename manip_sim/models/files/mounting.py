@@ -42,7 +42,7 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :returns: what was done, in sentences
     """
-    model, told = tree.model, []
+    model, notes = tree.model, []
     reach = Fingers(tree, hand, start).grasp_point()
     size = length(reach)
     if size < _SHORT_M:
@@ -50,14 +50,14 @@ def stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand, start: 
     position, quat = model.body_pos[1].copy(), model.body_quat[1].copy()
     if _rotated(quat, reach)[2] < size * np.sqrt(0.5):
         quat, position = _quarter_turn(reach), np.zeros(3)
-        told.append('mount: turned so that the fingers point along z')
+        notes.append('mount: turned so that the fingers point along z')
     behind = -_lowest(tree, hand, quat) - position[2]
     if behind > _BEHIND_MOUNT_M:
         position[2] += behind
-        told.append(f'mount: {behind:.3f} m along z, so that the palm is in front of it')
-    if told:
+        notes.append(f'mount: {behind:.3f} m along z, so that the palm is in front of it')
+    if notes:
         place_root(spec, position, quat)
-    return told
+    return notes
 
 
 def _quarter_turn(reach: FloatArray) -> FloatArray:

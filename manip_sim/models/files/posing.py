@@ -36,15 +36,15 @@ def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
                         else (low + high) / 2.0)
     inside, _ = _with(model, _away_from_ends)
     middle, _ = _with(model, lambda value, low, high: (low + high) / 2.0)
-    told = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
-            if moved else 'start pose: zero']
+    notes = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
+             if moved else 'start pose: zero']
     best, overlap = zero, _overlap(model, zero)
     for pose, what in ((inside, 'zero, with joints away from the ends of their ranges'),
                        (middle, 'the middle of all ranges')):
         if overlap > 0.0 and _overlap(model, pose) < overlap - _BETTER_M:
-            best, overlap, told = pose, _overlap(model, pose), [
+            best, overlap, notes = pose, _overlap(model, pose), [
                 f'start pose: {what}, because links overlap at zero']
-    return best, told
+    return best, notes
 
 
 def _away_from_ends(value: float, low: float, high: float) -> float:

@@ -58,27 +58,27 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
-    spec, told = load_urdf(file) if is_urdf(file) else (load_spec(file), [])
+    spec, notes = load_urdf(file) if is_urdf(file) else (load_spec(file), [])
     name_unnamed_elements(spec)
     model = compile_alone(spec, str(file))
     key = _choose_key(model, keyframes, wanted, file)
     if key is None:
         qpos, why = choose_pose(model)
-        told += why
+        notes += why
     else:
         qpos = model.key_qpos[key]
-        told += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
+        notes += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
     start = _start_of(model, qpos)
-    told += _place_root(spec, model, qpos)
+    notes += _place_root(spec, model, qpos)
     for old in list(spec.keys):
         spec.delete(old)
     if servos and not model.nu and start:
-        told += add_servos(spec, BodyTree(model))
+        notes += add_servos(spec, BodyTree(model))
         model = compile_alone(spec, str(file))
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
-    return ModelFile(file, spec, BodyTree(model), start, [*told, *changes])
+    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes])
 
 
 def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:

@@ -68,11 +68,11 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     """
     keyframe = description.start if isinstance(description.start, str) else None
     model_file = read_model(file, _KEYFRAMES, keyframe)
-    spec, tree, told = model_file.spec, model_file.tree, model_file.inferred
+    spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
         raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
-    told += exclude_neighbours(spec, tree.model, start)
+    notes += exclude_neighbours(spec, tree.model, start)
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,
@@ -82,8 +82,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     of_hands = {a for hand in hands.values() for a in hand.actuators}
     others = [a for a in range(tree.model.nu) if a not in of_hands]
     still, changes = own_each_joint(spec, tree, others, start)
-    told += changes
-    ends = {side: _add_end(spec, tree, side, arm, description, where, told)
+    notes += changes
+    ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
             for side, arm in arms.items()}
     own = {side: _own_hand(spec, tree, side, hand, description, where, start)
            for side, hand in hands.items()}
@@ -91,8 +91,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
-    told += _tell_subsystems(by_name)
-    return RobotPlan(file, description, where, spec, start, by_name, ends, own, still, told)
+    notes += _subsystem_notes(by_name)
+    return RobotPlan(file, description, where, spec, start, by_name, ends, own, still, notes)
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
@@ -165,7 +165,7 @@ def _declared_arm(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: ArmDescri
 
 
 def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
-             description: RobotDescription, where: str, told: list[str]) -> str:
+             description: RobotDescription, where: str, notes: list[str]) -> str:
     """Return the end effector body of an arm; a site or an offset needs a new one."""
     declared = description.arm(side)
     mount = declared.mount if declared is not None else None
@@ -177,7 +177,7 @@ def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
     frame = mount if isinstance(mount, Frame) else Frame()
     name = free_name({body.name for body in spec.bodies}, f'{side}_hand')
     add_body_at(spec, tree.model, place, name, frame.position, frame.orientation)
-    told.append(f"new body '{name}' at {arm.kind} '{arm.name}' for a gripper")
+    notes.append(f"new body '{name}' at {arm.kind} '{arm.name}' for a gripper")
     return name
 
 
@@ -195,10 +195,10 @@ def _limit_velocities(spec: mujoco.MjSpec, limits: Mapping[str, float]) -> None:
         joint.userdata = [limit, *list(joint.userdata)[1:]]
 
 
-def _tell_subsystems(subsystems: Mapping[str, str]) -> list[str]:
-    told = []
+def _subsystem_notes(subsystems: Mapping[str, str]) -> list[str]:
+    notes = []
     for part in ('base', 'torso', 'head', 'legs'):
         joints = [joint for joint, of in subsystems.items() if of == part]
         if joints:
-            told.append(f'{part}: {", ".join(joints)}')
-    return told
+            notes.append(f'{part}: {", ".join(joints)}')
+    return notes

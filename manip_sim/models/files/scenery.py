@@ -37,7 +37,7 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     :returns: the spec or, with a new root, another one, and a sentence for each change
     :raises ModelError: if no root remains, or one of several roots is free
     """
-    told = _leave_out(spec, BodyTree(model))
+    notes = _leave_out(spec, BodyTree(model))
     world = spec.worldbody
     roots = list(world.bodies)
     if not roots:
@@ -47,16 +47,16 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     if len(roots) == 1 and (free or not loose):
         delete_elements(spec, loose)
         if loose:
-            told.append(f'left out: {len(loose)} shapes and sites of the world body')
-        return spec, told
+            notes.append(f'left out: {len(loose)} shapes and sites of the world body')
+        return spec, notes
     if free:
         raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, one of '
                          f'which is free: {quoted_names([body.name for body in roots])}')
     name = free_name({body.name for body in spec.bodies}, 'root')
     held = f' and {len(loose)} shapes and sites of the world body' if loose else ''
-    told.append(f"new root body '{name}' that holds "
-                f'{quoted_names([body.name for body in roots])}{held}')
-    return _wrapped(spec, name), told
+    notes.append(f"new root body '{name}' that holds "
+                 f'{quoted_names([body.name for body in roots])}{held}')
+    return _wrapped(spec, name), notes
 
 
 def exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[str, float]
@@ -78,7 +78,7 @@ def exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mappin
     model.geom_margin[:] += _TOUCHING_M
     mujoco.mj_forward(model, data)
     model.geom_margin[:] = margins
-    told = []
+    notes = []
     for contact in data.contact:
         fixed, other = sorted(model.geom_bodyid[contact.geom].tolist(),
                               key=lambda body: int(model.body_weldid[body]))
@@ -88,27 +88,27 @@ def exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mappin
         if neighbours and contact.dist < _TOUCHING_M:
             names = [str(model.body(body).name) for body in (fixed, other)]
             what = f"'{names[0]}' and '{names[1]}' overlap at the start, so they do not collide"
-            if what not in told:
+            if what not in notes:
                 spec.add_exclude(bodyname1=names[0], bodyname2=names[1])
-                told.append(what)
-    return told
+                notes.append(what)
+    return notes
 
 
 def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
-    world, told = spec.worldbody, []
+    world, notes = spec.worldbody, []
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
     for what, elements in (('lights', list(world.lights)), ('cameras', list(world.cameras)),
                            ('grounds', grounds), ('bodies', objects)):
         names = [element.name for element in elements if element.name]
         if elements:
-            told.append(f'left out: {len(elements)} {what} of the world body'
-                        + (f' ({quoted_names(names)})' if names else ''))
+            notes.append(f'left out: {len(elements)} {what} of the world body'
+                         + (f' ({quoted_names(names)})' if names else ''))
         if elements is not objects:
             delete_elements(spec, elements)
     for body in objects:
         spec.delete(body)
-    return told
+    return notes
 
 
 def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:

@@ -129,5 +129,5 @@ class BodyTree:
         return [{int(model.eq_obj1id[i]), int(model.eq_obj2id[i])} for i in tied]
 
     def is_scalar(self, joint: int) -> bool:
-        """Tell whether a joint is a hinge or a slide."""
+        """Return whether a joint is a hinge or a slide."""
         return int(self.model.jnt_type[joint]) in SCALAR

@@ -28,7 +28,7 @@ _HEAD = 4096
 
 
 def is_urdf(file: Path) -> bool:
-    """Tell whether a file is URDF: by its ending, or because its first element is ``robot``."""
+    """Return whether a file is URDF: by its ending, or because its first element is ``robot``."""
     if file.suffix.lower() == '.urdf':
         return True
     if not file.is_file():  # Reading a device or a pipe may never end.
@@ -54,7 +54,7 @@ def load_urdf(file: Path) -> tuple[Any, list[str]]:
     """
     check_xml(file)
     robot = _parse(file)
-    told = _find_meshes(robot, file)
+    notes = _find_meshes(robot, file)
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true')):
@@ -63,8 +63,8 @@ def load_urdf(file: Path) -> tuple[Any, list[str]]:
     spec = spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
     for joint in robot.iter('joint'):
         _complete_joint(spec, joint)
-    told += _give_mass(spec, robot)
-    return spec, told
+    notes += _give_mass(spec, robot)
+    return spec, notes
 
 
 def _parse(file: Path) -> ElementTree.Element:

@@ -39,12 +39,12 @@ class Shape:
 
 
 def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Tell whether a geom can collide."""
+    """Return whether a geom can collide."""
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def is_seen(model: mujoco.MjModel, geom: int) -> bool:
-    """Tell whether MuJoCo shows a geom by default and the geom is not fully transparent."""
+    """Return whether MuJoCo shows a geom by default and the geom is not fully transparent."""
     return int(model.geom_group[geom]) < _SHOWN_GROUPS and float(rgba_of(model, geom)[3]) > 0.0
 
 

@@ -42,7 +42,7 @@ _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
 _SLOW_PACE = 0.005
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
-#: Stamps are told apart modulo this, so that seconds of any clock keep their nanoseconds [ns].
+#: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
 _STAMPS_NS = 10**15
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
@@ -184,7 +184,7 @@ class CartesianController:
     # ------------------------------------------------------------------ in the control loop
 
     def moves(self, command: CartesianCommand) -> bool:
-        """Tell whether a command that runs has something to do in the next interval."""
+        """Return whether a command that runs has something to do in the next interval."""
         return (self._targets[command.arm].settled_in is None
                 or bool(self._servos.gives_effort(command.indices).any()))
 

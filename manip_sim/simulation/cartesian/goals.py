@@ -50,7 +50,7 @@ def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data
 
 
 def _moves(hand: Hand, frame: Frame, model: mujoco.MjModel) -> bool:
-    """Tell whether an arm moves a frame."""
+    """Return whether an arm moves a frame."""
     own = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, hand.qpos)].tolist())
     body = frame.body
     while body and body not in own:

@@ -37,7 +37,7 @@ class CartesianReport:
     :ivar texts: what happened last, in words, by counter
     """
 
-    #: Only told, never used.
+    #: Only reported, never used.
     not_in_digest: ClassVar[tuple[str, ...]] = (
         'unreachable', 'joint_limit', 'singular', 'slowed', 'aside', 'texts', '_active', '_seen_s',
         '_stalled_s')

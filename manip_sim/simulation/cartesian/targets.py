@@ -93,7 +93,7 @@ class Target:
         return length(offset - share * way)
 
     def ends_stream(self, now_s: float) -> bool:
-        """Tell whether the goal rests now, if need be because the stream has ended."""
+        """Return whether the goal rests now, if need be because the stream has ended."""
         if self.stream is not None:
             self.stream.update(now_s)
         return self.stream is None or not self.stream.moving

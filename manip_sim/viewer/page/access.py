@@ -99,7 +99,7 @@ class Access:
         if match is None or not self._is_known(match['name']):
             return (f'the host {quoted(" ".join(hosts))} is unknown; sim_view --allow-host NAME '
                     'allows a name')
-        # A browser tells the origin of whoever opens a socket.
+        # A browser sends the origin of the page that opens a socket.
         own = f'http://{hosts[0]}', f'https://{hosts[0]}'
         if any(origin not in own for origin in origins) or len(origins) < len(upgrades):
             return f'the origin {quoted(" ".join(origins))} is another'

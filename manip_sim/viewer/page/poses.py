@@ -115,13 +115,13 @@ class PosePanel:
     :param robots: of the node
     :param commands: receives what people command
     :param events: queue to the thread that updates the page
-    :param tell: called with what could not be done, for people
+    :param notify: called with what could not be done, for people
     """
 
     def __init__(self, gui: Any, poses: Poses, robots: Sequence[Robot], commands: Commands,
-                 events: Events, tell: Callable[[str], None]) -> None:
+                 events: Events, notify: Callable[[str], None]) -> None:
         self._poses, self._robots = poses, robots
-        self._commands, self._tell = commands, tell
+        self._commands, self._notify = commands, notify
         self._latest, self._fields = Latest(), dict[str, str]()
         with gui.add_folder('Poses', expand_by_default=False, order=-2.0):
             self._choice = gui.add_dropdown('Pose', self._options)
@@ -159,7 +159,7 @@ class PosePanel:
                                for joint in part.joints if joint.name in measured})
         name = str(self._name.value).strip()
         if not joints:
-            self._tell('no pose saved: no part takes position commands')
+            self._notify('no pose saved: no part takes position commands')
         elif self._done(lambda: self._poses.save(name, joints)):
             self._choice.options = self._options
             self._choice.value = name
@@ -176,19 +176,19 @@ class PosePanel:
             goals = {joint.name: _within(joint, pose[joint.name]) for joint in part.joints
                      if joint.name in pose}
             if goals and field != _POSITION:
-                self._tell(f'{robot.titled(part.name)} takes {field} commands: a pose needs '
-                           'position commands')
+                self._notify(f'{robot.titled(part.name)} takes {field} commands: a pose needs '
+                             'position commands')
             elif goals:
                 self._commands.move_joints(robot.space, part.name, _POSITION, goals)
             moved = moved or bool(goals)
         if pose and not moved:
-            self._tell('this pose has no joint of these robots')
+            self._notify('this pose has no joint of these robots')
 
     def _done(self, change: Callable[[], None]) -> bool:
         try:
             change()
         except ManipSimError as error:
-            self._tell(str(error))
+            self._notify(str(error))
             return False
         return True
 

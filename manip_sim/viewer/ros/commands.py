@@ -28,13 +28,13 @@ class CommandSender:
     :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
     :param frames: those in which the node gives the poses of hands, by namespace and arm
-    :param tell: called with what could not be done, for people
+    :param notify: called with what could not be done, for people
     :ivar paused: called when the simulation has been paused or goes on
     """
 
     def __init__(self, node: Node, simulation: str, frames: Mapping[tuple[str, str], str],
-                 tell: Callable[[str], None]) -> None:
-        self._node, self._name, self._frames, self._tell = node, simulation, frames, tell
+                 notify: Callable[[str], None]) -> None:
+        self._node, self._name, self._frames, self._notify = node, simulation, frames, notify
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
         self._waiting: dict[str, Any] = {}
@@ -64,7 +64,7 @@ class CommandSender:
 
     def _publish(self, topic: str, message: Any) -> None:
         if topic not in self._publishers:
-            self._tell(f'{topic}: the node no longer subscribes to this topic')
+            self._notify(f'{topic}: the node no longer subscribes to this topic')
         elif self._publishers[topic].get_subscription_count():
             self._waiting.pop(topic, None)
             self._publishers[topic].publish(message)
@@ -89,7 +89,7 @@ class CommandSender:
         """Publish an action."""
         size = self._action_sizes.get(f'{space}{part}')
         if size is None:
-            self._tell(f'{part}: the length of an action is not known yet')
+            self._notify(f'{part}: the length of an action is not known yet')
             return
         self._publish(f'{space}{part}/command', Float64MultiArray(data=[action] * size))
 
@@ -127,15 +127,15 @@ class CommandSender:
     def _call(self, name: str, request: Any, done: Callable[[], None] = lambda: None) -> None:
         client = self._clients.get(name)
         if client is None or not client.service_is_ready():
-            self._tell(f'{name}: the node does not answer')
+            self._notify(f'{name}: the node does not answer')
             return
 
         def answered(future: Any) -> None:
             answer = future.result()
             if answer is None:
-                self._tell(f'{name}: the node does not answer')
+                self._notify(f'{name}: the node does not answer')
             elif answer.success:
                 done()
             else:
-                self._tell(f'{name}: {answer.message}')
+                self._notify(f'{name}: {answer.message}')
         client.call_async(request).add_done_callback(answered)

@@ -46,7 +46,7 @@ class Session:
         self._name, self._readers = simulation, readers
         self._discovery = Discovery(node, readers, simulation)
         self._states = States(node, readers, simulation, self._discovery.base)
-        self._states.told = self._diagnosed
+        self._states.on_statuses = self._diagnosed
         self._sender: CommandSender | None = None
         if commands:
             self._sender = CommandSender(node, simulation, self._states.frames, self._complain)

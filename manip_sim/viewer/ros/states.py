@@ -48,7 +48,7 @@ class States:
         self._subscriptions: dict[str, Any] = {}
         self.latest = Latest()
         self.frames: dict[tuple[str, str], str] = {}
-        self.told: Callable[[list[Status]], None] = lambda statuses: None
+        self.on_statuses: Callable[[list[Status]], None] = lambda statuses: None
         readers.subscribe(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
 
     def forget(self) -> None:
@@ -137,4 +137,4 @@ class States:
         statuses = contents.statuses(message, self._name)
         if statuses:
             self.latest.diagnostics = statuses
-            self.told(statuses)
+            self.on_statuses(statuses)
