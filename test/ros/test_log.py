@@ -49,8 +49,8 @@ def test_memory_is_bounded_whatever_the_kinds(log):
     for kind in range(5000):
         log.warn('topic', str(kind), 'text')
         log.warn('topic', str(kind), 'text')
-    assert len(log._told_s) <= 1000
-    assert len(log._untold) <= 1000
+    assert len(log._logged_s) <= 1000
+    assert len(log._left_out) <= 1000
 
 
 def raised(name):
