@@ -72,6 +72,8 @@ setup(
     install_requires=['setuptools', 'mujoco>=3.9.0,<5', 'numpy<3', 'pillow>=10.1',
                       'pydantic>=2,<3', 'pyyaml'],
     extras_require={
+        # What `make bench` compares with and draws with; robosuite needs an older MuJoCo.
+        'bench': ['matplotlib', 'robosuite==1.5.2'],
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'jazzy': ['ros-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces'],
         'jazzy-test': ['ros-jazzy-test-msgs'],

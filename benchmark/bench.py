@@ -49,6 +49,7 @@ ROWS = {
     'start': ('start', 'measure', True, 90.0),
     'memory': ('memory', 'measure', True, 200.0),
     'period': ('period', 'measure', False, 60.0),
+    'worlds': ('many_worlds', 'measure', False, 150.0),
     'rates': ('free', 'measure_rates', True, 180.0),
 }
 _QUICK = 0.2

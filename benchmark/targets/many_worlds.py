@@ -1,22 +1,40 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Many worlds under a stream of joint positions, under OSC and at rest, and the bare physics."""
+"""
+One world and many, under a stream of joint positions, under OSC and at rest, without ROS.
+
+Beside the bare physics in the same threads, and beside robosuite's Lift where it is installed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+import logging
 from pathlib import Path
+import statistics
+import time
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.models import compose
+from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
+from manip_sim.worlds.template import Template
+from targets.figures import Figure, Settings, Target
 
 #: Steps of a control period: 20 ms, and 50 ms for operational space control.
 STEPS, STEPS_OF_OSC = 10, 25
+#: Numbers of worlds of the picture, and the threads of their physics.
+COUNTS, THREADS = (1, 4, 16, 64), (1, 2)
+#: By worlds and threads: what a world-step may cost, as multiples of bare ``mj_step``.
+LIMITS = {(1, 1): {'stream': 2.0, 'osc': 3.0, 'rest': 1.1},
+          (64, 2): {'stream': 1.5, 'osc': 2.0, 'rest': 1.1}}
+_WORDS = {'stream': 'a stream of positions', 'osc': 'OSC at 20 Hz', 'rest': 'at rest'}
+_ROUND_S = 0.3
 
 
 def panda_worlds(count: int, threads: int | None = None) -> Worlds:
@@ -100,3 +118,125 @@ class Bare:
 def resident_bytes() -> int:
     """Return how much memory of this process is in use."""
     return int(Path('/proc/self/statm').read_text().split()[1]) * 4096
+
+
+def rates(worlds: Worlds, kind: str, settings: Settings) -> tuple[list[float], list[float]]:
+    """Return world-steps per second of worlds and of the bare physics, in rounds (A B A B)."""
+    period, steps = KINDS[kind](worlds)
+    bare = Bare(worlds)
+    ours, base = [], []
+    period()
+    for _ in range(settings.rounds):
+        ours.append(steps * len(worlds) * _per_s(period, settings))
+        bare.start()
+        base.append(steps * len(worlds) * _per_s(lambda: bare.step(steps), settings))
+    bare.close()
+    return ours, base
+
+
+def _per_s(period: Callable[[], object], settings: Settings) -> float:
+    """Return how many calls per second there are, of wall time."""
+    count, begin = 0, time.perf_counter()
+    while (now := time.perf_counter()) - begin < _ROUND_S * settings.scale:
+        period()
+        count += 1
+    return count / (now - begin)
+
+
+def measure(settings: Settings) -> Iterator[Figure]:
+    """Measure worlds in threads, what a copy costs, state and command, and robosuite's Lift."""
+    series: dict[str, Any] = {'counts': COUNTS, 'worlds': {}, 'mj_step': {}}
+    for threads in THREADS:
+        for count in COUNTS:
+            limits = LIMITS.get((count, threads), {})
+            for kind in limits or ('stream',):
+                settings.tell(f'worlds, {count} in {threads} threads, {_WORDS[kind]}')
+                with panda_worlds(count, threads) as worlds:
+                    ours, bare = rates(worlds, kind, settings)
+                if limits:
+                    yield Figure(
+                        'worlds', f'{_worlds(count, threads)}, {_WORDS[kind]}: a world-step, '
+                        'times bare `mj_step`', [b / o for o, b in zip(ours, bare)],
+                        target=Target('<=', limits[kind]))
+                if kind == 'stream':
+                    for name, values in (('worlds', ours), ('mj_step', bare)):
+                        series[name].setdefault(str(threads), []).append(statistics.median(values))
+    settings.series['worlds'] = series
+    settings.tell('worlds, copies, state and command')
+    yield from _copies(settings)
+    yield from _calls(settings)
+    settings.tell("worlds, robosuite's Lift")
+    yield from _lift(settings)
+
+
+def _worlds(count: int, threads: int) -> str:
+    return (f'{count} world{"s" * (count > 1)}, physics in {threads} '
+            f'thread{"s" * (threads > 1)}')
+
+
+def _copies(settings: Settings) -> Iterator[Figure]:
+    template, count = Template(Simulation(compose('Panda', arena='table'))), COUNTS[-1]
+    took, sizes = [], []
+    for _ in range(settings.rounds):
+        before, copies, begin = resident_bytes(), [], 0.0
+        for _ in range(count):
+            begin = time.perf_counter()
+            copies.append(template.copy())
+        took.append(1e3 * (time.perf_counter() - begin))
+        for simulation in copies:
+            simulation.advance(STEPS)
+        sizes.append((resident_bytes() - before) / 1e6 / count)
+    yield Figure('worlds', f'construction of world {count}', took, 'ms', Target('<=', 1.0))
+    # Later rounds find memory that the first one has given back.
+    yield Figure('worlds', 'memory of a world', sizes[:1], 'MB', Target('<=', 2.0))
+
+
+def _calls(settings: Settings) -> Iterator[Figure]:
+    robot = Simulation(compose('Panda', arena='table')).robot
+    names, goal = robot.joint_names[:7], robot.state().position[:7]
+    calls: dict[str, Callable[[], object]] = {
+        '`robot.state()`': robot.state,
+        '`robot.parse.joint_command`': lambda: robot.parse.joint_command(names, position=goal)}
+    for what, call in calls.items():
+        took = []
+        for _ in range(settings.rounds):
+            begin = time.thread_time()
+            for _ in range(1000):
+                call()
+            took.append(1e3 * (time.thread_time() - begin))
+        yield Figure('worlds', what, took, 'us', Target('<=', 15.0), digits=1)
+
+
+def _lift(settings: Settings) -> Iterator[Figure]:
+    """Compare with robosuite's Lift with the same actions, where this MuJoCo runs it."""
+    try:
+        logging.disable(logging.WARNING)
+        import robosuite
+        lift = robosuite.make(
+            'Lift', robots='Panda', has_renderer=False, has_offscreen_renderer=False,
+            use_camera_obs=False, control_freq=20, ignore_done=True)
+        lift.reset()
+        lift.step(np.zeros(lift.action_dim))
+    except Exception as error:  # With a MuJoCo that it does not know, it may raise anything.
+        settings.tell(f"robosuite's Lift is skipped: {type(error).__name__}: {error}")
+        return
+    finally:
+        logging.disable(logging.NOTSET)
+    number = 0
+
+    def step() -> None:
+        nonlocal number
+        number += 1
+        lift.step(0.2 * np.sin(0.1 * number + np.arange(lift.action_dim)))
+    for count, threads in LIMITS:
+        with panda_worlds(count, threads) as worlds:
+            move, _ = osc(worlds)
+
+            def period(worlds: Worlds = worlds, move: Callable[[], None] = move) -> None:
+                grips = np.full((len(worlds), 1), 0.2 * np.sin(0.1 * number))
+                worlds.robot.command.action('right/gripper', grips)
+                move()
+            rounds = [count * _per_s(period, settings) / _per_s(step, settings)
+                      for _ in range(settings.rounds)]
+        yield Figure('worlds', f"{_worlds(count, threads)}, OSC at 20 Hz: periods, of those of "
+                     "robosuite's Lift", rounds, target=Target('>=', 1.0))

@@ -23,7 +23,8 @@ def draw(series: dict[str, Any], folder: Path) -> list[Path]:
     matplotlib.use('Agg')
     from matplotlib import pyplot
     drawn = []
-    for name, function in (('periods', _periods), ('rates', _rates)):
+    for name, function in (
+            ('periods', _periods), ('rates', _rates), ('worlds', _worlds)):
         if name in series:
             figure, axes = pyplot.subplots(figsize=(6.4, 3.6), layout='constrained')
             function(axes, series[name])
@@ -50,4 +51,16 @@ def _rates(axes: Any, data: dict[str, Any]) -> None:
     axes.set(xlabel='steps of 1 ms between two states', ylabel='of bare mj_step', xscale='log',
              ylim=(0.0, 1.05), title='free, one client on joint_states and right/wrench')
     axes.set_xticks(data['steps'], [str(steps) for steps in data['steps']], minor=False)
+    axes.minorticks_off()
+
+
+def _worlds(axes: Any, data: dict[str, Any]) -> None:
+    for (threads, speeds), colour in zip(data['worlds'].items(), _COLOURS.values()):
+        named = f'{threads} thread{"s" * (threads != "1")}'
+        axes.plot(data['counts'], speeds, 'o-', label=f'worlds, {named}', color=colour)
+        axes.plot(data['counts'], data['mj_step'][threads], '--', color=colour,
+                  label=f'limit: bare mj_step, {named}')
+    axes.set(xlabel='worlds', ylabel='world-steps per second', xscale='log', ylim=(0.0, None),
+             title='Panda at a table, a stream of positions')
+    axes.set_xticks(data['counts'], [str(count) for count in data['counts']], minor=False)
     axes.minorticks_off()
