@@ -12,6 +12,7 @@ from manip_sim.cli.composition import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import commanded_parts
+from manip_sim.interface.ros2_control import hardware_of, remapped
 from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of
 from manip_sim.simulation import Simulation
 
@@ -54,8 +55,8 @@ def _hardware(composed: Composed, name: str) -> Hardware:
     for part in commanded_parts(robot.parts):
         if robot.parts[part].atomic == (part,):
             robot.set_control_mode(part, value(scope.parameter(f'control_mode.{part}')))
-    return Hardware(robot.command_interfaces(), f'/{scope.topic("robot_joint_states")}',
-                    f'/{scope.topic("robot_joint_commands")}')
+    return hardware_of(robot, scope, value('ros2_control_plugin'),
+                       value('stepping') == 'lockstep', remapped)
 
 
 def _size(file: Path) -> str:

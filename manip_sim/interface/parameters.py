@@ -19,6 +19,7 @@ from manip_sim.models.image_settings import (
     ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ)
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
+from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.modes import default_mode, MODES
 from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
@@ -82,7 +83,10 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('frame_prefix', '', 'Start of all frame names in messages, such as left/, '
                       'as in robot_state_publisher.'),
         ParameterSpec('ros2_control_tag', False, 'Add to robot_description the tag with which '
-                      'ros2_control commands this node (joint_state_topic_hardware_interface).'),
+                      'ros2_control commands this node.'),
+        ParameterSpec('ros2_control_plugin', TOPIC_PLUGIN, 'Hardware component that the tag '
+                      'names; the one of manip_sim_hardware also works in lockstep.',
+                      choices=PLUGINS),
         ParameterSpec('publish_clock', True, 'Publish /clock; only one node of a domain should.'),
     ]
 

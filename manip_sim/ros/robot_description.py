@@ -12,10 +12,11 @@ from typing import Any
 
 from std_msgs.msg import String
 
+from manip_sim.interface.ros2_control import hardware_of
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.models import World
-from manip_sim.models.urdf_writer import Hardware, urdfs_of
+from manip_sim.models.urdf_writer import urdfs_of
 from manip_sim.ros.outputs import create_publisher
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -50,12 +51,13 @@ class DescriptionPublisher:
     :param node: the node
     :param world: the world of the robots
     :param robots: by their scope
-    :param ros2_control_tag: whether to add a ``<ros2_control>`` tag for the present control modes,
-        which names the topics as they are called after remapping
+    :param plugin: hardware component of a ``<ros2_control>`` tag for the present control modes,
+        which names the topics as they are called after remapping; empty for no tag
+    :param lockstep: whether the physics waits for commands
     """
 
     def __init__(self, node: Any, world: World, robots: Mapping[Scope, SimulatedRobot],
-                 ros2_control_tag: bool = False) -> None:
+                 plugin: str = '', lockstep: bool = False) -> None:
         self._node = node
         self._world = world
         self._robots = robots
@@ -64,12 +66,10 @@ class DescriptionPublisher:
             scope: create_publisher(node, replace(row, name=scope.topic(row.name)))
             for scope in robots}
         self._hardware = {}
-        if ros2_control_tag:
-            self._hardware = {robot.name: Hardware(
-                robot.command_interfaces(),
-                node.resolve_topic_name(scope.topic('joint_states')),
-                node.resolve_topic_name(scope.topic('joint_command')))
-                for scope, robot in robots.items()}
+        if plugin:
+            self._hardware = {robot.name: hardware_of(
+                robot, scope, plugin, lockstep, node.resolve_topic_name,
+                node.get_fully_qualified_name()) for scope, robot in robots.items()}
 
     def publish(self) -> None:
         """

@@ -21,10 +21,12 @@ from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.parameters import commanded_parts, reflex_parameters
+from manip_sim.interface.ros2_control import STALLS
 from manip_sim.interface.scope import Scope
 from manip_sim.interface.topics import (
     PUBLISHED, SUBSCRIBED, Topic, topics_of_objects, topics_of_world)
 from manip_sim.models import World
+from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import Actions, offer_actions
 from manip_sim.ros.cameras import offer_cameras
@@ -145,7 +147,10 @@ class SimNode(Node):
             clock = ClockPublisher(self, self.rejections)
             self.thread.observe(clock.publish, look=clock.look)
         self._descriptions: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
-            model, DescriptionPublisher(self, world, self._robots, value('ros2_control_tag')),
+            model, DescriptionPublisher(
+                self, world, self._robots,
+                value('ros2_control_plugin') if value('ros2_control_tag') else '',
+                value('stepping') == 'lockstep'),
             DynamicsPublisher(self, self.simulation, value('gravity_compensation'))]
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
@@ -252,12 +257,15 @@ class SimNode(Node):
 
     def _introduce(self) -> None:
         log = self.get_logger()
-        log.info(introduction(self._robots, self.simulation, self._declared.value,
-                              self.thread.paused))
+        value = self._declared.value
+        log.info(introduction(self._robots, self.simulation, value, self.thread.paused))
         for note in (*inferred(self._world), *self.notes):
             log.info(note)
         for defect in self.simulation.start_defects:
             log.warning(f'start: {defect}')
+        if (value('ros2_control_tag') and value('stepping') == 'lockstep'
+                and value('ros2_control_plugin') == TOPIC_PLUGIN):
+            log.warning(STALLS)
         if self.get_parameter('use_sim_time').value:
             log.warning('use_sim_time has no effect here: this node is the source of the time')
 

@@ -12,7 +12,7 @@ from urdf_rig import (
     data_at, frames, mass_matrix, random_position, read_by_mujoco, scalar_joints)
 
 from manip_sim.models import compose, World
-from manip_sim.models.urdf_writer import Hardware, urdf_of
+from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, urdf_of
 from manip_sim.models.urdf_writer.meshes import binary_stl, stl_of
 from manip_sim.models.urdf_writer.numbers import rpy_of, text_of
 from manip_sim.models.urdf_writer.unit_sphere import unit_sphere
@@ -355,3 +355,27 @@ def test_the_tag_of_ros2_control_commands_driven_joints_and_observes_all():
     for joint in tag.findall('joint'):
         assert [s.get('name') for s in joint.findall('state_interface')] == [
             'position', 'velocity', 'effort']
+
+
+def test_the_tag_for_the_own_plugin_has_all_modes_and_the_sensors():
+    hardware = Hardware(
+        {'robot0_joint1': 'position', 'gripper0_right_finger_joint1': 'position'}, '/s', '/c',
+        OWN_PLUGIN, '/cell/sim', {'robot0_joint1': 'control_mode.arm'},
+        {'right_wrench': '/right/wrench'}, lockstep=True)
+    tag = ElementTree.fromstring(urdf_of(compose('Panda'), hardware=hardware).xml).find(
+        'ros2_control')
+    assert tag.find('hardware/plugin').text == 'manip_sim_hardware/ManipSimSystem'
+    assert {p.get('name'): p.text for p in tag.findall('hardware/param')} == {
+        'joint_states_topic': '/s', 'joint_commands_topic': '/c', 'node': '/cell/sim',
+        'lockstep': 'true'}
+    arm, finger = tag.findall('joint')[:2]
+    assert [c.get('name') for c in arm.findall('command_interface')] == [
+        'position', 'velocity', 'effort']
+    assert {p.get('name'): p.text for p in arm.findall('param')} == {
+        'mode_parameter': 'control_mode.arm'}
+    assert [c.get('name') for c in finger.findall('command_interface')] == ['position']
+    assert finger.find('param') is None
+    (sensor,) = tag.findall('sensor')
+    assert (sensor.get('name'), sensor.find('param').text) == ('right_wrench', '/right/wrench')
+    assert [s.get('name') for s in sensor.findall('state_interface')] == [
+        'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z']

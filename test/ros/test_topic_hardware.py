@@ -291,20 +291,81 @@ def test_a_message_that_cannot_be_matched_is_rejected(names, position, serve, cl
     client.spin_until(lambda: node.commands[0].statistics['joint_command'].rejected == 1)
 
 
-def test_a_constant_velocity_is_kept_by_a_hardware_with_the_threshold_of_the_tag(
-        serve, client, connect, until):
-    serve(prefix='panda_', control_mode__arm='velocity')
+# What happens when the controller manager is silent, ends, or meets lock-step.
+
+@pytest.fixture
+def controlled(sim_node):
+    """Return a function that serves an arm, paused, and its hardware; the loop runs in periods."""
+    def make(kind, **options):
+        sim = sim_node(prefix='panda_', control_mode__arm=kind)
+        hardware = TopicHardware(sim.node, tag(ARM, kind), '/joint_command', **options)
+        while not hardware.connected:
+            sim.run_for(0.01)
+        hardware.read()
+
+        def loop(seconds):
+            for _ in range(round(seconds / 0.01)):
+                hardware.cycle()
+                hardware.acknowledged()
+                sim.run_for(0.01)
+        return sim, hardware, loop
+    return make
+
+
+def test_with_the_threshold_of_the_tag_a_constant_velocity_is_kept(controlled):
     (threshold,) = (float(p.text) for p in ElementTree.fromstring(urdf_of(
         compose('Panda'), hardware=Hardware({})).xml).iter('param')
         if p.get('name') == 'trigger_joint_command_threshold')
-    hardware = connect(tag(ARM, 'velocity'), threshold=threshold)
+    sim, hardware, loop = controlled('velocity', threshold=threshold)
     hardware.claim('velocity', dict.fromkeys(ARM, 0.0) | {ARM[0]: 0.2})
-    until(hardware, lambda: abs(hardware.states[ARM[0], 'velocity'] - 0.2) < 1e-6)
+    loop(1.0)
+    velocity = sim.states('arm/joint_states').velocity[-50:, 0]
+    assert np.abs(velocity - 0.2).max() < 1e-4
+
+
+def test_with_the_threshold_of_the_plugin_the_timeout_starves_a_constant_velocity(controlled):
+    sim, hardware, loop = controlled('velocity')
+    hardware.claim('velocity', dict.fromkeys(ARM, 0.0) | {ARM[0]: 0.2})
+    loop(2.0)
+    assert sim.states('arm/joint_states').velocity[-150:, 0].min() < 0.15
+
+
+@pytest.mark.parametrize('kind, command', [('velocity', 0.2), ('effort', 1.0)])
+def test_an_arm_stops_when_the_controller_manager_dies(kind, command, controlled):
+    sim, hardware, loop = controlled(kind, threshold=-1.0)
+    hardware.claim(kind, dict.fromkeys(ARM, 0.0) | {ARM[6]: command})
+    loop(0.5)
+    assert sim.states('arm/joint_states').velocity[-1, 6] > 0.15
+    # No cycle from here on.
+    sim.run_for(1.5)
+    velocity = sim.states('arm/joint_states').velocity
+    last = len(velocity) - 150
+    # The timeout has not passed yet, and then the arm rests.
+    assert velocity[last + 15, 6] > 0.15
+    assert np.abs(velocity[-20:]).max() < 2e-3
+
+
+def test_an_arm_in_position_mode_keeps_its_goal_when_the_controller_manager_dies(controlled):
+    sim, hardware, loop = controlled('position', threshold=-1.0)
+    goal = shifted(hardware, ARM, 0.1)
+    hardware.claim('position', goal)
+    loop(0.05)
+    sim.run_for(2.0)
+    assert sim.states('arm/joint_states').position[-1] == pytest.approx(
+        [*goal.values()], abs=ARM_TOLERANCE)
+
+
+def test_lock_step_stands_still_with_this_hardware_and_the_node_says_so(
+        serve, client, connect, until):
+    log = client.log()
+    serve(prefix='panda_', stepping='lockstep', ros2_control_tag=True)
+    client.spin_until(lambda: any('simulated time stands still; set ros2_control_plugin to '
+                                  'manip_sim_hardware/ManipSimSystem' in line for line in log))
     states = client.listen(JointState, 'joint_states')
-    # Longer than the timeout of commands.
-    until(hardware, lambda: len(states) > 40)
-    for state in states:
-        assert abs(state.velocity[state.name.index(ARM[0])] - 0.2) < 1e-4
+    hardware = connect(tag(ARM, 'position'), threshold=-1.0)
+    hardware.claim('position', shifted(hardware, ARM, 0.05))
+    until(hardware, lambda: len(hardware.sent) > 50 and len(states) > 10)
+    assert {stamp(state) for state in states} == {0.01}
 
 
 def test_a_moving_command_is_followed_at_the_rate_of_the_hardware(serve, client, connect, until):

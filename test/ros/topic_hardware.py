@@ -90,6 +90,10 @@ class TopicHardware:
         """Whether a state has come, and somebody takes the commands."""
         return bool(self._latest.name) and self._publisher.get_subscription_count() > 0
 
+    def acknowledged(self) -> None:
+        """Wait until the node has received what was published."""
+        self._publisher.wait_for_all_acked()
+
     def claim(self, kind: str, values: Mapping[str, float]) -> None:
         """
         Set command interfaces, as a controller does in its update.
