@@ -150,7 +150,7 @@ def measure(settings: Settings) -> Iterator[Figure]:
         for count in COUNTS:
             limits = LIMITS.get((count, threads), {})
             for kind in limits or ('stream',):
-                settings.tell(f'worlds, {count} in {threads} threads, {_WORDS[kind]}')
+                settings.report(f'worlds, {count} in {threads} threads, {_WORDS[kind]}')
                 with panda_worlds(count, threads) as worlds:
                     ours, bare = rates(worlds, kind, settings)
                 if limits:
@@ -162,10 +162,10 @@ def measure(settings: Settings) -> Iterator[Figure]:
                     for name, values in (('worlds', ours), ('mj_step', bare)):
                         series[name].setdefault(str(threads), []).append(statistics.median(values))
     settings.series['worlds'] = series
-    settings.tell('worlds, copies, state and command')
+    settings.report('worlds, copies, state and command')
     yield from _copies(settings)
     yield from _calls(settings)
-    settings.tell("worlds, robosuite's Lift")
+    settings.report("worlds, robosuite's Lift")
     yield from _lift(settings)
 
 
@@ -218,7 +218,7 @@ def _lift(settings: Settings) -> Iterator[Figure]:
         lift.reset()
         lift.step(np.zeros(lift.action_dim))
     except Exception as error:  # With a MuJoCo that it does not know, it may raise anything.
-        settings.tell(f"robosuite's Lift is skipped: {type(error).__name__}: {error}")
+        settings.report(f"robosuite's Lift is skipped: {type(error).__name__}: {error}")
         return
     finally:
         logging.disable(logging.NOTSET)
