@@ -145,14 +145,15 @@ $(MUTATE_READY): $(TEST_READY)
 	$(call install,$(MUTATE_EXTRAS),test)
 	touch $@
 
+# All extras, but not those of hundreds of megabytes that tests do without.
+LOCKED_EXTRAS = docs env jazzy jazzy-test mutate records run test viewer
 # For all Pythons at once, users and tests with the same versions.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --generate-hashes \
 	--no-annotate --custom-compile-command 'make requirements' $(REQUIREMENTS_ARGS) setup.py
 
 requirements: $(READY)
 	$(BIN)/python -m pip install --quiet uv
-	$(COMPILE) $(addprefix --extra ,jazzy viewer records jazzy-test test docs mutate) \
-		--output-file requirements/test.txt
+	$(COMPILE) $(LOCKED_EXTRAS:%=--extra %) --output-file requirements/test.txt
 	$(COMPILE) --extra jazzy --extra viewer --extra records --constraint requirements/test.txt \
 		--output-file requirements/run.txt
 

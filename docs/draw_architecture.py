@@ -17,9 +17,11 @@ FLOORS = (
     {'viewer': 'a client: see and drive', 'examples': 'clients: pick, hand over',
      'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration',
      'testing': 'a fixture of pytest'},
-    {'ros': 'how it is seen: node, topics, services', 'records': 'episodes in MCAP files'},
+    {'ros': 'how it is seen: node, topics', 'records': 'episodes in MCAP files',
+     'env': 'tasks for gymnasium'},
+    {'tasks': 'starts, success, episodes'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing',
-     'tasks': 'starts, success', 'rendering': 'pictures', 'worlds': 'many copies of one'},
+     'rendering': 'pictures', 'worlds': 'many copies of one'},
     {'simulation': 'what happens: physics, control, sensors'},
     {'models': 'what exists: robots, grippers, arenas, worlds'})
 #: Name, what it does, what it may touch.

@@ -15,7 +15,10 @@ from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.registry import import_submodules
 from manip_sim.tasks.episode import Episode, start
 from manip_sim.tasks.expert import Expert
+from manip_sim.tasks.joint_actions import ACTIONS
+from manip_sim.tasks.latency import Latency
 from manip_sim.tasks.pose_actions import PoseActions
+from manip_sim.tasks.setting import Setting
 from manip_sim.tasks.task import Task, TASKS
 
 import_submodules(__name__, __path__)
@@ -42,5 +45,5 @@ def create_task(name: str, robot: Robot = 'Panda', gripper: Gripper | Grippers =
     return TASKS.create(name, robot=robot, gripper=gripper, **composition)
 
 
-__all__ = ['Episode', 'Expert', 'PoseActions', 'Task', 'create_task', 'start',
-           'task_names']
+__all__ = ['ACTIONS', 'Episode', 'Expert', 'Latency', 'PoseActions', 'Setting', 'Task',
+           'create_task', 'start', 'task_names']

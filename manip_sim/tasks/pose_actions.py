@@ -19,6 +19,8 @@ from manip_sim.simulation.numbers import finite_numbers
 
 #: How far an action of 1 moves [m] and turns [rad] the goal of a hand.
 STEP_M, TURN_RAD = 0.05, 0.5
+#: The six numbers of a hand: along and about the axes.
+_AXES = ('x', 'y', 'z', 'rx', 'ry', 'rz')
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,18 @@ class PoseActions:
                 self.arms.append(ArmAction(robot, arm, hand, pose, gripper))
                 self.size = gripper.stop
 
+    @property
+    def names(self) -> list[str]:
+        """What each number is, in the order of an action."""
+        return [name for item in self.arms for name in (
+            *(f'{item.robot.name}/{item.arm}/{axis}' for axis in _AXES),
+            *[gripper_name(item)] * (item.gripper.stop - item.gripper.start))]
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Lowest and highest value of each number, shape (size, 2)."""
+        return np.tile([-1.0, 1.0], (self.size, 1))
+
     def apply(self, action: ArrayLike, period_s: float) -> None:
         """
         Let an action take effect with the next control period.
@@ -76,12 +90,9 @@ class PoseActions:
         """
         numbers = finite_numbers(action, self.size, 'an action')
         for item in self.arms:
-            robot, part = item.robot, f'{item.arm}/gripper'
-            robot.apply(robot.parse_cartesian.action(item.arm, numbers[item.pose]),
-                        period_s=period_s)
-            if robot.grippers[part].dof:
-                closing = np.repeat(numbers[item.gripper], robot.grippers[part].dof)
-                robot.apply(robot.parse.action(part, closing), period_s=period_s)
+            item.robot.apply(item.robot.parse_cartesian.action(item.arm, numbers[item.pose]),
+                             period_s=period_s)
+            close(item, numbers[item.gripper], period_s)
 
     def towards(self, item: ArmAction, position: FloatArray, rotation: FloatArray,
                 longest_m: float = STEP_M) -> FloatArray:
@@ -100,6 +111,25 @@ class PoseActions:
         turn = product(axes.T, _rotation_vector(product(rotation, turned.T))) / TURN_RAD
         return np.concatenate([_shortened(way, min(1.0, longest_m / STEP_M)),
                                _shortened(turn, 1.0)])
+
+
+def gripper_name(item: ArmAction) -> str:
+    """Return what the number for the gripper of an arm is called."""
+    return f'{item.robot.name}/{item.arm}/gripper'
+
+
+def close(item: ArmAction, closing: FloatArray, period_s: float) -> None:
+    """
+    Command the gripper of an arm.
+
+    :param item: the arm
+    :param closing: from -1, open, to +1, shape (1,); empty if nothing in the gripper moves
+    :param period_s: length of the control period [s]
+    """
+    if len(closing):
+        part = f'{item.arm}/gripper'
+        action = np.repeat(closing, item.robot.grippers[part].dof)
+        item.robot.apply(item.robot.parse.action(part, action), period_s=period_s)
 
 
 def _rotation_vector(rotation: FloatArray) -> FloatArray:

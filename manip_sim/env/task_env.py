@@ -1,0 +1,169 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A task as an environment of gymnasium."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from manip_sim.env.spaces import action_space, observation_space
+from manip_sim.errors import DivergenceError, ManipSimError, UnknownNameError
+from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
+from manip_sim.tasks import Setting, Task
+from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
+from manip_sim.tasks.observation import Observation
+from manip_sim.tasks.pictures import CameraLike, Pictures
+
+#: Seeds that are drawn are below this.
+SEEDS = 2**31
+#: A window needs a screen.
+_SCREEN = sys.platform != 'linux' or any(os.environ.get(name) for name in (
+    'DISPLAY', 'WAYLAND_DISPLAY'))
+
+
+class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
+    """
+    Episodes of a task, in this process.
+
+    ``reset(seed=...)`` begins the episode of that seed, the same as in ``manip_sim run``; without
+    a seed one is drawn from ``np_random``. ``terminated`` is success, ``truncated`` the end of the
+    task's time. ``info`` has ``success`` and ``seed``, and ``digest`` of the state at the start
+    and at the end of an episode. An episode in which the physics diverges is truncated, with
+    ``info['diverged']``.
+
+    :param task: its name, or an instance
+    :param robot: as for ``compose``
+    :param gripper: as for ``compose``
+    :param action: ``osc_pose``, ``joint_position``, ``joint_velocity`` or ``joint_effort``
+    :param control_hz: actions per second of simulated time [Hz]
+    :param latency: of commands [s], or a mapping with ``command`` and ``state``
+    :param cameras: whose images are observed
+    :param image_size: width and height of images [pixels]; None for those of the cameras
+    :param render_mode: ``rgb_array``, or ``human`` where there is a screen
+    :param render_camera: what ``rgb_array`` shows
+    :param render_size: its width and height [pixels]
+    :param composition: what else ``compose`` takes, such as ``timestep_s``
+    :raises ManipSimError: if something cannot be used, with what fits
+    :ivar episode: the episode, with its simulation
+    """
+
+    metadata: dict[str, Any] = {
+        'render_modes': ['rgb_array', *['human'] * _SCREEN], 'render_fps': 20}
+
+    def __init__(self, task: str | Task, robot: Robot = 'Panda',
+                 gripper: Gripper | Grippers = DEFAULT, action: str = 'osc_pose',
+                 control_hz: float = 20.0, latency: LatencyLike = NO_LATENCY,
+                 cameras: tuple[CameraLike, ...] | list[CameraLike] = (),
+                 image_size: tuple[int, int] | None = None, render_mode: str | None = None,
+                 render_camera: str = 'frontview', render_size: tuple[int, int] = (480, 360),
+                 **composition: Any) -> None:
+        if render_mode is not None and render_mode not in self.metadata['render_modes']:
+            raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
+        setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
+                          image_size, composition)
+        self.episode = setting.create_episode()
+        self.metadata = {**self.metadata, 'render_fps': control_hz}
+        self.render_mode = render_mode
+        self._view = render_camera, render_size
+        self._film: Pictures | None = None
+        self._window: Any = None
+        self._begun = False
+        self.action_space = action_space(self.episode)
+        self.observation_space = observation_space(self.episode.observation)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
+              ) -> tuple[Observation, dict[str, Any]]:
+        """
+        Begin an episode.
+
+        :param seed: whose start it has; None draws one
+        :param options: none are known
+        :raises UnknownNameError: if there are options
+        """
+        for key in options or {}:
+            raise UnknownNameError('option of reset', key, ())
+        super().reset(seed=seed)
+        own = int(self.np_random.integers(SEEDS)) if seed is None else seed
+        self.episode.reset(own)
+        self._begun = True
+        self._show()
+        return self.episode.observation, {'seed': own, **self._info(True)}
+
+    def step(self, action: ArrayLike
+             ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """
+        Take an action and advance by one control period.
+
+        :param action: of :attr:`action_space`; numbers beyond it are clamped
+        :raises gymnasium.error.ResetNeeded: if no episode has begun
+        :raises CommandError: if the action cannot be used; then nothing changes
+        """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded('call reset() before step()')
+        try:
+            self.episode.step(action)
+        except DivergenceError as error:
+            return (self.episode.observation, 0.0, False, True,
+                    {'diverged': str(error), **self._info(True)})
+        self._show()
+        terminated, truncated = self.episode.success, self.episode.time_is_up
+        return (self.episode.observation, self.episode.reward, terminated, truncated,
+                self._info(terminated or truncated))
+
+    def _info(self, with_digest: bool) -> dict[str, Any]:
+        digest = {'digest': self.episode.digest} if with_digest else {}
+        return {'success': self.episode.success, **digest}
+
+    def digest(self) -> str:
+        """Return the digest of the present state, as ``Simulation.digest`` gives it."""
+        return self.episode.digest
+
+    def render(self) -> Any:
+        """
+        Return an image of shape (height, width, 3) in ``rgb_array``; None in ``human``.
+
+        :raises ManipSimError: if nothing can be rendered
+        """
+        if self.render_mode == 'rgb_array':
+            if self._film is None:
+                self._film = Pictures(self.episode.simulation, dict([self._view]))
+            return self._film.take(self.episode.simulation)[self._view[0]]
+        return None
+
+    def _show(self) -> None:
+        """Show the present instant in MuJoCo's viewer, if the mode is ``human``."""
+        if self.render_mode != 'human':
+            return
+        simulation = self.episode.simulation
+        if self._window is None:
+            from mujoco import viewer  # It needs a screen.
+            self._window = viewer.launch_passive(simulation.model, simulation.data)
+        if self._window.is_running():
+            self._window.sync()
+
+    def close(self) -> None:
+        """Free what rendering needs; nothing happens the second time."""
+        for pictures in (self._film, self.episode.observer.pictures):
+            if pictures is not None:
+                pictures.close()
+        if self._window is not None:
+            self._window.close()
+        self._film = self._window = None
+
+
+def checked_count(count: Any) -> int:
+    """
+    Return a number of environments.
+
+    :raises ManipSimError: if it is no whole number from 1
+    """
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+        raise ManipSimError(f'num_envs must be a whole number from 1, got {count!r:.60}')
+    return int(count)

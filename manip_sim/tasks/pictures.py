@@ -1,0 +1,105 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Images of a world's cameras, rendered when they are asked for, in the thread that asks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import json
+from typing import Any, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.image_settings import MAX_PIXELS
+from manip_sim.models.world import World
+from manip_sim.rendering.gl import choose_gl, create_context
+from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
+
+#: A camera of the model by its name, or the description of another one, also as YAML.
+CameraLike = Union[str, Mapping[str, Any]]
+
+
+class Pictures:
+    """
+    Renders cameras of simulations of one world, with an OpenGL context of its own.
+
+    :param simulation: of the world; all whose pictures are taken must have its plan
+    :param views: width and height of the images by camera [pixels]
+    :raises UnknownNameError: if there is no such camera
+    :raises ManipSimError: if nothing can be rendered
+    """
+
+    def __init__(self, simulation: Simulation, views: Mapping[str, tuple[int, int]]) -> None:
+        self._views = dict(views)
+        self._world = VisibleWorld(simulation.plan)
+        for camera in views:
+            if camera not in self._world.cameras:
+                raise UnknownNameError('camera', camera, self._world.cameras)
+        width, height = np.max(list(views.values()), axis=0).tolist()
+        self._context = create_context(choose_gl(), width, height)
+        self._renderer: OffscreenRenderer | None = OffscreenRenderer(
+            self._world.model, width, height)
+
+    def take(self, simulation: Simulation) -> dict[str, NDArray[np.uint8]]:
+        """
+        Return an image of each camera, shape (height, width, 3), rgb.
+
+        :param simulation: whose present instant is shown
+        """
+        assert self._renderer is not None, 'these pictures are closed'
+        self._context.make_current()
+        self._world.show(take_snapshot(simulation))
+        found = {}
+        for camera, (width, height) in self._views.items():
+            picture = self._renderer.render(self._world.data, camera, width, height, depth=False)
+            assert picture.rgb is not None
+            found[camera] = picture.rgb
+        return found
+
+    def close(self) -> None:
+        """Free the OpenGL resources; nothing happens the second time."""
+        if self._renderer is not None:
+            self._context.make_current()
+            self._renderer.close()
+            self._renderer = None
+            self._context.free()
+
+
+def descriptions(given: Iterable[CameraLike]) -> list[dict[str, Any]]:
+    """
+    Return the descriptions among some cameras, as ``compose`` takes them.
+
+    :raises ModelError: if one is not YAML
+    """
+    return described_cameras(_texts(given))
+
+
+def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
+             image_size: tuple[int, int] | None = None) -> dict[str, tuple[int, int]]:
+    """
+    Return width and height of the images [pixels], by camera.
+
+    :param given: names of cameras and descriptions
+    :param world: composed with those descriptions
+    :param simulation: of the world
+    :param image_size: width and height of all images; None for those of the cameras, as the node
+        has them
+    :raises UnknownNameError: if there is no such camera
+    :raises ModelError: if a camera is chosen twice, or its name or the size cannot be used
+    """
+    if image_size is not None and not (len(image_size) == 2 and all(
+            isinstance(edge, int) and 1 <= edge <= MAX_PIXELS for edge in image_size)):
+        raise ModelError(f'image_size must be width and height from 1 to {MAX_PIXELS} pixels, got '
+                         f'{image_size!r:.60}')
+    chosen = chosen_cameras(_texts(given), world, simulation.model)
+    return {name: image_size or (images.width, images.height) for name, images in chosen.items()}
+
+
+def _texts(given: Iterable[CameraLike]) -> list[str]:
+    return [camera if isinstance(camera, str) else json.dumps(dict(camera)) for camera in given]

@@ -1,0 +1,238 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Environments of gymnasium: they pass its own checkers, and are what an episode is."""
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
+from gymnasium.utils.env_checker import check_env, data_equivalence  # noqa: E402
+
+import manip_sim.env  # noqa: E402
+from manip_sim.errors import (  # noqa: E402
+    CommandError, ManipSimError, ModelError, UnknownNameError)
+from manip_sim.simulation import Simulation  # noqa: E402
+from manip_sim.tasks import create_task, Episode, task_names  # noqa: E402
+
+#: What the checker dislikes, and why it is so: states have no bounds, and actions have units.
+WARNINGS = [pytest.mark.filterwarnings(f'ignore:.*{text}') for text in (
+    'observation space m..imum value is -?infinity', 'we recommend using a symmetric')]
+
+
+def checked(**arguments):
+    env = gymnasium.make('manip_sim/Reach-v0', **arguments)
+    check_env(env.unwrapped)
+    return env
+
+
+@pytest.fixture
+def reach():
+    env = gymnasium.make('manip_sim/Reach-v0').unwrapped
+    yield env
+    env.close()
+
+
+@WARNINGS[0]
+@WARNINGS[1]
+@pytest.mark.parametrize('arguments', [
+    {}, {'action': 'joint_position'}, {'action': 'joint_velocity', 'latency': 0.03},
+    {'action': 'joint_effort', 'latency': {'command': 0.01, 'state': 0.07}}])
+def test_gymnasiums_checker_finds_nothing_wrong(arguments, gl):
+    env = checked(**arguments)
+    env.close()
+    env.close()
+
+
+@WARNINGS[0]
+@WARNINGS[1]
+def test_gymnasiums_checker_finds_nothing_wrong_with_images(gl):
+    env = checked(cameras=['agentview'], image_size=(40, 30), render_mode='rgb_array')
+    observation, _ = env.reset(seed=2)
+    assert observation['image/agentview'].shape == (30, 40, 3)
+    before = observation['image/agentview'].copy()
+    for _ in range(8):
+        observation, *_ = env.step(np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert np.abs(observation['image/agentview'].astype(int) - before).max() > 30
+    assert env.render().shape == (360, 480, 3)
+    env.close()
+
+
+@pytest.mark.parametrize('task', task_names())
+def test_each_task_is_an_environment_whose_episodes_are_those_of_the_task(task):
+    env = gymnasium.make(manip_sim.env.env_id(task)).unwrapped
+    own = create_task(task)
+    episode = Episode(own, Simulation(own.world))
+    expert = own.expert(env.episode.simulation)
+    observation, info = env.reset(seed=4)
+    episode.reset(4)
+    expert.reset(4)
+    assert info['digest'] == episode.digest and info['seed'] == 4
+    for _ in range(5):
+        action = expert.act()
+        episode.step(action)
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert (reward, terminated, truncated) == (episode.reward, False, False)
+    assert env.digest() == episode.digest and 'digest' not in info
+    for key, value in episode.observation.items():
+        np.testing.assert_array_equal(observation[key], value)
+    env.close()
+
+
+def test_success_terminates_and_the_end_of_the_time_truncates(reach):
+    expert = reach.episode.task.expert(reach.episode.simulation)
+    for idle, ends in ((False, (True, False)), (True, (False, True))):
+        reach.reset(seed=1)
+        expert.reset(1)
+        for period in range(1, 61):  # noqa: B007
+            action = np.zeros(7) if idle else expert.act()
+            _, reward, terminated, truncated, info = reach.step(action)
+            if terminated or truncated:
+                break
+        assert (terminated, truncated) == ends and (period == 60) == idle
+        assert info['success'] == terminated and info['digest'] == reach.digest()
+        assert (reward == 1.0) == terminated
+
+
+def test_without_a_seed_the_next_start_follows_from_the_last_seed(reach):
+    seeds = []
+    for _ in range(2):
+        reach.reset(seed=8)
+        seeds.append([reach.reset()[1]['seed'] for _ in range(3)])
+    assert seeds[0] == seeds[1] and len(set(seeds[0])) == 3
+    digest = reach.reset()[1]
+    assert reach.reset(seed=digest['seed'])[1]['digest'] == digest['digest']
+
+
+def test_what_observations_are_is_what_the_simulation_has(reach):
+    observation, _ = reach.reset(seed=3)
+    simulation = reach.episode.simulation
+    robot, state = simulation.robot, simulation.robot.state()
+    np.testing.assert_array_equal(observation['joint_position'], state.position)
+    np.testing.assert_array_equal(observation['joint_velocity'], state.velocity)
+    np.testing.assert_array_equal(observation['joint_effort'], state.effort)
+    site = simulation.data.site(robot.end_effectors['right'].grip_site)
+    np.testing.assert_array_equal(observation['eef_pose'][0, :3], site.xpos)
+    np.testing.assert_array_equal(
+        observation['goal'], simulation.data.body('goal').xpos)
+    assert reach.episode.observer.names['joint_position'] == list(robot.joint_names)
+    assert reach.episode.observer.names['eef_pose'] == ['robot0/right']
+
+
+def test_actions_of_joints_are_goals_in_si_units():
+    env = gymnasium.make('manip_sim/Reach-v0', action='joint_position').unwrapped
+    observation, _ = env.reset(seed=3)
+    goal = observation['joint_position'][:7] + [0.1, 0.0, -0.05, 0.0, 0.0, 0.08, 0.0]
+    for _ in range(12):
+        observation, *_ = env.step(np.array([*goal, 1.0]))
+    np.testing.assert_allclose(observation['joint_position'][:7], goal, atol=1e-3)
+    np.testing.assert_array_equal(
+        env.action_space.high[:7], env.episode.simulation.robot.limits('arm')[:, 1])
+    env.close()
+    env = gymnasium.make('manip_sim/Reach-v0', action='joint_velocity').unwrapped
+    env.reset(seed=3)
+    for _ in range(10):
+        observation, *_ = env.step(np.array([0.2, *np.zeros(6), 0.0]))
+    assert observation['joint_velocity'][0] == pytest.approx(0.2, abs=0.005)
+    env.close()
+
+
+def test_what_cannot_be_used_is_said(reach):
+    with pytest.raises(gymnasium.error.ResetNeeded, match='call reset'):
+        reach.step(np.zeros(7))
+    reach.reset(seed=1)
+    before = reach.digest()
+    for action, text in ((np.zeros(6), 'an action must have 7 numbers, got 6'),
+                         (np.full(7, np.nan), 'must be finite'), ('left', 'must be numbers')):
+        with pytest.raises(CommandError, match=text):
+            reach.step(action)
+    assert reach.digest() == before
+    for seed in (-1, 1.5):
+        with pytest.raises((ModelError, gymnasium.error.Error)):
+            reach.reset(seed=seed)
+    with pytest.raises(UnknownNameError, match="option of reset 'start'"):
+        reach.reset(options={'start': 1})
+
+
+@pytest.mark.parametrize('arguments, text', [
+    ({'robot': 'Pandda'}, "unknown robot 'Pandda': did you mean 'Panda'"),
+    ({'action': 'osc'}, "unknown action 'osc': did you mean 'osc_pose'"),
+    ({'cameras': ['agent']}, "unknown camera 'agent': did you mean 'agentview'"),
+    ({'cameras': ['agentview'], 'image_size': (0, 3)}, 'image_size must be width and height'),
+    ({'latency': -0.1}, 'latency of a command must be from 0 to 10 s, got -0.1'),
+    ({'latency': {'states': 0.1}}, "unknown key of latency 'states': did you mean 'state'"),
+    ({'latency': 0.0011}, 'latency of a command must be a whole number of timesteps'),
+    ({'control_hz': 0}, 'control_hz must be above 0 Hz'),
+    ({'control_hz': 30}, 'a control period must be a whole number of timesteps'),
+    ({'gripper': 'none'}, 'reach needs 1 arm with grippers, Panda0 has 0'),
+    ({'render_mode': 'ascii'}, "unknown render_mode 'ascii': available: rgb_array")])
+def test_arguments_that_cannot_be_used_are_said(arguments, text):
+    with pytest.raises(ManipSimError, match=text):
+        manip_sim.env.TaskEnv('reach', **arguments)
+
+
+def test_an_episode_whose_physics_diverges_is_truncated(reach):
+    reach.reset(seed=1)
+    reach.episode.simulation.data.qvel[0] = np.nan
+    _, reward, terminated, truncated, info = reach.step(np.zeros(7))
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert 'the physics diverged' in info['diverged']
+    _, info = reach.reset(seed=1)
+    assert 'diverged' not in info and not reach.step(np.zeros(7))[3]
+
+
+@pytest.mark.parametrize('task, arguments', [
+    ('Reach', {'latency': {'command': 0.03, 'state': 0.04}}),
+    ('PickCube', {'robot': 'UR5e', 'action': 'joint_velocity'})])
+def test_a_vector_environment_equals_as_many_environments(task, arguments):
+    vector, single = (gymnasium.make_vec(f'manip_sim/{task}-v0', 3, vectorization_mode=mode,
+                                         control_hz=10, **arguments)
+                      for mode in (None, 'sync'))
+    assert isinstance(vector, manip_sim.env.TaskVectorEnv)
+    assert vector.observation_space == single.observation_space
+    assert vector.action_space == single.action_space
+    assert data_equivalence(vector.reset(seed=5), single.reset(seed=5), exact=True)
+    assert data_equivalence(vector.reset(), single.reset(), exact=True)
+    single.action_space.seed(1)
+    ended = 0
+    for _ in range(65):
+        actions = single.action_space.sample()
+        mine, theirs = vector.step(actions), single.step(actions)
+        assert data_equivalence(mine, theirs, exact=True)
+        assert mine[0] in vector.observation_space
+        ended += int(mine[3].sum())
+    assert ended >= 3
+    vector.close()
+    vector.close()
+    single.close()
+
+
+def test_the_vector_environment_shows_each_world(gl):
+    vector = gymnasium.make_vec('manip_sim/Reach-v0', 2, render_mode='rgb_array',
+                                cameras=['frontview'], image_size=(32, 24))
+    observation, _ = vector.reset(seed=[1, 2])
+    images = vector.render()
+    assert [image.shape for image in images] == [(360, 480, 3)] * 2
+    assert observation['image/frontview'].shape == (2, 24, 32, 3)
+    assert not np.array_equal(*images)
+    vector.close()
+
+
+def test_a_bad_action_of_one_world_changes_none():
+    vector = gymnasium.make_vec('manip_sim/Reach-v0', 2)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        vector.step(np.zeros((2, 7)))
+    vector.reset(seed=1)
+    before = vector.digest()
+    bad = np.zeros((2, 7))
+    bad[1, 3] = np.inf
+    with pytest.raises(CommandError, match='the action of environment 1 must be finite'):
+        vector.step(bad)
+    with pytest.raises(CommandError, match=r'must have the shape \(2, 7\), got \(7,\)'):
+        vector.step(np.zeros(7))
+    with pytest.raises(ModelError, match='expected 2 seeds'):
+        vector.reset(seed=[1])
+    assert vector.digest() == before
+    vector.close()
+    with pytest.raises(ManipSimError, match='num_envs must be a whole number from 1, got 0'):
+        manip_sim.env.TaskVectorEnv('reach', 0)

@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Latency of an episode, in simulated time."""
+
+import numpy as np
+import pytest
+
+from manip_sim.simulation import Simulation
+from manip_sim.tasks import create_task, Episode, Setting
+
+TASK = create_task('reach', initialization_noise=None)
+
+
+def positions(latency, actions, read=lambda episode: episode.simulation.data.qpos[:7].copy(),
+              seed=1):
+    episode = Episode(TASK, Simulation(TASK.world), latency=latency)
+    episode.reset(seed)
+    found = [read(episode)]
+    for action in actions:
+        episode.step(action)
+        found.append(read(episode))
+    return np.array(found)
+
+
+def actions(count=12):
+    found = np.zeros((count, 7))
+    found[:, 1] = np.linspace(0.2, 1.0, count)
+    return found
+
+
+@pytest.mark.parametrize('periods', [1, 3])
+def test_commands_that_are_late_by_whole_periods_are_those_of_later_periods(periods):
+    given = actions()
+    late = positions(0.05 * periods, given)
+    # Until the first command there is none: the robot holds still.
+    by_hand = Episode(TASK, Simulation(TASK.world))
+    by_hand.reset(1)
+    expected = [by_hand.simulation.data.qpos[:7].copy()]
+    for number in range(len(given)):
+        if number < periods:
+            by_hand.advance()
+        else:
+            by_hand.step(given[number - periods])
+        expected.append(by_hand.simulation.data.qpos[:7].copy())
+    np.testing.assert_array_equal(late, expected)
+
+
+def test_commands_that_are_late_by_a_part_of_a_period_take_effect_within_it():
+    given = np.zeros((3, 7))
+    given[:, 1] = 1.0
+    begins = {}
+    for latency in (0.0, 0.02, 0.06):
+        episode = Episode(TASK, Simulation(TASK.world), latency=latency)
+        episode.reset(1)
+        start, moved = episode.simulation.data.qpos[:7].copy(), []
+        for action in given:
+            episode.take(action)
+            for steps in episode.period():
+                for _ in range(steps):
+                    episode.simulation.advance(1)
+                    moved.append(np.abs(episode.simulation.data.qpos[:7] - start).max() > 1e-4)
+        begins[latency] = moved.index(True)
+    assert begins[0.02] == begins[0.0] + 10
+    assert begins[0.06] == begins[0.0] + 30
+
+
+@pytest.mark.parametrize('state_s', [0.05, 0.12, 0.15, 0.048])
+def test_an_observation_is_as_old_as_the_latency_of_states(state_s):
+    given = actions()
+
+    def observed(episode):
+        return episode.observation['joint_position'][:7]
+    late = positions({'state': state_s}, given, observed)
+    # The same motion, sampled at each step of 2 ms.
+    episode = Episode(TASK, Simulation(TASK.world), latency={'state': state_s})
+    episode.reset(1)
+    samples = [episode.simulation.data.qpos[:7].copy()]
+    for action in given:
+        episode.take(action)
+        for steps in episode.period():
+            # A period is not divided further, as that would change the control.
+            episode.simulation.advance(steps)
+            samples += [None] * (steps - 1) + [episode.simulation.data.qpos[:7].copy()]
+    back = round(state_s / 0.002)
+    for period in range(len(given) + 1):
+        expected = samples[max(0, 25 * period - back)]
+        np.testing.assert_array_equal(late[period], expected)
+
+
+def test_the_age_of_states_does_not_change_what_happens():
+    given = actions()
+    np.testing.assert_array_equal(positions({'state': 0.1}, given), positions(0.0, given))
+
+
+def test_a_reset_forgets_commands_that_are_under_way():
+    episode = Episode(TASK, Simulation(TASK.world), latency=0.2)
+    episode.reset(1)
+    for action in actions(3):
+        episode.step(action)
+    episode.reset(1)
+    start = episode.simulation.data.qpos[:7].copy()
+    for _ in range(4):
+        episode.step(np.zeros(7))
+    np.testing.assert_allclose(episode.simulation.data.qpos[:7], start, atol=1e-4)
+
+
+def test_success_falls_with_latency():
+    successes = []
+    for latency in (0.0, 0.3):
+        episode = Setting('pick_cube', latency=latency).create_episode()
+        expert = episode.task.expert(episode.simulation)
+        successes.append(sum(episode.run(expert, seed) for seed in range(4)))
+    assert successes[0] == 4 and successes[1] < 4
