@@ -51,7 +51,8 @@ def run(package, *arguments):
 def test_the_document_gives_a_model_a_readme_and_a_class_for_each_part():
     files = sorted(name for name, _ in FILE.findall(DOCUMENT.read_text()))
     assert files == [
-        'assets/grippers/tiny_gripper/README.md', 'assets/grippers/tiny_gripper/tiny_gripper.xml',
+        'assets/grippers/tiny_gripper/README.md', 'assets/grippers/tiny_gripper/part.yaml',
+        'assets/grippers/tiny_gripper/tiny_gripper.xml',
         'assets/robots/tiny_arm/README.md', 'assets/robots/tiny_arm/tiny_arm.xml',
         'manip_sim/models/grippers/tiny_gripper.py', 'manip_sim/models/robots/tiny_arm.py',
         'my_models/grippers/small_hand.xml', 'my_models/grippers/small_hand.yaml',

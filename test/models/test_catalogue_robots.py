@@ -6,11 +6,15 @@
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
-from catalogue import BASES, equipped, figures, ROBOTS, robots_with_figures
+from catalogue import BASES, equipped, figures, GRIPPERS, ROBOTS, robots_with_figures
 
+from manip_sim.errors import UnknownNameError
+from manip_sim.models import catalogue_part, grippers, robots
 from manip_sim.models.bases import create_base
 from manip_sim.models.robots import create_robot
+from manip_sim.models.strict_yaml import read_yaml
 from manip_sim.resources import asset_path, share_directory
 
 WITH_FIGURES = robots_with_figures()
@@ -192,9 +196,49 @@ def assets():
 
 @pytest.mark.parametrize('folder', assets(), ids=lambda folder: folder.name)
 def test_asset_folders_hold_one_model_from_primitives_and_say_where_numbers_come_from(folder):
-    file = asset_path(folder.parent.name, folder.name)
+    described = folder / 'part.yaml'
+    named = read_yaml(described).get('model') if described.is_file() else None
+    file = folder / named if named else asset_path(folder.parent.name, folder.name)
     assert file.is_file(), f'{folder} has no {file.name}'
     xml = file.read_text()
     assert '<mesh' not in xml and 'type="mesh"' not in xml
     readme = (folder / 'README.md').read_text()
     assert '| origin |' in readme and 'Apache-2.0' in readme
+
+
+#: What a class of the catalogue reads from ``part.yaml``, and no description of a user has.
+OWN_KEYS = {'radius', 'table_placement', 'torso_start', 'action', 'each_action'}
+
+
+@pytest.mark.parametrize('folder', assets(), ids=lambda folder: folder.name)
+def test_a_part_of_the_catalogue_is_described_as_a_file_of_a_user_is(folder, tmp_path):
+    pytest.importorskip('pydantic', reason='descriptions need pydantic')
+    from manip_sim.models.files import description as d
+    if not (folder / 'part.yaml').is_file():
+        pytest.skip('all is in its MJCF file')
+    kind = {'robots': d.RobotDescription, 'grippers': d.GripperDescription,
+            'bases': d.BaseDescription}[folder.parent.name]
+    own = OWN_KEYS | ({'top'} if kind is d.RobotDescription else set())
+    values = read_yaml(folder / 'part.yaml')
+    values.get('fingers', {}).pop('corners', None)
+    copy = tmp_path / 'part.yaml'
+    copy.write_text(yaml.safe_dump({key: v for key, v in values.items() if key not in own}))
+    d.read_description(copy, kind)
+
+
+def test_a_key_that_no_attribute_reads_is_an_error(monkeypatch, tmp_path):
+    folder = tmp_path / 'panda'
+    folder.mkdir()
+    (folder / 'part.yaml').write_text('radios: 0.5\n')
+    monkeypatch.setattr(catalogue_part, 'asset_path', lambda kind, name: folder / 'panda.xml')
+    with pytest.raises(UnknownNameError, match="unknown key of .*part.yaml 'radios'.*radius"):
+        robots.Panda.data()
+
+
+def test_a_start_names_joints_of_the_model():
+    for name in ROBOTS:
+        cls = getattr(robots, name)
+        assert set(cls.data()['start']) <= set(cls()._joints), name
+    for name in GRIPPERS:
+        cls = getattr(grippers, name)
+        assert set(cls.data().get('start', {})) <= set(cls()._joints), name

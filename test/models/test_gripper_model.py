@@ -9,7 +9,6 @@ import pytest
 
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.grippers import PandaGripper
-from manip_sim.models.grippers.panda_gripper import PandaGripperBase
 
 STANDARD_SITES = ['grip_site', 'grip_site_cylinder', 'ee', 'ee_x', 'ee_y', 'ee_z', 'ft_frame']
 TURNED = """
@@ -151,13 +150,16 @@ def test_commands_are_copies_of_the_state():
     np.testing.assert_allclose(hand.format_action([0.0]), [-0.2, 0.2])
 
 
-def test_fingers_are_commanded_one_by_one_without_a_state():
-    hand = PandaGripperBase()
+def test_an_action_without_steps_is_the_command_of_each_actuator():
+    class EachFinger(PandaGripper):
+        _action = {'steps': False}
+
+    hand = EachFinger()
     action = np.array([0.3, -0.4])
     assert hand.dof == 2
     np.testing.assert_array_equal(hand.format_action(action), action)
     assert hand.format_action(action) is not action
-    with pytest.raises(CommandError, match='PandaGripperBase must have 2 numbers, got 1$'):
+    with pytest.raises(CommandError, match='EachFinger must have 2 numbers, got 1$'):
         hand.format_action([1.0])
 
 

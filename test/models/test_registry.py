@@ -67,8 +67,8 @@ def test_name_far_from_all_gives_no_hint():
 
 
 def test_abstract_classes_and_variants_are_not_offered():
-    assert {'ManipulatorModel', 'RobotModel'}.isdisjoint(robots.robot_names())
-    assert {'GripperModel', 'PandaGripperBase'}.isdisjoint(grippers.gripper_names())
+    assert {'ManipulatorModel', 'RobotModel', 'CatalogueRobot'}.isdisjoint(robots.robot_names())
+    assert {'GripperModel', 'CatalogueGripper'}.isdisjoint(grippers.gripper_names())
     assert {'MountModel', 'MobileBaseModel', 'RobotBaseModel'}.isdisjoint(bases.base_names())
 
 

@@ -8,12 +8,8 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from manip_sim.models.bases.no_actuation_base import NoActuationBase
-from manip_sim.models.bases.null_mobile_base import NullMobileBase
-from manip_sim.models.bases.null_mount import NullMount
-from manip_sim.models.bases.omron_mobile_base import OmronMobileBase
-from manip_sim.models.bases.rethink_minimal_mount import RethinkMinimalMount
-from manip_sim.models.bases.rethink_mount import RethinkMount
+from manip_sim.models.bases.catalogue_bases import (
+    NoActuationBase, NullMobileBase, NullMount, OmronMobileBase, RethinkMinimalMount, RethinkMount)
 from manip_sim.models.bases.robot_base_model import (
     BASES, MobileBaseModel, MountModel, RobotBaseModel)
 from manip_sim.models.registry import import_submodules

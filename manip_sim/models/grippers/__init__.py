@@ -8,18 +8,11 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from manip_sim.models.grippers.fourier_hand import FourierLeftHand, FourierRightHand
+from manip_sim.models.grippers.catalogue_grippers import (
+    FourierLeftHand, FourierRightHand, JacoThreeFingerDexterousGripper, JacoThreeFingerGripper,
+    NullGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
+    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, WipingGripper)
 from manip_sim.models.grippers.gripper_model import GripperModel, GRIPPERS
-from manip_sim.models.grippers.jaco_three_finger_gripper import (
-    JacoThreeFingerDexterousGripper, JacoThreeFingerGripper)
-from manip_sim.models.grippers.null_gripper import NullGripper
-from manip_sim.models.grippers.panda_gripper import PandaGripper
-from manip_sim.models.grippers.rethink_gripper import RethinkGripper
-from manip_sim.models.grippers.robotiq_140_gripper import Robotiq140Gripper
-from manip_sim.models.grippers.robotiq_85_gripper import Robotiq85Gripper
-from manip_sim.models.grippers.robotiq_three_finger_gripper import (
-    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper)
-from manip_sim.models.grippers.wiping_gripper import WipingGripper
 from manip_sim.models.registry import import_submodules
 
 import_submodules(__name__, __path__)

@@ -9,17 +9,10 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from manip_sim.models.registry import import_submodules
-from manip_sim.models.robots.baxter import Baxter
-from manip_sim.models.robots.gr1 import GR1
-from manip_sim.models.robots.iiwa import IIWA
-from manip_sim.models.robots.jaco import Jaco
-from manip_sim.models.robots.kinova3 import Kinova3
+from manip_sim.models.robots.catalogue_robots import (
+    Baxter, GR1, IIWA, Jaco, Kinova3, Panda, PandaOmron, Sawyer, UR5e)
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
-from manip_sim.models.robots.panda import Panda
-from manip_sim.models.robots.panda_omron import PandaOmron
 from manip_sim.models.robots.robot_model import RobotModel, ROBOTS
-from manip_sim.models.robots.sawyer import Sawyer
-from manip_sim.models.robots.ur5e import UR5e
 
 import_submodules(__name__, __path__)
 

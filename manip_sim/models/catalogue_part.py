@@ -1,0 +1,80 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A part of the catalogue: a folder of ``assets`` with an MJCF file and a ``part.yaml``."""
+
+from __future__ import annotations
+
+from functools import cache
+import os
+from pathlib import Path
+from typing import Any, ClassVar
+
+from manip_sim.errors import UnknownNameError
+from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.strict_yaml import read_yaml
+from manip_sim.resources import asset_path
+
+
+class FromPart:
+    """
+    A class attribute that is read from ``part.yaml`` when it is first needed.
+
+    :param key: in the file
+    :param default: the value if the file lacks the key
+    """
+
+    def __init__(self, key: str, default: Any) -> None:
+        self.key = key
+        self.default = default
+
+    def __get__(self, part: CataloguePart | None, owner: type[CataloguePart]) -> Any:
+        return owner.data().get(self.key, self.default) if owner._folder else self.default
+
+
+class CataloguePart(MujocoXMLModel):
+    """
+    A part whose class names a folder of ``assets``; the numbers are in the folder.
+
+    ``part.yaml`` has the keys of descriptions of users' files, and a few more. A folder without
+    one has only what its MJCF file says.
+
+    :param idn: number or word in the prefix
+    """
+
+    #: Where its folder is: ``robots``, ``grippers`` or ``bases``, and the folder.
+    _kind: ClassVar[str]
+    _folder: ClassVar[str] = ''
+    #: The MJCF file, relative to the folder; by default it is named like the folder.
+    _model = FromPart('model', None)
+
+    def __init__(self, idn: int | str = 0) -> None:
+        super().__init__(self.model_file(), idn=idn)
+
+    @classmethod
+    def model_file(cls) -> Path:
+        """Return the MJCF file."""
+        own = asset_path(cls._kind, cls._folder)
+        return own if cls._model is None else Path(os.path.normpath(own.parent / cls._model))
+
+    @classmethod
+    def data(cls) -> dict[str, Any]:
+        """
+        Return what ``part.yaml`` says.
+
+        :raises ModelError: if the file cannot be read
+        :raises UnknownNameError: if it has a key that no attribute of the class reads
+        """
+        file = asset_path(cls._kind, cls._folder).with_name('part.yaml')
+        return _read(file, frozenset(
+            attribute.key for base in cls.__mro__ for attribute in vars(base).values()
+            if isinstance(attribute, FromPart)))
+
+
+@cache
+def _read(file: Path, keys: frozenset[str]) -> dict[str, Any]:
+    values = read_yaml(file) if file.is_file() else {}
+    for key in values:
+        if key not in keys:
+            raise UnknownNameError(f'key of {file}', key, keys)
+    return values

@@ -1,0 +1,154 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The grippers of the catalogue; their numbers are in ``assets/grippers``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from manip_sim.arrays import FloatArray
+from manip_sim.models.catalogue_part import CataloguePart, FromPart
+from manip_sim.models.grippers.gripper_model import GripperModel
+
+
+class _Speed:
+    def __get__(self, gripper: object, owner: Any) -> float:
+        return float(owner._action.get('speed', 0.0))
+
+
+class CatalogueGripper(CataloguePart, GripperModel, registered=False):
+    """
+    A gripper from ``assets/grippers``; ``part.yaml`` says what its actions mean.
+
+    Keys of an action: ``numbers``, its length, by default one for each actuator; ``speed``, the
+    change of the command in one call; ``closing``, the direction of the change by command;
+    ``proportional``, whether the magnitude counts or the sign alone; ``steps``, whether actions
+    are changes or commands; ``actuators``, how many follow each command; ``still``, commands of
+    the last actuators, which stay.
+
+    :param idn: number or word in the prefix ``gripper{idn}_``
+    """
+
+    _kind = 'grippers'
+    _important_geoms = FromPart('fingers', {})
+    _start = FromPart('start', {})
+    _action: Any = FromPart('action', {'steps': False})
+    _each_action = FromPart('each_action', {})
+    speed = _Speed()
+
+    def __init__(self, idn: int | str = 0) -> None:
+        self._important_geoms = {**GripperModel._important_geoms, **self._important_geoms}
+        super().__init__(idn=idn)
+
+    @property
+    def dof(self) -> int:
+        """Length of the actions that :meth:`format_action` takes."""
+        return int(self._action.get('numbers', super().dof))
+
+    @property
+    def init_qpos(self) -> FloatArray | None:
+        """Start of the joints in the order of the file [rad or m], shape (n,), a copy, or None."""
+        if not self._joints:
+            return None
+        return np.array([self._start.get(joint, 0.0) for joint in self._joints])
+
+    def format_action(self, action: ArrayLike) -> FloatArray:
+        """
+        Map an action to actuator commands; where it moves by steps, one call is one step.
+
+        :param action: closes above 0, opens below; shape (dof,)
+        :returns: commands in [-1, 1], in the order of :attr:`actuators`, shape (nu,), a copy
+        :raises CommandError: if the length is wrong or a number is not finite
+        """
+        commands, law = self._checked(action).copy(), self._action
+        if law.get('steps', True):
+            size = commands if law.get('proportional') else np.sign(commands)
+            commands = self._integrate(
+                np.array(law.get('closing', [1.0])) * self.speed * size)
+        commands = np.repeat(commands, law.get('actuators', 1))
+        return np.append(commands, law.get('still', []))
+
+    def start_at(self, command: ArrayLike) -> None:
+        """
+        Make :meth:`format_action` continue from an actuator command, where it moves by steps.
+
+        :param command: commands in [-1, 1], one for each actuator
+        """
+        if self._action.get('steps', True):
+            super().start_at(command)
+
+
+class FourierLeftHand(CatalogueGripper):
+    """Left hand of the GR-1, with eleven joints and six motors."""
+
+    _folder = 'fourier_left_hand'
+
+
+class FourierRightHand(CatalogueGripper):
+    """Right hand of the GR-1, the mirror image of the left one."""
+
+    _folder = 'fourier_right_hand'
+
+
+class JacoThreeFingerGripper(CatalogueGripper):
+    """Kinova hand that opens and closes."""
+
+    _folder = 'jaco_three_finger_gripper'
+
+
+class JacoThreeFingerDexterousGripper(JacoThreeFingerGripper):
+    """Kinova hand that opens and closes each finger."""
+
+    _action = FromPart('each_action', {})
+
+
+class NullGripper(CatalogueGripper):
+    """A grasp frame and a force-torque sensor, without mass and without shape."""
+
+    _folder = 'null_gripper'
+
+
+class PandaGripper(CatalogueGripper):
+    """Franka hand that opens and closes."""
+
+    _folder = 'panda_gripper'
+
+
+class RethinkGripper(CatalogueGripper):
+    """Rethink gripper that opens and closes."""
+
+    _folder = 'rethink_gripper'
+
+
+class Robotiq140Gripper(CatalogueGripper):
+    """Robotiq 2F-140 that opens and closes."""
+
+    _folder = 'robotiq_140_gripper'
+
+
+class Robotiq85Gripper(CatalogueGripper):
+    """Robotiq 2F-85 that opens and closes."""
+
+    _folder = 'robotiq_85_gripper'
+
+
+class RobotiqThreeFingerGripper(CatalogueGripper):
+    """Robotiq gripper that opens and closes all fingers, fingers 1 and 2 side by side."""
+
+    _folder = 'robotiq_three_finger_gripper'
+
+
+class RobotiqThreeFingerDexterousGripper(RobotiqThreeFingerGripper):
+    """Robotiq gripper whose three fingers and scissor move by steps, one by one."""
+
+    _action = FromPart('each_action', {})
+
+
+class WipingGripper(CatalogueGripper):
+    """Eraser with a touch sensor at each corner of its wiping surface."""
+
+    _folder = 'wiping_gripper'

@@ -1,0 +1,137 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The robots of the catalogue; their numbers are in ``assets/robots``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.models.catalogue_part import CataloguePart, FromPart
+from manip_sim.models.robots.manipulator_model import ManipulatorModel
+from manip_sim.models.robots.robot_model import Placement
+
+
+class CatalogueRobot(CataloguePart, ManipulatorModel, registered=False):
+    """A robot with arms from ``assets/robots``."""
+
+    _kind = 'robots'
+    _arms = FromPart('arms', {})
+    _base_name = FromPart('base', None)
+    _controllers = FromPart('controllers', {})
+    _start = FromPart('start', {})
+    _placement = FromPart('placement', {})
+    #: From the middle of the near edge of a table, on the floor [m].
+    _table_placement = FromPart('table_placement', (0.0, 0.0, 0.0))
+    _foot_offset = FromPart('foot', None)
+    _top_offset = FromPart('top', (0.0, 0.0, 0.0))
+    _horizontal_radius = FromPart('radius', 0.0)
+
+    def _of_arms(self, key: str) -> dict[str, str]:
+        return {arm: described[key] for arm, described in self._arms.items() if key in described}
+
+    @property
+    def arm_type(self) -> str:
+        """``single`` or ``bimanual``."""
+        return 'single' if len(self._arms) == 1 else 'bimanual'
+
+    @property
+    def _eef_name(self) -> dict[str, str]:
+        return self._of_arms('mount')
+
+    @property
+    def default_base(self) -> str | None:
+        """Name of the base that the robot stands on unless another is requested."""
+        name: str | None = self._base_name
+        return name
+
+    @property
+    def default_gripper(self) -> dict[str, str]:
+        """Name by arm of the gripper that is mounted unless another is requested."""
+        return self._of_arms('gripper')
+
+    @property
+    def default_controller_config(self) -> dict[str, str]:
+        """Names of robosuite's controller settings, by arm or subsystem."""
+        return {**self._of_arms('controller'), **self._controllers}
+
+    @property
+    def init_qpos(self) -> FloatArray:
+        """Start positions in the order of :attr:`joints` [rad or m], shape (dof,), a copy."""
+        return np.array([self._start.get(joint, 0.0) for joint in self._joints])
+
+    @property
+    def base_xpos_offset(self) -> dict[str, Placement]:
+        """Where to place the robot by arena [m], or a function of the table's length [m]."""
+        x, y, z = self._table_placement
+        return {'table': lambda table_length: (x - table_length / 2.0, y, z),
+                **{arena: tuple(position) for arena, position in self._placement.items()}}
+
+
+class Baxter(CatalogueRobot):
+    """Two seven-joint arms and a screen, 2.2 kg payload each, 1.2 m reach."""
+
+    _folder = 'baxter'
+
+
+class GR1(CatalogueRobot):
+    """Humanoid of 1.65 m: torso, head, two seven-joint arms and two six-joint legs."""
+
+    _folder = 'gr1'
+
+
+class IIWA(CatalogueRobot):
+    """Seven-joint arm, 7 kg payload, 0.8 m reach."""
+
+    _folder = 'iiwa'
+
+
+class Jaco(CatalogueRobot):
+    """Seven-joint arm of carbon fibre with a spherical wrist."""
+
+    _folder = 'jaco'
+
+
+class Kinova3(CatalogueRobot):
+    """Seven-joint arm, four of them without end stops, 4 kg payload, 0.902 m reach."""
+
+    _folder = 'kinova3'
+
+
+class Panda(CatalogueRobot):
+    """Seven-joint arm, 3 kg payload, 0.855 m reach."""
+
+    _folder = 'panda'
+
+
+class PandaOmron(Panda):
+    """The Panda, by default on the Omron base."""
+
+    _folder = 'panda_omron'
+    _torso_start = FromPart('torso_start', ())
+
+    @property
+    def init_torso_qpos(self) -> FloatArray:
+        """Start position of the column [m], shape (1,)."""
+        return np.array(self._torso_start)
+
+    @property
+    def init_base_qpos(self) -> FloatArray | None:
+        """Start positions of the base: the torso lifted, if it has one, else zero [m or rad]."""
+        if self.base is None:
+            return None
+        lifted = dict(zip(self.torso_joints, self._torso_start))
+        return np.array([lifted.get(joint, 0.0) for joint in self.base.joints])
+
+
+class Sawyer(CatalogueRobot):
+    """Seven-joint arm with a screen, 4 kg payload, 1.26 m reach."""
+
+    _folder = 'sawyer'
+
+
+class UR5e(CatalogueRobot):
+    """Six-joint arm, 5 kg payload, 0.85 m reach."""
+
+    _folder = 'ur5e'
