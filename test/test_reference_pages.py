@@ -8,10 +8,10 @@ import re
 
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters,
-    composition_parameters, MODEL_PATH, mode_parameters, node_parameters, place_parameters,
+    composition_parameters, mode_parameters, MODEL_PATH, node_parameters, place_parameters,
     reflex_parameters, stream_parameters, timeout_parameters, wrench_parameters)
-from manip_sim.interface.scope import Scope
-from manip_sim.models.image_settings import ImageSettings
+from manip_sim.interface.topics import Scope
+from manip_sim.models.cameras import ImageSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / 'docs' / 'reference'

@@ -17,13 +17,12 @@ from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
-    place_parameters, reflex_parameters, steps_per_period, stream_parameters,
-    timeout_parameters, wrench_parameters)
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import PartLike
+    place_parameters, reflex_parameters, steps_per_period, stream_parameters, timeout_parameters,
+    wrench_parameters)
+from manip_sim.interface.topics import PartLike, Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
-from manip_sim.models.image_settings import ImageSettings
+from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS

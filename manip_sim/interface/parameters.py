@@ -9,20 +9,18 @@ from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import PartLike
-from manip_sim.models.arena_parameters import ArenaParameter
+from manip_sim.interface.topics import PartLike, Scope
 from manip_sim.models.arenas import arena_names, arena_parameters
+from manip_sim.models.arenas.arena import ArenaParameter
 from manip_sim.models.bases import base_names
+from manip_sim.models.cameras import ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.image_settings import (
-    ImageSettings, MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ)
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.modes import default_mode, MODES
 from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
+from manip_sim.simulation.modes import default_mode, MODES
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5

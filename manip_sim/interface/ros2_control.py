@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, TOPIC_PLUGIN
 from manip_sim.simulation import SimulatedRobot
 

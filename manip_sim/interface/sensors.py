@@ -15,10 +15,9 @@ import zlib
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.interface.scope import Scope
-from manip_sim.interface.topics import PUBLISHED, Topic, topics_of
 from manip_sim.entry_points import Offer, offers
+from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.interface.topics import PUBLISHED, Scope, Topic, topics_of
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 GROUP = 'manip_sim.sensors'

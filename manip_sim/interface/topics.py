@@ -20,14 +20,31 @@ from itertools import groupby
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from manip_sim.interface.scope import Scope
-
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT, CAMERA = '<part>', '<arm>', '<name>', '<camera>'
 _GRIPPER = f'{ARM}/gripper'
 #: When topics are published.
 _PERIOD, _TF_RATE, _IMAGES = 'publish_rate', 'tf_rate', 'camera.<camera>.rate'
 _ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
+
+
+@dataclass(frozen=True)
+class Scope:
+    """
+    The namespace of a robot within the node.
+
+    :ivar name: of the robot; empty for the only robot of a node, whose names have no namespace
+    """
+
+    name: str = ''
+
+    def topic(self, name: str) -> str:
+        """Return the name of a topic; one that is absolute or private is not the robot's."""
+        return f'{self.name}/{name}' if self.name and not name.startswith(('/', '~')) else name
+
+    def parameter(self, name: str) -> str:
+        """Return the name of a parameter of the robot."""
+        return f'{self.name}.{name}' if self.name else name
 
 
 class PartLike(Protocol):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from manip_sim.models.image_settings import (
+from manip_sim.models.cameras import (
     MAX_FOVY_DEG, MAX_PIXELS, MAX_RATE_HZ, MIN_FOVY_DEG, MIN_RATE_HZ)
 from manip_sim.models.object_descriptions import Coordinate, PlacedDescription
 from manip_sim.models.strict_descriptions import (

@@ -15,11 +15,13 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.image_settings import ImageSettings
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.quoting import quoted
 
+MAX_PIXELS = 4096
+MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 10_000.0
+MIN_FOVY_DEG, MAX_FOVY_DEG = 1.0, 170.0
 if TYPE_CHECKING:
     from manip_sim.models.camera_description import CameraDescription
 
@@ -27,6 +29,22 @@ if TYPE_CHECKING:
 _TO_MUJOCO = np.array([0.5, 0.5, -0.5, -0.5])
 #: Below this sine of the angle between view and vertical, up in the image cannot be z.
 _PARALLEL = 1e-6
+
+
+@dataclass(frozen=True)
+class ImageSettings:
+    """
+    Size and rate of a camera's images, and whether there are depth images.
+
+    :ivar width: [pixels], as ``height``
+    :ivar rate_hz: images per second of simulation time [Hz]
+    :ivar depth: also depth images
+    """
+
+    width: int = 640
+    height: int = 480
+    rate_hz: float = 20.0
+    depth: bool = True
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_contents import check_content, MAX_FILE_BYTES
-from manip_sim.models.asset_files import places, references
+from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, references
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files
 from manip_sim.models.trial import try_to_compile

@@ -15,7 +15,7 @@ from manip_sim.models import World
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.tree import subtree
-from manip_sim.moveit.postures import Posture
+from manip_sim.moveit.srdf import Posture
 from manip_sim.simulation.couplings import JointCouplings
 
 #: Of random configurations; the seed is fixed, so that the same robot has the same file.

@@ -18,10 +18,9 @@ from manip_sim.errors import SimulationEnded
 from manip_sim.ros.action_messages import (
     ActionMessages, GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.commands import CommandSubscribers
-from manip_sim.ros.control_messages import ActionTypes, load_action_types
 from manip_sim.ros.goal_server import GoalServer
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.optional_packages import missing_note
+from manip_sim.ros.optional_packages import ActionTypes, load_action_types, missing_note
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import SimulatedRobot

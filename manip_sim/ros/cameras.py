@@ -5,21 +5,28 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Mapping
+import io
+import sys
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Time
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import topics_of_cameras
-from manip_sim.models.image_settings import ImageSettings
+from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.urdf_writer.tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
-from manip_sim.ros import camera_messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output
@@ -28,8 +35,55 @@ from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 
+#: Of JPEG, the default of image_transport_plugins.
+_QUALITY = 95
+_PLUMB_BOB = 'plumb_bob'
 #: How long the start waits for OpenGL [s].
 _READY_S = 10.0
+
+
+def header(stamp: Time, frame_id: str) -> Header:
+    """Return a header."""
+    return Header(stamp=stamp, frame_id=frame_id)
+
+
+def image(head: Header, pixels: NDArray[Any]) -> Image:
+    """
+    Return an image: ``rgb8`` of bytes with shape (h, w, 3), ``32FC1`` of floats with shape (h, w).
+
+    :param pixels: contiguous, the top row first
+    """
+    message = Image(header=head, height=pixels.shape[0], width=pixels.shape[1],
+                    encoding='rgb8' if pixels.ndim == 3 else '32FC1',
+                    is_bigendian=sys.byteorder == 'big', step=pixels.strides[0])
+    # rclpy takes an array.array as it is, and checks anything else byte by byte.
+    content = array('B')
+    content.frombytes(pixels.data.cast('B'))
+    message.data = content
+    return message
+
+
+def jpeg(head: Header, rgb: NDArray[np.uint8]) -> CompressedImage:
+    """
+    Return an image as JPEG.
+
+    :param rgb: shape (h, w, 3), the top row first
+    """
+    from PIL.Image import fromarray
+    stream = io.BytesIO()
+    fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
+    # The format as image_transport writes it, whatever the order of colours inside.
+    return CompressedImage(header=head, format='rgb8; jpeg compressed bgr8',
+                           data=array('B', stream.getvalue()))
+
+
+def camera_info(found: Intrinsics) -> CameraInfo:
+    """Return the intrinsics of a camera without distortion; the header is empty."""
+    return CameraInfo(
+        width=found.width, height=found.height, distortion_model=_PLUMB_BOB, d=[0.0] * 5,
+        k=[found.fx, 0.0, found.cx, 0.0, found.fy, found.cy, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[found.fx, 0.0, found.cx, 0.0, 0.0, found.fy, found.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
 class CameraPublishers:
@@ -50,7 +104,7 @@ class CameraPublishers:
                    for row in topics_of_cameras({name: depth})}
         self.view = View(name, found.width, found.height)
         self._frame_id = frame_id
-        self._info = camera_messages.camera_info(found)
+        self._info = camera_info(found)
         self._color = outputs['color/image_raw']
         self._jpeg = outputs['color/image_raw/compressed']
         self._depth = outputs.get('depth/image_raw')
@@ -64,22 +118,22 @@ class CameraPublishers:
 
     def publish_infos(self, time_ns: int) -> None:
         """Publish the intrinsics for an instant."""
-        self._info.header = camera_messages.header(stamp_of(time_ns), self._frame_id)
+        self._info.header = header(stamp_of(time_ns), self._frame_id)
         for output in self._infos:
             if output.wanted:
                 output.publish(self._info)
 
     def publish(self, shot: Shot) -> None:
         """Publish what the camera saw, and the intrinsics for that instant."""
-        head = camera_messages.header(stamp_of(shot.snapshot.time_ns), self._frame_id)
+        head = header(stamp_of(shot.snapshot.time_ns), self._frame_id)
         picture = shot.picture
         if picture.rgb is not None:
             if self._color.wanted:
-                self._color.publish(camera_messages.image(head, picture.rgb))
+                self._color.publish(image(head, picture.rgb))
             if self._jpeg.wanted:
-                self._jpeg.publish(camera_messages.jpeg(head, picture.rgb))
+                self._jpeg.publish(jpeg(head, picture.rgb))
         if picture.depth is not None and self._depth is not None and self._depth.wanted:
-            self._depth.publish(camera_messages.image(head, picture.depth))
+            self._depth.publish(image(head, picture.depth))
         self.publish_infos(shot.snapshot.time_ns)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import Scope
 from manip_sim.models import World
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.modes import MODES, POSITION

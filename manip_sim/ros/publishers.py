@@ -6,29 +6,89 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
+from builtin_interfaces.msg import Time
 import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import String, UInt8MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, topics_of
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, topics_of
+from manip_sim.models import World
 from manip_sim.ros import messages
-from manip_sim.ros.controller_state import (
-    controller_numbers, controller_state, MESSAGE_TYPE, ROWS)
 from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.outputs import create_output, create_publisher, Publication, Publications
 from manip_sim.ros.serialized import Make
-from manip_sim.interface.scope import Scope
-from manip_sim.models import World
 from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.state import ControllerState
 
+JointTrajectoryControllerState: Any = getattr(
+    import_optional('control_msgs.msg'), 'JointTrajectoryControllerState', None)
 
+#: The type of ``<part>/controller_state``.
+MESSAGE_TYPE: Any = JointTrajectoryControllerState or JointTrajectory
+#: Number of rows of :func:`controller_numbers`.
+ROWS = 9
 #: What makes a message of stamp and numbers, what reads the numbers, and how many there are.
 Reading = tuple[Make, Callable[[Simulation], FloatArray | None], int]
+
+
+def controller_numbers(state: ControllerState) -> FloatArray:
+    """
+    Return the numbers of a message; without a setpoint the reference is the measured state.
+
+    :returns: rows, of n joints each: position, velocity, acceleration and effort of the reference;
+        measured position, velocity and effort; error of position and velocity; shape (9 n,)
+    """
+    reference, gives = state.reference, state.reference.gives_effort
+    position, velocity, acceleration = (
+        reference.position, reference.velocity, reference.acceleration)
+    if gives.any():
+        position = np.where(gives, state.position, position)
+        velocity = np.where(gives, state.velocity, velocity)
+        acceleration = np.where(gives, 0.0, acceleration)
+    return np.concatenate([
+        position, velocity, acceleration, reference.effort,
+        state.position, state.velocity, state.effort,
+        position - state.position, velocity - state.velocity])
+
+
+def controller_state(names: Sequence[str], stamp: Time, numbers: FloatArray) -> Any:
+    """
+    Return the state of the controllers of a part's joints.
+
+    Without the package control_msgs it is a ``JointTrajectory`` with four points, which are the
+    fields of ``control_msgs/JointTrajectoryControllerState``: reference, feedback, error, output.
+
+    :param names: of the joints, n
+    :param numbers: as :func:`controller_numbers` returns them, shape (9 n,)
+    """
+    rows = numbers.reshape(ROWS, len(names))
+    points = {'reference': _point(*rows[:4]), 'feedback': _point(rows[4], rows[5], None, rows[6]),
+              'error': _point(*rows[7:]), 'output': _point(effort=rows[6])}
+    message = MESSAGE_TYPE()
+    message.header.stamp = stamp
+    message.joint_names = list(names)
+    if JointTrajectoryControllerState is None:
+        message.points = list(points.values())
+    else:
+        for name, point in points.items():
+            setattr(message, name, point)
+    return message
+
+
+def _point(position: Any = None, velocity: Any = None, acceleration: Any = None,
+           effort: Any = None) -> JointTrajectoryPoint:
+    fields = {'positions': position, 'velocities': velocity, 'accelerations': acceleration,
+              'effort': effort}
+    return JointTrajectoryPoint(
+        **{name: values.tolist() for name, values in fields.items() if values is not None})
 
 
 class ClockPublisher(Publications):

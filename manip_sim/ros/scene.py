@@ -6,17 +6,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import Odometry
+import numpy as np
+from rclpy.node import Node
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.scope import Scope
+from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.quoting import quoted
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.odometry import OdometryPublisher
+from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.ros.transforms import offer_transforms
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -27,6 +34,52 @@ from manip_sim.simulation.odometry import OdometryReader
 Follower = Callable[[Simulation], None]
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'
+
+
+class OdometryPublisher(Publications):
+    """
+    A publisher of a base's pose in the frame of its odometry, and of its twist in its own axes.
+
+    They are exact: the covariances are zero.
+
+    :param node: the node
+    :param reader: reads the base
+    :param topic: where it is published
+    :param frame: name of the frame of the odometry
+    :param frame_prefix: prefix of the names of frames
+    :param log: counts and logs what could not be published
+    """
+
+    def __init__(self, node: Node, reader: OdometryReader, topic: str, frame: str,
+                 frame_prefix: str, log: RejectionLog) -> None:
+        super().__init__()
+
+        def read(simulation: Simulation) -> FloatArray:
+            found = reader.read(simulation.model, simulation.data)
+            return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
+
+        make = partial(odometry, frame_prefix + frame, frame_prefix + reader.base)
+        row = replace(BY_NAME['odom'], name=topic)
+        self.replace((Publication(create_output(node, log, row), make, read, 13),))
+
+
+def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
+    """
+    Return a message with the pose of a frame in another one, and its twist.
+
+    :param numbers: position [m], quaternion x, y, z, w, and linear [m/s] and angular velocity
+        [rad/s] in the axes of the frame that moves, shape (13,)
+    """
+    message = Odometry(child_frame_id=child_frame_id)
+    message.header.stamp = stamp
+    message.header.frame_id = frame_id
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y, pose.position.z = numbers[:3].tolist()
+    turn = pose.orientation
+    turn.x, turn.y, turn.z, turn.w = numbers[3:7].tolist()
+    twist.linear.x, twist.linear.y, twist.linear.z = numbers[7:10].tolist()
+    twist.angular.x, twist.angular.y, twist.angular.z = numbers[10:].tolist()
+    return message
 
 
 def check_frame_prefix(prefix: str) -> str:

@@ -11,8 +11,8 @@ from typing import Any
 from rclpy.serialization import serialize_message
 
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.interface.scope import Scope
 from manip_sim.interface.sensors import Offered, offered_topics
+from manip_sim.interface.topics import Scope
 from manip_sim.quoting import one_line
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of

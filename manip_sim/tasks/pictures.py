@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.image_settings import MAX_PIXELS
+from manip_sim.models.cameras import MAX_PIXELS
 from manip_sim.models.world import World
 from manip_sim.rendering.gl import choose_gl, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer

@@ -129,7 +129,7 @@ def test_a_tendon_drives_all_its_joints(hand_sim):
     hand_sim('<position name="pull" tendon="t" kp="900" kv="9" ctrlrange="0 0.04"/>',
              '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '
              'coef="1"/></fixed></tendon>', coupled=False, before=made.append)
-    from manip_sim.cli.elements import actuator_rows
+    from manip_sim.cli.description import actuator_rows
     from manip_sim.simulation.mechanism import actuated_joints
     model = made[0].compile()
     row, = actuator_rows(model, {'gripper0_pull': 'right/gripper'})

@@ -9,8 +9,7 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import create_arena, World
-from manip_sim.models.cameras import create_camera
-from manip_sim.models.image_settings import ImageSettings
+from manip_sim.models.cameras import create_camera, ImageSettings
 
 
 def seen_by(world, name):

@@ -17,7 +17,7 @@ import pytest
 
 from manip_sim.errors import ModelError
 from manip_sim.models import held_models, trial, World
-from manip_sim.models.asset_contents import check_content
+from manip_sim.models.asset_files import check_content
 from manip_sim.models.held_models import hold_model, LIMITS
 from manip_sim.models.objects import create_object, object_from_model
 from manip_sim.models.regular_files import Files, FilesBelow, OneText, read_file

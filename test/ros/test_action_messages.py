@@ -17,7 +17,7 @@ from manip_sim.models import compose
 from manip_sim.ros.action_messages import (
     GripperMessages, ParallelGripperMessages, TrajectoryMessages)
 from manip_sim.ros.actions import messages_of
-from manip_sim.ros.control_messages import ActionTypes
+from manip_sim.ros.optional_packages import ActionTypes
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.goals import GoalCode, GoalError
 

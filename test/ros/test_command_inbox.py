@@ -14,8 +14,8 @@ from std_srvs.srv import Trigger
 
 from manip_sim.ros import command_inbox
 from manip_sim.ros.command_inbox import create_command_inbox
+from manip_sim.ros.commands import CommandSubscription
 from manip_sim.ros.log import RejectionLog
-from manip_sim.ros.subscription import CommandSubscription
 
 COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
 

@@ -11,8 +11,8 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 from manip_sim.ros import messages, outputs, transforms
-from manip_sim.ros.controller_state import controller_state, ROWS
-from manip_sim.ros.odometry import odometry
+from manip_sim.ros.publishers import controller_state, ROWS
+from manip_sim.ros.scene import odometry
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation.frames import Frame
 

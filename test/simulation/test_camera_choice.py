@@ -7,8 +7,7 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
-from manip_sim.models.cameras import create_camera
-from manip_sim.models.image_settings import ImageSettings, MAX_PIXELS
+from manip_sim.models.cameras import create_camera, ImageSettings, MAX_PIXELS
 from manip_sim.models.world import World
 from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
 

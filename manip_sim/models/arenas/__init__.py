@@ -15,11 +15,8 @@ from os import PathLike
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.arena_parameters import ArenaParameter
-from manip_sim.models.arenas.arena import Arena, ARENAS
-from manip_sim.models.arenas.bins_arena import BinsArena
-from manip_sim.models.arenas.empty_arena import EmptyArena
-from manip_sim.models.arenas.table_arena import TableArena
+from manip_sim.models.arenas.arena import Arena, ArenaParameter, ARENAS
+from manip_sim.models.arenas.catalogue_arenas import BinsArena, EmptyArena, TableArena
 from manip_sim.models.registry import import_submodules
 from manip_sim.models.sources import check_no_parameters
 

@@ -1,24 +1,92 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all arenas share: objects of their own, and the places of robots."""
+"""What all arenas share: parameters, objects of their own, and the places of robots."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+import math
+import numbers
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Union
 
 import mujoco
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.arena_parameters import ArenaParameter
+from manip_sim.errors import ModelError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import ObjectModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import begin_like
 from manip_sim.models.validation import finite_numbers
+from manip_sim.quoting import shown
 from manip_sim.resources import asset_path
+
+Value = Union[bool, float]
+
+
+@dataclass(frozen=True)
+class ArenaParameter:
+    """
+    A number or a flag that an arena can be created with.
+
+    :ivar name: such as ``table_length``
+    :ivar default: of the type of the parameter, bool or float
+    :ivar description: a phrase, without a full stop
+    :ivar unit: such as ``m``, empty if there is none
+    :ivar low: the least value of a number
+    :ivar high: the greatest value of a number
+    :ivar keyword: of the arena's constructor, if it is not the name
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ''
+    low: float = -math.inf
+    high: float = math.inf
+    keyword: str = ''
+
+    @property
+    def argument(self) -> str:
+        """The keyword of the arena's constructor."""
+        return self.keyword or self.name
+
+    @property
+    def limits(self) -> str:
+        """The values that can be given, such as ``0.3 to 5 m``."""
+        if isinstance(self.default, bool):
+            return 'true or false'
+        return f'{self.low:g} to {self.high:g} {self.unit}'.rstrip()
+
+    def check(self, value: Any, arena: str) -> None:
+        """
+        Reject a value of the wrong type or outside the limits.
+
+        :raises ModelError: naming arena, parameter and limits
+        """
+        if isinstance(self.default, bool):
+            fits = isinstance(value, bool)
+        else:
+            fits = (not isinstance(value, bool) and isinstance(value, numbers.Real)
+                    and self.low <= float(value) <= self.high)
+        if not fits:
+            raise ModelError(f"parameter '{self.name}' of the arena {arena} must be "
+                             f'{self.limits}, got {shown(value)}')
+
+
+def check_arguments(parameters: Iterable[ArenaParameter], arena: str, **arguments: Any) -> None:
+    """
+    Check arguments of an arena's constructor.
+
+    :raises ModelError: naming arena, parameter and limits
+    """
+    for parameter in parameters:
+        if parameter.argument in arguments:
+            parameter.check(arguments[parameter.argument], arena)
 
 
 class Arena(MujocoXMLModel):

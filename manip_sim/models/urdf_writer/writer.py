@@ -13,15 +13,17 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.hardware import add_hardware, Hardware
-from manip_sim.models.urdf_writer.limits import actuated_joints, effort_limit, velocity_limit
-from manip_sim.models.urdf_writer.meshes import MeshFile
-from manip_sim.models.urdf_writer.mimics import find_mimics, Mimic
+from manip_sim.models.urdf_writer.joints import (
+    actuated_joints, effort_limit, find_mimics, Mimic, velocity_limit)
 from manip_sim.models.urdf_writer.numbers import matrix_of, rpy_of, text_of
 from manip_sim.models.urdf_writer.shapes import (
-    collides, geoms_of_body, is_seen, rgba_of, shapes_of)
+    collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, shapes_of)
 from manip_sim.models.urdf_writer.tree import Joint, KinematicTree, Link, robot_tree
+from manip_sim.models.world import World
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 #: Limit of a prismatic joint without a range, for which URDF requires one [m].
@@ -199,3 +201,52 @@ def _add_inertial(link: ElementTree.Element, model: mujoco.MjModel, body: int) -
     ElementTree.SubElement(element, 'inertia', {
         f'i{"xyz"[row]}{"xyz"[column]}': text_of(inertia[row, column])
         for row in range(3) for column in range(row, 3)})
+
+
+def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> dict[str, Urdf]:
+    """
+    Return the URDF of each robot by its name in the world.
+
+    :param world: with one robot or more
+    :param hardware: by name of the robot, for those with a ``<ros2_control>`` tag
+    :raises ModelError: if the world does not compile
+    """
+    spec = world.compose(objects=False)
+    model = compile_spec(spec, world.name)
+    meshes, wanted = files_of_meshes(spec, model), hardware or {}
+    return {robot.name_in_world:
+            write_urdf(model, robot, meshes, wanted.get(robot.name_in_world))
+            for robot in world.robots}
+
+
+def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = None) -> Urdf:
+    """
+    Return the URDF of one robot.
+
+    :param world: with the robot
+    :param robot: its name, as for :func:`urdfs_of`; None for the only one
+    :param hardware: of the ``<ros2_control>`` tag; None for none
+    :raises ModelError: if there are several robots and none is named, or the world does not
+        compile
+    :raises UnknownNameError: if there is no such robot
+    """
+    name = choose_robot(world, robot).name_in_world
+    return urdfs_of(world, {} if hardware is None else {name: hardware})[name]
+
+
+def choose_robot(world: World, name: str | None = None) -> RobotModel:
+    """
+    Return the robot of a name, or the only one; raises as :func:`urdf_of` does.
+
+    :param world: with one robot or more
+    :param name: of the robot, as for :func:`urdfs_of`; None for the only one
+    """
+    robots = {robot.name_in_world: robot for robot in world.robots}
+    if name is None:
+        if len(robots) != 1:
+            raise ModelError('a URDF is of one robot: name one of '
+                             + (', '.join(robots) or 'none'))
+        return next(iter(robots.values()))
+    if name not in robots:
+        raise UnknownNameError('robot', name, robots)
+    return robots[name]

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A table, and the cube on it."""
+"""The arenas of the catalogue: an empty floor, a table, a cabinet with a drawer, and bins."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.arena_parameters import ArenaParameter, check_arguments
-from manip_sim.models.arenas.arena import Arena
+from manip_sim.models.arenas.arena import Arena, ArenaParameter, check_arguments
 from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
+from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.resources import asset_path
 
 _CUBE_EDGE_M = 0.05
@@ -20,6 +20,14 @@ _CUBE_MASS_KG = 0.1
 _LEG_INSET_M = 0.1
 #: Height of the table that the cameras in the file look at [m].
 _TABLE_HEIGHT_M = 0.8
+#: Height of the bins' floors above the floor in their file [m].
+_BIN_HEIGHT_M = 0.82
+
+
+class EmptyArena(Arena):
+    """A floor without furniture."""
+
+    arena_name = 'empty'
 
 
 class TableArena(Arena):
@@ -82,3 +90,49 @@ def _cube(table_height_m: float) -> ObjectModel:
     body.add_geom(name=SHAPE_GEOM, type=mujoco.mjtGeom.mjGEOM_BOX, size=[half] * 3,
                   mass=_CUBE_MASS_KG, rgba=[0.8, 0.2, 0.15, 1.0], friction=[1.0, 0.005, 0.0001])
     return ObjectModel('cube', spec)
+
+
+class DrawerArena(Arena):
+    """A table in front of the robot, and a cabinet with a drawer on it, ``drawer_slide``."""
+
+    arena_name = 'drawer'
+
+    def robot_position(self, robot: RobotModel) -> FloatArray:
+        """
+        Return the place of a robot in ``world``, as beside a table [m], shape (3,).
+
+        :param robot: the robot to place
+        """
+        return TableArena(cube=False).robot_position(robot)
+
+
+class BinsArena(Arena):
+    """
+    An open bin, ``bin1``, and one with four compartments, ``bin2``, side by side.
+
+    :param bin_height_m: height of the bins' floors above the floor [m]
+    :param friction: sliding friction of floors and walls
+    :raises ModelError: naming parameter and limits
+    """
+
+    arena_name = 'bins'
+    parameters = (
+        ArenaParameter('bin_height', _BIN_HEIGHT_M, "height of the bins' floors above the floor",
+                       'm', 0.1, 2.0, 'bin_height_m'),
+        ArenaParameter('friction', 1.0, 'sliding friction of floors and walls', '', 0.0, 10.0))
+
+    def __init__(self, bin_height_m: float = _BIN_HEIGHT_M, *, friction: float = 1.0) -> None:
+        check_arguments(self.parameters, self.arena_name, bin_height_m=bin_height_m,
+                        friction=friction)
+        super().__init__()
+        higher = bin_height_m - _BIN_HEIGHT_M
+        self._lift_cameras(higher)
+        for bin_ in (self._spec.body('bin1'), self._spec.body('bin2')):
+            bin_.pos[2] += higher
+            for geom in bin_.geoms:
+                if geom.name.endswith('_visual'):
+                    geom.pos[2] -= higher / 2.0
+                    geom.size[1] += higher / 2.0
+                else:
+                    geom.friction[0] = friction
+        self._record()
