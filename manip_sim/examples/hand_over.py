@@ -6,7 +6,7 @@ Hand a cube from one arm to a second and a third one, through topics alone.
 
 Needs a node with ``config/hand_over.yaml``. The arms ``left`` and ``right`` hold the cube from
 above by its sides along y, the arm ``middle`` from below by its sides along x. After each grasp
-the cube's pose shows whether it moves with the hand.
+the cube's pose shows whether it moves with the gripper.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
 GOAL, NEAR_GOAL_M = np.array([-0.05, -0.5, 0.825]), 0.03
 #: How far from the cube a hand waits [m], and how far from the cube's centre it grips [m].
 _AWAY_M, _OFF_MIDDLE_M = 0.12, 0.008
-#: A cube that is held moves in the hand by less than this [m].
+#: A cube that is held moves in the gripper by less than this [m].
 _SLIP_M = 0.01
 #: Fingers that close move by more than this [rad or m].
 _CLOSES = 2e-3
@@ -115,9 +115,9 @@ class HandOver(Demonstration):
         if slipped > _SLIP_M:
             raise TaskFailed(f'the cube is not held by {arm.name}: it is at '
                              f'{_in_words(self._cube)}, {slipped:.3f} m from where it was in '
-                             'the hand')
+                             'the gripper')
         self.say(f'{arm.name} holds the cube at {_in_words(self._cube)}: it moved by '
-                 f'{1000.0 * slipped:.1f} mm in the hand')
+                 f'{1000.0 * slipped:.1f} mm in the gripper')
 
     def _give(self, giver: Arm, taker: Arm, approach: FloatArray) -> None:
         """Let an arm take the cube from another one, which lets go, and move both away."""

@@ -54,7 +54,7 @@ class CubePicker(Demonstration):
         arm.move(above)
         self.wait(_SETTLE_S)
         empty = self._average_force(_SETTLE_S)
-        self.say(f'the wrist carries {np.linalg.norm(empty):.3f} N, the weight of the hand')
+        self.say(f'the wrist carries {np.linalg.norm(empty):.3f} N, the weight of the gripper')
         self.say('moving down')
         arm.move(at_cube)
         self.say('closing the gripper')

@@ -263,19 +263,19 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
     return [spec.within(scope) for arm in arms for spec in (
         ParameterSpec(f'cartesian.{arm}.stiffness', settings.stiffness,
                       'Stiffness of target poses and pose actions in effort mode: acceleration of '
-                      "the hand per error, in all directions; robosuite's kp.", '1/s^2', live=True,
+                      "the end effector per error, in all directions; robosuite's kp.", '1/s^2', live=True,
                       minimum=1.0, maximum=1000.0),
         ParameterSpec(f'cartesian.{arm}.damping_ratio', settings.damping_ratio,
                       'Damping ratio of the same control; 1 is critical damping.', live=True,
                       minimum=0.1, maximum=3.0),
         ParameterSpec(f'cartesian.{arm}.linear_velocity', settings.linear_velocity,
-                      'Largest speed of the hand; a faster target twist is clamped.', 'm/s',
+                      'Largest speed of the end effector; a faster target twist is clamped.', 'm/s',
                       live=True, minimum=0.001, maximum=10.0),
         ParameterSpec(f'cartesian.{arm}.angular_velocity', settings.angular_velocity,
-                      'Largest angular speed of the hand; a faster twist is clamped.', 'rad/s',
+                      'Largest angular speed of the end effector; a faster twist is clamped.', 'rad/s',
                       live=True, minimum=0.001, maximum=30.0),
         ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
-                      'Time without a new target twist (simulation time) until the hand stops.',
+                      'Time without a new target twist (simulation time) until the end effector stops.',
                       's', live=True, minimum=0.001, maximum=10.0))]
 
 

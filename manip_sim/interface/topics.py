@@ -159,7 +159,7 @@ TOPICS = (
     _published('<arm>/wrench', 'geometry_msgs/WrenchStamped',
                'force and torque as the sensor gives them, in ft_frame [N, N m]', by='wrench'),
     _published('<arm>/external_wrench', 'geometry_msgs/WrenchStamped',
-               'what the world does to the tool, mean over the period, tared, in ft_frame '
+               'external force and torque on the tool, period mean, tared, in ft_frame '
                '[N, N m]', by='external_wrench'),
     _published('<arm>/eef_pose', 'geometry_msgs/PoseStamped', 'grip_site in world [m]',
                by='pose'),
@@ -179,7 +179,7 @@ TOPICS = (
                'frames that do not, latched, where tf2_msgs is installed', rate=_CHANGES, depth=1,
                latched=True),
     _published('~/markers', 'visualization_msgs/MarkerArray',
-               'contacts with their forces, and external wrenches, to look at', rate=_TF_RATE),
+               'contacts with their forces, and external wrenches, to display', rate=_TF_RATE),
     _published('robot_description', 'std_msgs/String', 'URDF of the robot, latched',
                rate=_ONCE, depth=1, latched=True),
     _published('~/dynamics', 'std_msgs/String',

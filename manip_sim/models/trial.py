@@ -74,7 +74,7 @@ def _tried(work: bytes, cpu_s: int) -> str:
     if process.returncode == 0:
         return problem.decode()
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f'takes more than {cpu_s} s to compile, and may not'
+        return f'takes more than {cpu_s} s to compile, which is the limit'
     return (f'cannot be compiled: MuJoCo crashes, or needs more than '
             f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
 

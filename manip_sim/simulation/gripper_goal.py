@@ -54,7 +54,7 @@ class GripperView:
     :ivar velocity: [rad/s or m/s]
     :ivar effort: of the actuators at the joint [N or N m]
     :ivar reached: whether the joint is at its goal
-    :ivar stalled: whether the fingers were stopped on their way
+    :ivar stalled: whether the fingers were stopped before they reached the goal
     """
 
     time_ns: int
@@ -123,4 +123,4 @@ class GripperGoal(Goal):
         if self.view.reached:
             self._succeed('the goal is reached')
         elif self.view.stalled:
-            self._succeed('the fingers were stopped on their way')
+            self._succeed('the fingers were stopped before they reached the goal')

@@ -42,7 +42,7 @@ class HandOver(Task):
     """
 
     name = 'hand_over'
-    instruction = 'Pick up the bar with one hand, and take it over with the other.'
+    instruction = 'Pick up the bar with one gripper, and take it over with the other.'
     horizon_s = 10.0
 
     def objects(self) -> Iterable[Description]:

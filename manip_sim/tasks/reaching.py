@@ -27,7 +27,7 @@ class Reach(Task):
     """Bring ``grip_site`` within 2 cm of a point above the table."""
 
     name = 'reach'
-    instruction = 'Move the hand to the green point.'
+    instruction = 'Move the end effector to the green point.'
     horizon_s = 3.0
     needs_fingers = False
 

@@ -51,7 +51,7 @@ def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
     lines = [f'states at each control period: {folder / _STATES}']
     done = subprocess.run([sys.executable, '-m', __name__, str(folder)], capture_output=True,
                           text=True, check=False, env={'MUJOCO_GL': 'egl', **os.environ})
-    error = (done.stderr.strip().splitlines() or ['it ended without a word'])[-1]
+    error = (done.stderr.strip().splitlines() or ['it ended without output'])[-1]
     lines.append(f'no picture: {error}' if done.returncode
                  else f'the last instant: {folder / _PICTURE}')
     return lines

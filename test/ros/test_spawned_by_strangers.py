@@ -109,7 +109,7 @@ def test_a_mesh_that_takes_too_long_is_rejected_while_all_else_goes_on(
     client.spin_until(future.done)
     assert not future.result().success
     assert future.result().message == (
-        f'{tmp_path}/o.xml takes more than 1 s to compile, and may not')
+        f'{tmp_path}/o.xml takes more than 1 s to compile, which is the limit')
     assert node.simulation.plan.object_names == ['cube']
 
 
@@ -150,7 +150,7 @@ def test_what_is_tried_is_given_up_by_a_process_that_ends(tmp_path, monkeypatch)
     while not trial._running:
         assert not loading.done()
     trial.give_up()
-    with pytest.raises(ManipSimError, match='to compile, and may not'):
+    with pytest.raises(ManipSimError, match='to compile, which is the limit'):
         loading.result(START_S)
     assert not trial._running
 

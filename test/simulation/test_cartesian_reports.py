@@ -50,4 +50,4 @@ def test_a_hand_that_leaves_its_way_by_centimetres_is_told_when_it_begins():
         report.see_way(distance)
     assert report.counts['aside'] == 2
     assert report.texts['aside'] == (
-        'right: the hand is more than 0.01 m off the straight way to its target')
+        'right: the end effector is more than 0.01 m off the straight line to its target')

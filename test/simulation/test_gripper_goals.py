@@ -154,7 +154,7 @@ def test_what_is_held_stalls_the_fingers_with_the_force_that_is_allowed(
     goal = at_a_cube.start(0.0, max_effort=max_effort)
     at_a_cube.run(goal=goal)
     assert goal.outcome.ending is Ending.SUCCEEDED
-    assert goal.outcome.reason == 'the fingers were stopped on their way'
+    assert goal.outcome.reason == 'the fingers were stopped before they reached the goal'
     assert goal.view.stalled is True and goal.view.reached is False
     assert goal.view.position == pytest.approx(0.025, abs=5e-4)
     assert goal.view.effort == pytest.approx(-expected, rel=0.01)

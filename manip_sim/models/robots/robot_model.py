@@ -116,7 +116,7 @@ class RobotModel(StandingModel, ABC):
             :class:`~manip_sim.models.joint_actuation.Friction`
         :param torque_speed: ``catalogue``, or the keys of
             :class:`~manip_sim.models.joint_actuation.TorqueSpeed`
-        :param armature: inertia of the rotors as the joints feel it [kg m^2 or kg], a number or
+        :param armature: inertia of the rotors, reflected to the joints [kg m^2 or kg], a number or
             one for each joint
         :raises ModelError: if there are no such joints, the catalogue has no values or values
             cannot be used

@@ -259,7 +259,7 @@ class CartesianController:
                                 settings.angular_velocity, before, twist, target.rests)
             target.rests = solution.rests
             behind = not still and solution.slowed and bool((np.abs(error) > MISSED).any())
-            self._see(command, 'the stream of poses' if behind else 'the way to the target',
+            self._see(command, 'the stream of poses' if behind else 'the motion to the target',
                       solution.held, solution.singular, behind)
             near = (still and (np.abs(error) <= _REACHED).all()
                     and solution.pace < _SLOW_PACE)
@@ -303,7 +303,7 @@ class CartesianController:
         solution = self._operational.follow(
             self._hands[command.arm].tip, target, command.indices, data, now_s, duration_s,
             self.settings[command.arm])
-        self._see(command, 'the twist' if streams else 'the way to the target', solution.held,
+        self._see(command, 'the twist' if streams else 'the motion to the target', solution.held,
                   solution.singular, streams and solution.slowed)
         if not streams:
             self._look(command, target, data, now_s, solution.error, solution.rests,

@@ -33,7 +33,7 @@ class CartesianReport:
     :ivar joint_limit: how often the range of a joint shortened a motion
     :ivar singular: how often the hand could hardly move in the wanted direction
     :ivar slowed: how often limits of joints slowed down a twist or a stream of poses
-    :ivar aside: how often the hand left the straight way to a pose by more than 1 cm
+    :ivar aside: how often the hand left the straight line to a pose by more than 1 cm
     :ivar texts: what happened last, in words, by counter
     """
 
@@ -77,7 +77,7 @@ class CartesianReport:
         self._note('joint_limit', bool(held),
                    f'{what} is limited by the range of {", ".join(held)}')
         self._note('singular', singular,
-                   f'{what} leads to a singularity, where the hand hardly moves')
+                   f'{what} leads to a singularity, where the end effector can hardly move')
         self._note('slowed', slowed,
                    f'{what} is slowed down to keep to the limits of the joints')
 
@@ -102,12 +102,12 @@ class CartesianReport:
 
     def see_way(self, distance: float) -> None:
         """
-        Record how far the hand is from the straight way to its target.
+        Record how far the hand is from the straight line to its target.
 
         :param distance: [m]
         """
         self._note('aside', distance > _ASIDE,
-                   f'the hand is more than {_ASIDE:g} m off the straight way to its target')
+                   f'the end effector is more than {_ASIDE:g} m off the straight line to its target')
 
     def _note(self, kind: str, active: bool, text: str) -> None:
         if not active:

@@ -19,7 +19,7 @@ _OUTCOMES = {
     'dropped': 'rejected', 'clamped': 'clamped', 'slowed': 'slowed down', 'timeouts': 'timed out',
     'faults': 'failed in the gripper', 'cartesian_unreachable': 'out of reach',
     'cartesian_joint_limit': 'stopped by joint limits', 'cartesian_singular': 'at a singularity',
-    'cartesian_slowed': 'slower than requested', 'cartesian_aside': 'off the straight way'}
+    'cartesian_slowed': 'slower than requested', 'cartesian_aside': 'off the straight line'}
 
 
 @dataclass(frozen=True)

@@ -97,11 +97,11 @@ class ViewPanel:
             lambda event: events.add(lambda: look(event.client_id, event.target.value)))
         for title, target in targets.items():
             box = gui.add_checkbox(f'Target {title}', False,
-                                   hint='drag the hand: arrows move it, arcs turn it')
+                                   hint='drag the target: arrows move it, arcs turn it')
             box.on_update(lambda _, box=box, target=target: events.add(
                 lambda: target.show(box.value)))
         self._contacts = gui.add_checkbox('Contacts', True, hint='points, and forces in yellow')
-        self._wrenches = gui.add_checkbox('Wrenches', True, hint='what the world does to the '
+        self._wrenches = gui.add_checkbox('Wrenches', True, hint='what the world exerts on the '
                                           'tools: forces red, torques blue')
         self._frames = gui.add_checkbox('Frames', False, hint='x red, y green, z blue')
         self._names = gui.add_checkbox('Names', False, hint='of the bodies that move')
