@@ -139,12 +139,12 @@ def actuation_parameters(scope: Scope, subsystems: Sequence[str]) -> list[Parame
                       "(but that of the model), 'catalogue', or values such as '{coulomb: 0.5, "
                       "static: 0.8, stribeck_velocity: 0.05, viscous: 1.0}', each a number or "
                       'one for each joint.'),
-        ParameterSpec(f'torque_speed.{name}', 'none', 'Velocity up to which all torque of the '
-                      f"joints of the {name} is there, and at which none is left: none, "
+        ParameterSpec(f'torque_speed.{name}', 'none', 'Velocity up to which the joints '
+                      f"of the {name} have their full torque, and at which they have none: none, "
                       "'catalogue', or values such as '{knee: 1.5, no_load: 3.0}'."),
-        ParameterSpec(f'armature.{name}', 'model', 'Inertia of the rotors as the joints of the '
-                      f"{name} feel it, in kg m^2 (kg): model, or a number such as '0.1', or one "
-                      "for each joint such as '[0.6, 0.6, 0.5]'."))]
+        ParameterSpec(f'armature.{name}', 'model', 'Inertia of the rotors, reflected to the '
+                      f"joints of the {name}, in kg m^2 (kg): model, or a number such as "
+                      "'0.1', or one for each joint such as '[0.6, 0.6, 0.5]'."))]
 
 
 def place_parameters(scope: Scope, position: Sequence[float]) -> list[ParameterSpec]:
@@ -263,20 +263,20 @@ def cartesian_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpe
     return [spec.within(scope) for arm in arms for spec in (
         ParameterSpec(f'cartesian.{arm}.stiffness', settings.stiffness,
                       'Stiffness of target poses and pose actions in effort mode: acceleration of '
-                      "the end effector per error, in all directions; robosuite's kp.", '1/s^2', live=True,
-                      minimum=1.0, maximum=1000.0),
+                      "the end effector per error, in all directions; robosuite's kp.", '1/s^2',
+                      live=True, minimum=1.0, maximum=1000.0),
         ParameterSpec(f'cartesian.{arm}.damping_ratio', settings.damping_ratio,
                       'Damping ratio of the same control; 1 is critical damping.', live=True,
                       minimum=0.1, maximum=3.0),
         ParameterSpec(f'cartesian.{arm}.linear_velocity', settings.linear_velocity,
-                      'Largest speed of the end effector; a faster target twist is clamped.', 'm/s',
-                      live=True, minimum=0.001, maximum=10.0),
+                      'Largest speed of the end effector; a faster target twist is clamped.',
+                      'm/s', live=True, minimum=0.001, maximum=10.0),
         ParameterSpec(f'cartesian.{arm}.angular_velocity', settings.angular_velocity,
-                      'Largest angular speed of the end effector; a faster twist is clamped.', 'rad/s',
-                      live=True, minimum=0.001, maximum=30.0),
+                      'Largest angular speed of the end effector; a faster twist is clamped.',
+                      'rad/s', live=True, minimum=0.001, maximum=30.0),
         ParameterSpec(f'cartesian.{arm}.twist_timeout', settings.twist_timeout,
-                      'Time without a new target twist (simulation time) until the end effector stops.',
-                      's', live=True, minimum=0.001, maximum=10.0))]
+                      'Time without a new target twist (simulation time) until the end effector '
+                      'stops.', 's', live=True, minimum=0.001, maximum=10.0))]
 
 
 def wrench_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]:

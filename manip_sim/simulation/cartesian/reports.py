@@ -107,7 +107,8 @@ class CartesianReport:
         :param distance: [m]
         """
         self._note('aside', distance > _ASIDE,
-                   f'the end effector is more than {_ASIDE:g} m off the straight line to its target')
+                   f'the end effector is more than {_ASIDE:g} m off the straight line to its '
+                   'target')
 
     def _note(self, kind: str, active: bool, text: str) -> None:
         if not active:

@@ -80,7 +80,7 @@ class Target:
 
     def off_the_way(self, place: FloatArray, data: mujoco.MjData) -> float:
         """
-        Return how far a hand is from the straight line to the goal; the first call begins the line.
+        Return how far a hand is from the straight line to the goal; the first call begins it.
 
         :param place: of the hand in the world [m], shape (3,)
         """
