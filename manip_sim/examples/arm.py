@@ -101,7 +101,7 @@ class InverseKinematics:
             error /= max(1.0, np.abs(error).max() / _LARGEST_ERROR)
             step = arm.T @ np.linalg.solve(arm @ arm.T + _DAMPING * np.eye(6), error)
             joints = np.clip(joints + step, *self._range.T)
-        raise ValueError('no joint positions found that bring the hand to '
+        raise ValueError('no joint positions found that bring the end effector to '
                          f'({", ".join(f"{value:.3f}" for value in position)}) m')
 
 

@@ -88,7 +88,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
              linear_velocity: float, angular_velocity: float, before: FloatArray = _STILL,
              twist: FloatArray = _STILL, rested: bool = False) -> Solution:
     """
-    Return the velocities that bring the hand to a pose and let it rest there.
+    Return the velocities that bring the end effector to a pose and let it rest there.
 
     All joints arrive together: the hand moves straight and turns about one axis, as fast as joint
     velocity and acceleration limits and those of the hand allow.
