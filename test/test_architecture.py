@@ -25,10 +25,10 @@ MAY_IMPORT = {
     'tasks': ({'models', 'simulation', 'rendering', 'tasks'}, PURE),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
     'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},
-                PURE | {'PIL', 'lz4', 'mcap', 'mcap_ros2', 'zstandard'}),
+                PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'moveit', 'simulation', 'rendering', 'tasks'},
-            PURE | {'PIL'}),
+    'cli': ({'cli', 'interface', 'models', 'moveit', 'records', 'simulation', 'rendering',
+             'tasks'}, PURE | {'PIL'}),
     'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.

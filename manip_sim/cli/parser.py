@@ -53,13 +53,15 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = _Parser(
         prog='manip_sim', allow_abbrev=False,
         description='List robots, grippers, bases and arenas, and describe, check, render and '
-                    'export what is composed of them. Works without ROS.',
+                    'export what is composed of them; repeat and convert records. Works without '
+                    'ROS.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
                "The node is another program, 'sim_node'.")
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
-    for add in (_add_list, _add_describe, _add_export, _add_render, _add_check):
+    for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_replay,
+                _add_convert):
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
@@ -202,6 +204,40 @@ def _add_check(commands: Any) -> None:
         '          manip_sim check my_robot.xml')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE', help='an MJCF file')
     add_composition(parser)
+
+
+def _add_replay(commands: Any) -> None:
+    parser = _command(
+        commands, 'replay', 'replay', 'repeat recorded episodes in a fresh simulation',
+        'Says how many succeed. With --verify it compares the state of each control period and '
+        'the digests with those of the record, and says in which period an episode first '
+        'differs.',
+        'example: manip_sim replay --verify run.mcap\n'
+        'With --verify the exit code is 0 only if all episodes are equal to the last bit and the '
+        'files are complete.')
+    _add_records(parser)
+    parser.add_argument('--verify', action='store_true',
+                        help='compare states and digests with those of the record')
+
+
+def _add_convert(commands: Any) -> None:
+    parser = _command(
+        commands, 'convert', 'convert', 'convert recorded episodes to a data set for learning',
+        'Writes a data set of LeRobot 3.0 (a folder with Parquet and video files), or of '
+        'robomimic (an HDF5 file). Actions stay as they were applied, to the last bit.',
+        'examples: manip_sim convert records/ --to lerobot pick_cube\n'
+        '          manip_sim convert run.mcap --to hdf5 pick_cube.hdf5')
+    _add_records(parser)
+    parser.add_argument('--to', choices=('lerobot', 'hdf5'), required=True,
+                        help='the format of the data set')
+    parser.add_argument('out', type=Path, metavar='OUT', help='new folder, or new file')
+    parser.add_argument('--only-success', action='store_true',
+                        help='leave out episodes without success')
+
+
+def _add_records(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('files', nargs='+', type=Path, metavar='FILE',
+                        help='a record, or a folder with records (*.mcap)')
 
 
 def add_composition(parser: argparse.ArgumentParser) -> None:

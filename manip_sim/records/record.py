@@ -22,8 +22,8 @@ from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, FORMAT, MODEL, R
 #: Largest record in a file, largest chunk, and most content of one episode [bytes].
 _MAX_RECORD, _MAX_CHUNK, _MAX_EPISODE = 2**28, 2**26, 2**31
 _MAGIC = b'\x89MCAP0\r\n'
-_KEYS = ('number', 'seed', 'task', 'arguments', 'robot', 'period_s', 'action', 'settings',
-         'steps', 'manip_sim', 'mujoco')
+_KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
+         'action', 'settings', 'steps', 'manip_sim', 'mujoco')
 
 
 @dataclass
@@ -199,7 +199,7 @@ class Record:
                 topic, type_name = channels[item.channel_id]
                 episode.types[topic] = type_name
                 episode.messages.setdefault(topic, []).append((item.log_time, item.data))
-        if episode is not None:
+        if episode is not None and episode.messages:
             yield episode
         if not any_episode:
             raise RecordError('no episodes of tasks are recorded in it' + (
@@ -248,7 +248,7 @@ def _check(about: Mapping[str, str]) -> None:
     try:
         int(about['number']), int(about['seed']), int(about['steps']), float(about['period_s'])
         are_objects = all(isinstance(json.loads(about[key]), dict)
-                          for key in ('arguments', 'settings'))
+                          for key in ('arguments', 'robots', 'settings'))
     except (ValueError, RecursionError) as error:
         raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
                           ) from error

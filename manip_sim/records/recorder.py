@@ -72,6 +72,7 @@ class EpisodeRecorder:
             self._about = {
                 'format': FORMAT, 'task': task.name, 'instruction': task.instruction,
                 'arguments': json.dumps(task.arguments), 'robot': task.robot.name,
+                'robots': json.dumps(_joints(episode.simulation)),
                 'period_s': repr(episode.period_s), 'action': action,
                 'settings': json.dumps(dict(settings or {})), 'manip_sim': package_version(),
                 'mujoco': mujoco.mj_versionString(), 'numpy': np.__version__,
@@ -83,11 +84,12 @@ class EpisodeRecorder:
         self._file.attach(MODEL, 'application/zip', task.world.to_archive())
         self._topics = _Topics(self._file, episode)
 
-    def begin(self, seed: int) -> None:
+    def begin(self, seed: int, images: Mapping[str, NDArray[np.uint8]] | None = None) -> None:
         """
         Begin an episode, at its start.
 
         :param seed: that it was reset with
+        :param images: by camera, shape (h, w, 3)
         :raises RecordError: if the file cannot be written
         """
         self._number += 1
@@ -96,6 +98,7 @@ class EpisodeRecorder:
             **self._about, 'number': str(self._number), 'seed': str(seed),
             'steps': str(self._episode.simulation.step_count)})
         self._topics.write_numbers()
+        self._topics.write_images(images or {})
         self._digest()
 
     def period(self, action: ArrayLike | None = None, reward: float | None = None,
@@ -118,8 +121,7 @@ class EpisodeRecorder:
         self._topics.write_value(REWARD, float(reward))
         self._topics.write_value(
             SUCCESS, bool(self._episode.success if success is None else success))
-        for camera, rgb in (images or {}).items():
-            self._topics.write_image(camera, rgb)
+        self._topics.write_images(images or {})
         if self._episode.periods % self._every == 0:
             self._digest()
 
@@ -246,17 +248,24 @@ class _Topics:
         self._file.write(self._channel(topic, kind), self._simulation.time_ns,
                          self._encoder(kind)({'data': value}))
 
-    def write_image(self, camera: str, rgb: NDArray[np.uint8]) -> None:
-        """Write an image as JPEG; of a camera of the node, the topic is the same."""
+    def write_images(self, images: Mapping[str, NDArray[np.uint8]]) -> None:
+        """Write images by camera as JPEG; the topics are those of cameras of the node."""
         from PIL.Image import fromarray
-        stream = io.BytesIO()
-        fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
         kind, time_ns = 'sensor_msgs/CompressedImage', self._simulation.time_ns
-        self._file.write(
-            self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
-            self._encoder(kind)({
-                'header': _header(_stamp(time_ns), f'{camera}_optical_frame'),
-                'format': 'rgb8; jpeg compressed bgr8', 'data': stream.getvalue()}))
+        for camera, rgb in images.items():
+            stream = io.BytesIO()
+            fromarray(rgb).save(stream, 'JPEG', quality=_QUALITY)
+            self._file.write(
+                self._channel(f'/{camera}/color/image_raw/compressed', kind), time_ns,
+                self._encoder(kind)({
+                    'header': _header(_stamp(time_ns), f'{camera}_optical_frame'),
+                    'format': 'rgb8; jpeg compressed bgr8', 'data': stream.getvalue()}))
+
+
+def _joints(simulation: Simulation) -> dict[str, dict[str, list[str]]]:
+    """Return the names of joints by robot and part."""
+    return {robot.name: {name: list(part.joints) for name, part in robot.parts.items()
+                         if part.atomic == (name,)} for robot in simulation.robots.values()}
 
 
 def physics_state(simulation: Simulation) -> FloatArray:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, DivergenceError, ModelError, RecordError
+from manip_sim.quoting import quoted
 from manip_sim.records.record import RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
@@ -88,6 +89,9 @@ class Replay:
     def _fresh(self, recorded: RecordedEpisode) -> Episode:
         about = recorded.about
         key = tuple(about[name] for name in ('task', 'arguments', 'period_s', 'action'))
+        if about['action'] != 'osc_pose':
+            raise RecordError(f'episode {recorded.number} has actions of an unknown kind, '
+                              f'{quoted(about["action"])}')
         try:
             if self._episode is None or key != self._key:
                 task = create_task(about['task'], **recorded.json('arguments'))

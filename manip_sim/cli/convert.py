@@ -1,0 +1,20 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim convert``: records as data sets for learning."""
+
+from __future__ import annotations
+
+import argparse
+
+from manip_sim.cli.progress import Progress
+from manip_sim.records.converting import convert, records_in
+
+
+def run(options: argparse.Namespace) -> tuple[str, int]:
+    """Write the data set; return what it holds, and the exit code 0."""
+    with Progress('episodes') as progress:
+        episodes, periods, notes = convert(records_in(options.files), options.to, options.out,
+                                           progress.show, options.only_success)
+    return '\n'.join([*notes, f'{options.out} ({episodes} episodes, {periods} control periods)']
+                     ), 0

@@ -1,0 +1,93 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Convert records to data sets; an unfinished data set is never left behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+import shutil
+
+from manip_sim.errors import RecordError
+from manip_sim.records.frames import Frames
+from manip_sim.records.hdf5 import write_hdf5
+from manip_sim.records.lerobot import write_lerobot
+from manip_sim.records.record import Record
+
+#: By name: what writes a format.
+FORMATS: dict[str, Callable[[Iterable[Frames], Path], int]] = {
+    'lerobot': write_lerobot, 'hdf5': write_hdf5}
+
+
+def convert(paths: Iterable[Path], name: str, target: Path,
+            progress: Callable[[int], object] = lambda done: None,
+            only_success: bool = False) -> tuple[int, int, list[str]]:
+    """
+    Convert the complete episodes of records to one data set.
+
+    :param paths: of the records, in order
+    :param name: one of :data:`FORMATS`
+    :param target: of the data set; it must not be there
+    :param progress: is called with the number of episodes that are done
+    :param only_success: leave out episodes without success
+    :returns: numbers of episodes and of control periods, and notes on what was left out
+    :raises RecordError: if a record cannot be read, or an episode cannot be written
+    """
+    if target.exists():
+        raise RecordError(f'{target} is there already, and is not overwritten')
+    if not target.parent.is_dir():
+        raise RecordError(f'no such folder: {target.parent}')
+    notes: list[str] = []
+    done = 0
+
+    def frames() -> Iterator[Frames]:
+        nonlocal done
+        for path in paths:
+            for recorded in Record(path).episodes():
+                if recorded.result is None or recorded.result.get('error'):
+                    notes.append(f'{path}: episode {recorded.number} is not complete, and was '
+                                 'left out')
+                elif recorded.success or not only_success:
+                    try:
+                        yield Frames(recorded)
+                    except RecordError as error:
+                        raise RecordError(f'{path}: {error}') from error
+                    done += 1
+                    progress(done)
+    unfinished = target.with_name(f'.{target.name}.unfinished')
+    _remove(unfinished)
+    try:
+        periods = FORMATS[name](frames(), unfinished)
+        unfinished.rename(target)
+    except OSError as error:
+        raise RecordError(f'{target}: {error.strerror or error}') from error
+    except ImportError as error:
+        raise RecordError(f"{name} needs the package {error.name}: "
+                          "pip install 'manip_sim[records]'") from error
+    finally:
+        _remove(unfinished)
+    return done, periods, notes
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def records_in(paths: Iterable[Path]) -> list[Path]:
+    """
+    Return files, and in place of folders the records in them by name.
+
+    :param paths: of files and folders
+    :raises RecordError: if a folder has no records
+    """
+    found: list[Path] = []
+    for path in paths:
+        files = sorted(path.rglob('*.mcap')) if path.is_dir() else [path]
+        if not files:
+            raise RecordError(f'{path}: there is no *.mcap in this folder')
+        found += files
+    return found

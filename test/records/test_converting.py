@@ -1,0 +1,185 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Data sets of LeRobot and robomimic, read by pyarrow, av, pandas' rules and h5py."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manip_sim.cli.main import main
+from manip_sim.errors import RecordError
+
+for needed in ('mcap', 'mcap_ros2', 'pyarrow', 'av', 'h5py'):
+    pytest.importorskip(needed, reason='needs the extra records')
+
+import av  # noqa: E402
+import h5py  # noqa: E402
+import pyarrow.parquet as parquet  # noqa: E402
+
+from manip_sim.records.frames import Frames  # noqa: E402
+from manip_sim.records.lerobot import write_lerobot  # noqa: E402
+from manip_sim.records.record import Record  # noqa: E402
+
+
+@pytest.fixture(scope='module')
+def episodes(recording):
+    """Return the episodes of a record as arrays."""
+    return [Frames(recorded) for recorded in Record(recording).episodes()]
+
+
+@pytest.fixture(scope='module')
+def lerobot(recording, tmp_path_factory):
+    """Return the folder of a data set of LeRobot."""
+    folder = tmp_path_factory.mktemp('sets') / 'reach'
+    assert main(['convert', str(recording), '--to', 'lerobot', str(folder)]) == 0
+    return folder
+
+
+def test_an_action_has_the_row_of_the_state_that_it_was_for(episodes, recording):
+    frames = episodes[0]
+    count = len(frames.actions)
+    states = frames.recorded.states
+    (joints,) = frames.positions.values()
+    assert joints.values.shape[0] == states.shape[0] == count + 1
+    np.testing.assert_array_equal(joints.values[:, :7], states[:, :7])
+    (hand,) = frames.hands.values()
+    np.testing.assert_allclose(np.linalg.norm(hand.values[:, 3:], axis=1), 1.0)
+    assert frames.done[-1] and not frames.done[:-1].any()
+
+
+def test_the_parquet_files_hold_every_number(lerobot, episodes):
+    table = parquet.read_table(lerobot / 'data/chunk-000/file-000.parquet')
+    actions = np.array(table['action'].to_pylist())
+    np.testing.assert_array_equal(actions, np.concatenate([f.actions for f in episodes]))
+    assert str(table.schema.field('action').type) == 'fixed_size_list<element: double>[7]'
+    lengths = [len(frames.actions) for frames in episodes]
+    assert table['episode_index'].to_pylist() == [0] * lengths[0] + [1] * lengths[1]
+    assert table['frame_index'].to_pylist() == [*range(lengths[0]), *range(lengths[1])]
+    assert table['index'].to_pylist() == list(range(sum(lengths)))
+    states = np.array(table['observation.state'].to_pylist())
+    (joints,), (hand,) = episodes[0].positions.values(), episodes[0].hands.values()
+    np.testing.assert_array_equal(
+        states[:lengths[0]], np.hstack([joints.values, hand.values])[:-1])
+    done = table['next.done'].to_pylist()
+    assert [index for index, value in enumerate(done) if value] == [
+        lengths[0] - 1, sum(lengths) - 1]
+
+
+def test_each_episode_begins_with_a_key_frame_and_shows_its_images(lerobot, episodes):
+    rows = parquet.read_table(lerobot / 'meta/episodes/chunk-000/file-000.parquet').to_pylist()
+    key = 'videos/observation.images.front'
+    with av.open(str(lerobot / f'{key}/chunk-000/file-000.mp4')) as file:
+        frames = [(frame.time, frame.key_frame, frame.to_ndarray(format='rgb24'))
+                  for frame in file.decode(video=0)]
+    wanted = np.concatenate([np.stack(item.images('front')) for item in episodes])
+    assert len(frames) == len(wanted)
+    for row, item in zip(rows, episodes, strict=True):
+        begin = row[f'{key}/from_timestamp']
+        (found,) = [frame for frame in frames if abs(frame[0] - begin) < 1e-3]
+        assert found[1], 'no key frame'
+        assert row[f'{key}/to_timestamp'] - begin == pytest.approx(len(item.actions) / 20)
+    for (_, _, image), other in zip(frames, wanted):
+        assert np.abs(image.astype(int) - other).mean() < 8
+
+
+def test_the_description_fits_the_files(lerobot, episodes):
+    info = json.loads((lerobot / 'meta/info.json').read_text())
+    total = sum(len(frames.actions) for frames in episodes)
+    assert (info['codebase_version'], info['fps'], info['total_frames'],
+            info['total_episodes']) == ('v3.0', 20, total, 2)
+    assert info['features']['action']['dtype'] == 'float64'
+    assert info['features']['observation.images.front']['shape'] == [48, 64, 3]
+    stats = json.loads((lerobot / 'meta/stats.json').read_text())
+    actions = np.concatenate([frames.actions for frames in episodes])
+    np.testing.assert_allclose(stats['action']['mean'], actions.mean(axis=0))
+    np.testing.assert_allclose(stats['action']['q90'], np.quantile(actions, 0.9, axis=0))
+    images = np.concatenate([np.stack(f.images('front'))[:, ::4, ::4] for f in episodes]) / 255
+    for name in ('mean', 'std', 'max'):
+        np.testing.assert_allclose(np.ravel(stats['observation.images.front'][name]),
+                                   getattr(images, name)(axis=(0, 1, 2)), atol=1e-9)
+    tasks = parquet.read_table(lerobot / 'meta/tasks.parquet')
+    assert tasks.to_pylist() == [{'task_index': 0, 'task': 'Move the hand to the green point.'}]
+    assert json.loads(tasks.schema.metadata[b'pandas'])['index_columns'] == ['task']
+
+
+def test_hdf5_has_the_structure_of_robomimic(recording, episodes, tmp_path, capsys):
+    path = tmp_path / 'reach.hdf5'
+    assert main(['convert', str(recording), '--to', 'hdf5', str(path)]) == 0
+    total = sum(len(frames.actions) for frames in episodes)
+    assert capsys.readouterr().out == f'{path} (2 episodes, {total} control periods)\n'
+    with h5py.File(path) as file:
+        assert file['data'].attrs['total'] == total
+        assert json.loads(file['data'].attrs['env_args'])['env_name'] == 'manip_sim/Reach-v0'
+        assert [name.decode() for name in file['mask/success']] == ['demo_0']
+        for number, frames in enumerate(episodes):
+            demo, count = file[f'data/demo_{number}'], len(frames.actions)
+            assert demo.attrs['num_samples'] == count
+            assert '<mujoco' in demo.attrs['model_file']
+            np.testing.assert_array_equal(demo['actions'], frames.actions)
+            np.testing.assert_array_equal(demo['rewards'], frames.rewards)
+            np.testing.assert_array_equal(demo['dones'], frames.done)
+            np.testing.assert_array_equal(demo['states'], frames.recorded.states[:-1])
+            (joints,), (hand,) = frames.positions.values(), frames.hands.values()
+            for group, rows in (('obs', slice(None, -1)), ('next_obs', slice(1, None))):
+                np.testing.assert_array_equal(
+                    demo[f'{group}/robot0_joint_pos'], joints.values[rows, :7])
+                np.testing.assert_array_equal(
+                    demo[f'{group}/robot0_gripper_qpos'], joints.values[rows, 7:])
+                np.testing.assert_array_equal(
+                    demo[f'{group}/robot0_eef_quat'], hand.values[rows, 3:])
+            np.testing.assert_array_equal(
+                demo['obs/front_image'], np.stack(frames.images('front')))
+
+
+def test_episodes_without_success_are_left_out_if_asked(recording, tmp_path, capsys):
+    folder = tmp_path / 'set'
+    assert main(['convert', str(recording), '--to', 'lerobot', '--only-success',
+                 str(folder)]) == 0
+    assert '(1 episodes, ' in capsys.readouterr().out
+
+
+def test_what_is_there_is_kept(recording, tmp_path, capsys):
+    path = tmp_path / 'set'
+    path.write_text('precious')
+    assert main(['convert', str(recording), '--to', 'hdf5', str(path)]) == 1
+    assert capsys.readouterr().err == (
+        f'manip_sim: {path} is there already, and is not overwritten\n')
+    assert path.read_text() == 'precious'
+    assert main(['convert', str(recording), '--to', 'hdf5', str(tmp_path / 'no/set')]) == 1
+    assert f'no such folder: {tmp_path}/no' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('name', ['lerobot', 'hdf5'])
+def test_a_damaged_record_leaves_no_data_set(recording, tmp_path, capsys, name):
+    content = bytearray(recording.read_bytes())
+    content[content.rindex(b'manip_sim/result', 0, len(content) // 2 * 2 - 2000) - 2000] ^= 255
+    path = Path(tmp_path, 'bad.mcap')
+    path.write_bytes(content)
+    assert main(['convert', str(path), '--to', name, str(tmp_path / 'set')]) == 1
+    assert capsys.readouterr().err.count('\n') == 1
+    assert [item.name for item in tmp_path.iterdir()] == ['bad.mcap']
+
+
+def test_episodes_that_do_not_fit_together_are_an_error(episodes, tmp_path):
+    other = dataclasses.replace(
+        episodes[1].recorded, about={**episodes[1].recorded.about, 'period_s': '0.1'})
+    with pytest.raises(RecordError, match='episode 1 has other joints, objects or cameras'):
+        write_lerobot([episodes[0], Frames(other)], tmp_path / 'a')
+    slow = dataclasses.replace(other, about={**other.about, 'period_s': '0.3'})
+    with pytest.raises(RecordError, match='a whole number of control periods in a second'):
+        write_lerobot([Frames(slow)], tmp_path / 'b')
+    with pytest.raises(RecordError, match='there are no episodes'):
+        write_lerobot([], tmp_path / 'c')
+
+
+def test_a_missing_image_is_an_error(episodes, tmp_path):
+    recorded = episodes[0].recorded
+    topic = '/front/color/image_raw/compressed'
+    other = dataclasses.replace(recorded, messages={
+        **recorded.messages, topic: recorded.messages[topic][1:]})
+    with pytest.raises(RecordError, match=f'{len(episodes[0].actions)} messages of {topic} for'):
+        write_lerobot([Frames(other)], tmp_path / 'a')
