@@ -211,9 +211,10 @@ def _columns(frames: Frames) -> dict[str, Quantity]:
 
 
 def _action_names(frames: Frames) -> list[str]:
-    names = json.loads(frames.recorded.about.get('action_names', '[]'))
+    names = json.loads(frames.recorded.about['action_names'])
     size = frames.actions.shape[1]
-    return names if len(names) == size else [f'action{index}' for index in range(size)]
+    fit = isinstance(names, list) and len(names) == size
+    return names if fit else [f'action{index}' for index in range(size)]
 
 
 def _joined(quantities: list[Quantity]) -> Quantity:

@@ -23,7 +23,7 @@ from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, FORMAT, MODEL, R
 _MAX_RECORD, _MAX_CHUNK, _MAX_EPISODE = 2**28, 2**26, 2**31
 _MAGIC = b'\x89MCAP0\r\n'
 _KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
-         'action', 'settings', 'steps', 'manip_sim', 'mujoco')
+         'action', 'action_names', 'latency', 'settings', 'steps', 'manip_sim', 'mujoco')
 
 
 @dataclass
@@ -73,7 +73,7 @@ class RecordedEpisode:
         """
         Return arguments of the task or settings of the run.
 
-        :param key: ``arguments`` or ``settings``
+        :param key: ``arguments``, ``latency`` or ``settings``
         """
         found: dict[str, Any] = json.loads(self.about[key])
         return found
@@ -246,9 +246,10 @@ def _check(about: Mapping[str, str]) -> None:
     if missing:
         raise RecordError(f'damaged: an episode has no {missing[0]}')
     try:
+        json.loads(about['action_names'])
         int(about['number']), int(about['seed']), int(about['steps']), float(about['period_s'])
         are_objects = all(isinstance(json.loads(about[key]), dict)
-                          for key in ('arguments', 'robots', 'settings'))
+                          for key in ('arguments', 'latency', 'robots', 'settings'))
     except (ValueError, RecursionError) as error:
         raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
                           ) from error

@@ -52,7 +52,6 @@ class EpisodeRecorder:
 
     :param path: of the file
     :param episode: what is recorded
-    :param action: what its actions are, such as ``osc_pose``
     :param settings: of the run, with which the metadata are extended; JSON
     :param digest_every: control periods between two digests of the state
     :param overwrite: replace a file that is there
@@ -60,7 +59,7 @@ class EpisodeRecorder:
         cannot be written as JSON
     """
 
-    def __init__(self, path: Path, episode: Episode, action: str = 'osc_pose',
+    def __init__(self, path: Path, episode: Episode,
                  settings: Mapping[str, Any] | None = None, digest_every: int = 20,
                  overwrite: bool = False) -> None:
         self._episode = episode
@@ -73,7 +72,10 @@ class EpisodeRecorder:
                 'format': FORMAT, 'task': task.name, 'instruction': task.instruction,
                 'arguments': json.dumps(task.arguments), 'robot': task.robot.name,
                 'robots': json.dumps(_joints(episode.simulation)),
-                'period_s': repr(episode.period_s), 'action': action,
+                'period_s': repr(episode.period_s), 'action': episode.kind,
+                'action_names': json.dumps(episode.actions.names),
+                'latency': json.dumps({'command': episode.latency.command_s,
+                                       'state': episode.latency.state_s}),
                 'settings': json.dumps(dict(settings or {})), 'manip_sim': package_version(),
                 'mujoco': mujoco.mj_versionString(), 'numpy': np.__version__,
                 'python': platform.python_version(), 'machine': platform.machine()}

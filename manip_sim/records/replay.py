@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, DivergenceError, ModelError, RecordError
-from manip_sim.quoting import quoted
 from manip_sim.records.record import RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
@@ -88,15 +87,14 @@ class Replay:
 
     def _fresh(self, recorded: RecordedEpisode) -> Episode:
         about = recorded.about
-        key = tuple(about[name] for name in ('task', 'arguments', 'period_s', 'action'))
-        if about['action'] != 'osc_pose':
-            raise RecordError(f'episode {recorded.number} has actions of an unknown kind, '
-                              f'{quoted(about["action"])}')
+        key = tuple(about[name] for name in (
+            'task', 'arguments', 'period_s', 'action', 'latency'))
         try:
             if self._episode is None or key != self._key:
                 task = create_task(about['task'], **recorded.json('arguments'))
                 self._episode, self._key = Episode(
-                    task, Simulation(task.world), recorded.period_s), key
+                    task, Simulation(task.world), recorded.period_s, about['action'],
+                    recorded.json('latency')), key
             # Time goes on over the episodes of a record.
             self._episode.simulation.step_count = int(about['steps'])
             self._episode.reset(recorded.seed)

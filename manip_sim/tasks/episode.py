@@ -36,6 +36,8 @@ class Episode:
     :param pictures: renders the images of observations; None for no images
     :raises ModelError: if a duration cannot be used
     :raises UnknownNameError: if there is no such kind of actions
+    :ivar kind: what actions mean
+    :ivar latency: of commands and states
     :ivar actions: what :meth:`step` takes
     :ivar observer: what :attr:`observation` is made of
     :ivar periods: control periods since the last reset
@@ -47,7 +49,9 @@ class Episode:
         self.task = task
         self.simulation = simulation
         self.period_s = period_s
-        timestep_s, late = simulation.timestep_s, Latency.of(latency)
+        self.kind = action
+        self.latency = late = Latency.of(latency)
+        timestep_s = simulation.timestep_s
         self._steps = whole_steps(period_s, timestep_s, 'a control period')
         if self._steps < 1:
             raise ModelError(f'a control period must be above 0 s, got {period_s:g} s')

@@ -11,12 +11,15 @@ import pytest
 
 from manip_sim.cli.main import main
 from manip_sim.errors import RecordError
+from manip_sim.simulation import Simulation
+from manip_sim.tasks import create_task, Episode
 
 for needed in ('mcap', 'mcap_ros2'):
     pytest.importorskip(needed, reason='needs the extra records')
 
 from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
 
+from manip_sim.records import EpisodeRecorder  # noqa: E402
 from manip_sim.records.definitions import definition, full_name  # noqa: E402
 from manip_sim.records.record import Record  # noqa: E402
 from manip_sim.records.recorder import ACTION  # noqa: E402
@@ -134,3 +137,24 @@ def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):
         f'manip_sim: {tmp_path}/none.mcap: No such file or directory\n')
     assert main(['replay', str(tmp_path)]) == 1
     assert 'there is no *.mcap in this folder' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('kind', ['joint_position', 'joint_velocity', 'joint_effort'])
+def test_actions_of_joints_with_latency_are_repeated_to_the_last_bit(tmp_path, kind):
+    task = create_task('push_cube', 'UR5e', initialization_noise=None)
+    episode = Episode(task, Simulation(task.world), 0.02, kind, {'command': 0.03, 'state': 0.01})
+    path = tmp_path / 'joints.mcap'
+    random = np.random.default_rng(1)
+    low, high = episode.actions.bounds.T
+    with EpisodeRecorder(path, episode) as recorder:
+        for seed in (5, 6):
+            episode.reset(seed)
+            recorder.begin(seed)
+            for _ in range(15):
+                action = (low + high) / 2 + 0.05 * random.uniform(-1, 1, len(low)) * (high - low)
+                episode.step(action)
+                recorder.period(action)
+            recorder.end()
+    for recorded in Record(path).episodes():
+        found = Replay().repeat(recorded)
+        assert found.difference is None and found.periods == 15
