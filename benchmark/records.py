@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
