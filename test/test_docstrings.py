@@ -57,5 +57,5 @@ def test_there_are_functions_to_look_at():
     names = {name.removeprefix('manip_sim.') for name, _, _ in functions()}
     assert len(names) > 100
     assert {'models.composing.compose', 'models.robots.robot_model.RobotModel.set_joint_attribute',
-            'models.robots.standing_model.StandingModel.add_base',
+            'models.robots.robot_model.RobotModel.add_base',
             'simulation.robot.SimulatedRobot.apply'} <= names

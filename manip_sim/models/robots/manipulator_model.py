@@ -211,7 +211,7 @@ class ManipulatorModel(RobotModel):
 
         :param spec: the spec to add to
         :param frame: the frame of that spec to attach the robot to
-        :param floor_xpos: as for :meth:`StandingModel.attach_to`
+        :param floor_xpos: as for :meth:`RobotModel.attach_to`
         """
         super().attach_to(spec, frame, floor_xpos)
         for arm, gripper in self._grippers.items():

@@ -16,23 +16,29 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
+from manip_sim.models.naming import TakenNames
+from manip_sim.models.quaternion import quat_wxyz_from_rpy
 from manip_sim.models.registry import Registry
-from manip_sim.models.robots.standing_model import StandingModel
+from manip_sim.models.robots.subsystems import Subsystems
+from manip_sim.models.spec_edits import rename_body, rotate_actuators
 from manip_sim.models.validation import finite_numbers
 from manip_sim.models.velocity_law import VelocityLaw
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+#: Body on a mobile base that has the contents of the root.
+_MANIPULATOR_MOUNT = 'manipulator_mount'
 #: A position [m], or a function that takes the length of the table [m] and returns one.
 Position = tuple[float, float, float]
 Placement = Union[Position, Callable[[float], Position]]
 
 
-class RobotModel(StandingModel, ABC):
+class RobotModel(Subsystems, ABC):
     """
     A robot without grippers, and the base that it stands on. Prefix ``robot{idn}_``.
 
-    Another prefix, set by :meth:`StandingModel.set_naming_prefix`, also applies to all that is
+    Another prefix, set by :meth:`set_naming_prefix`, also applies to all that is
     mounted on the robot: with ``left_`` the base has ``left_base_``, a gripper ``left_gripper_``,
     or on two arms ``left_gripper_right_`` and ``left_gripper_left_``.
 
@@ -41,14 +47,218 @@ class RobotModel(StandingModel, ABC):
     :raises ModelError: if the file has no root body or several
     """
 
-    def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
-        super().__init__(fname, idn=idn)
-        self._laws: dict[tuple[MujocoXMLModel, str], VelocityLaw] = {}
+    #: Point that stands on a base or the floor, in the frame of the root [m]; None: it is the
+    #: origin of the file's world.
+    _foot_offset: tuple[float, float, float] | None = None
+    _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if registered:
             ROBOTS.register(cls)
+
+    def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
+        super().__init__(fname, idn=idn)
+        self._root()
+        self._base: RobotBaseModel | None = None
+        #: Where :meth:`set_base_xpos` and :meth:`set_base_ori` want the robot.
+        self._floor_xpos: FloatArray | None = None
+        self._root_quat: FloatArray | None = None
+        self._laws: dict[tuple[MujocoXMLModel, str], VelocityLaw] = {}
+        self.update_joints()
+        self.update_actuators()
+
+    def set_naming_prefix(self, prefix: str) -> None:
+        """
+        Set the prefix of all names of the robot, and of what is and will be mounted on it.
+
+        :param prefix: a letter, then at most 63 letters, digits and underscores, such as
+            ``left_``; empty: each part has the prefix that its idn gives
+        :raises ModelError: if it is none of these, or the class of a part overrides
+            :attr:`naming_prefix`
+        """
+        super().set_naming_prefix(prefix)
+        for part, words in self._mounted():
+            part.set_naming_prefix(prefix and prefix + words)
+        self.update_joints()
+        self.update_actuators()
+
+    def _mounted(self) -> list[tuple[MujocoXMLModel, str]]:
+        """Return the parts on the robot and what follows the robot's prefix in their names."""
+        return [] if self._base is None else [(self._base, 'base_')]
+
+    def _was_mounted(self) -> None:
+        if self._given_prefix:
+            self.set_naming_prefix(self._given_prefix)
+        self._refresh_if_edited()
+        self.update_joints()
+        self.update_actuators()
+
+    # ------------------------------------------------------------------ base and place
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether :meth:`set_base_xpos` was called; else an arena places the robot."""
+        return self._floor_xpos is not None
+
+    @property
+    def base(self) -> RobotBaseModel | None:
+        """What the robot stands on, or None for the floor."""
+        return self._base
+
+    @property
+    def models(self) -> list[MujocoXMLModel]:
+        """All parts that are mounted on the robot: the base, then the grippers."""
+        return [] if self._base is None else [self._base]
+
+    def add_base(self, base: RobotBaseModel) -> None:
+        """
+        Put the robot on a base.
+
+        :param base: a mount or a mobile base that nothing else stands on
+        :raises TypeError: if it is not a base
+        :raises ModelError: if the robot has a base already
+        """
+        if not isinstance(base, (MountModel, MobileBaseModel)):
+            raise TypeError('a base must be a MountModel or a MobileBaseModel, '
+                            f'not {type(base).__name__}')
+        if self._base is not None:
+            raise ModelError(f'{self.name} stands on {self._base.name} already, '
+                             f'cannot add {base.name}')
+        if isinstance(base, MobileBaseModel) and base._spec.body(base.support_body) is None:
+            raise UnknownNameError(f'body of {base.name} to mount a robot on', base.support_body,
+                                   [body.name for body in base._spec.bodies[1:]])
+        self._base = base
+        self._was_mounted()
+
+    @property
+    def foot_offset(self) -> FloatArray:
+        """From the root to the point that stands on a base or floor [m], shape (3,), a copy."""
+        if self._foot_offset is None:
+            return -self.base_offset
+        return np.array(self._foot_offset)
+
+    @property
+    def bottom_offset(self) -> FloatArray:
+        """From the root body to the floor that the robot stands on [m], shape (3,), a copy."""
+        if self._base is None:
+            return self.foot_offset
+        return self.foot_offset + self._base.bottom_offset - self._base.top_offset
+
+    @property
+    def top_offset(self) -> FloatArray:
+        """Nominal place of the top above the root, as in robosuite [m], shape (3,), a copy."""
+        return np.array(self._top_offset)
+
+    @property
+    def horizontal_radius(self) -> float:
+        """Nominal radius about the root, as in robosuite [m]; arms reach farther."""
+        return max(self._horizontal_radius, self._base.horizontal_radius if self._base else 0.0)
+
+    def set_base_xpos(self, pos: ArrayLike) -> None:
+        """
+        Place the robot.
+
+        :param pos: of the floor below the root, in the world [m], shape (3,)
+        :raises ModelError: if a number is not finite
+        """
+        self._floor_xpos = finite_numbers(pos, 3, f'position of {self.name}')
+
+    def set_base_ori(self, rpy: ArrayLike) -> None:
+        """
+        Set the orientation of the robot.
+
+        :param rpy: roll, pitch, yaw of the root in the world [rad], shape (3,)
+        :raises ModelError: if a number is not finite
+        """
+        self._root_quat = quat_wxyz_from_rpy(
+            finite_numbers(rpy, 3, f'orientation of {self.name}'))
+
+    # ------------------------------------------------------------------ what is recorded
+
+    def refresh(self) -> None:
+        """
+        Update the recorded lists, ranges and offsets after edits of :attr:`spec`.
+
+        Those of all that is mounted on the robot are updated too.
+        """
+        super().refresh()
+        for part in self.models:
+            part.refresh()
+        self.update_joints()
+        self.update_actuators()
+
+    def _refresh_if_edited(self) -> None:
+        if any(part._spec_is_shared for part in (self, *self.models)):
+            self.refresh()
+
+    def _own_parts(self) -> list[MujocoXMLModel]:
+        return [self] if self._base is None else [self, self._base]
+
+    # ------------------------------------------------------------------ composing
+
+    def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                  floor_xpos: ArrayLike | None = None) -> None:
+        """
+        Add a copy of the robot and of all that is mounted on it to another spec.
+
+        On a mobile base the root body stays fixed and carries the base; the contents of the root
+        move to a body ``manipulator_mount`` on the base's support.
+
+        :param spec: the spec to add to
+        :param frame: the frame of that spec to attach the robot to
+        :param floor_xpos: position of the floor below the copy's root, in the frame [m], shape
+            (3,); None: where :meth:`set_base_xpos` or else the file puts it
+        :raises ModelError: if the spec, the robot's base or a gripper has one of the names already
+        """
+        self._refresh_if_edited()
+        own, base = self._placed_copy(floor_xpos), self._base
+        if isinstance(base, MobileBaseModel):
+            self._attach_on_mobile_base(spec, frame, base, own)
+            return
+        self._attach_copy(spec, frame, own)
+        if isinstance(base, MountModel):
+            self._attach_base(spec, spec.body(self.root_body), base)
+
+    def _attach_base(self, spec: mujoco.MjSpec, root: mujoco.MjsBody,
+                     base: RobotBaseModel) -> None:
+        frame = root.add_frame(pos=self.foot_offset - base.top_offset - base.base_offset)
+        base._attach_copy(spec, frame, base._spec.copy())
+
+    def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                               base: MobileBaseModel, own: mujoco.MjSpec) -> None:
+        TakenNames(spec).add(own, self.naming_prefix, self.name)
+        mount = own.body(self._root().name)
+        if own.body(_MANIPULATOR_MOUNT) is not None:
+            raise ModelError(f"{self.name} cannot stand on a mobile base: it has a body "
+                             f"'{_MANIPULATOR_MOUNT}' of its own")
+        root = frame.parent.add_body(name=self.root_body, pos=mount.pos, quat=mount.quat)
+        root.set_frame(frame)
+        rename_body(own, mount, _MANIPULATOR_MOUNT)
+        mount.pos, mount.quat = -self.foot_offset, [1.0, 0.0, 0.0, 0.0]
+        for joint in mount.joints:
+            if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE):  # The base moves the robot.
+                own.delete(joint)
+        present = len(spec.actuators)
+        self._attach_base(spec, root, base)
+        support = spec.body(base.correct_naming(base.support_body))
+        self._attach_copy(spec, support.add_frame(), own)
+        rotate_actuators(spec.actuators[present:], len(base.actuators))
+
+    def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
+        """Return a copy of the spec with the root at the pose that the robot gets."""
+        own = self._spec.copy()
+        root = own.body(self._root().name)
+        compiled = self._own_model.body(root.name)
+        floor = self._floor_xpos if floor_xpos is None else np.asarray(floor_xpos, dtype=float)
+        root.pos = compiled.pos if floor is None else floor - self.bottom_offset
+        root.quat = compiled.quat if self._root_quat is None else self._root_quat
+        # Nothing else may turn or move the root.
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        root.set_frame(own.worldbody.add_frame())
+        return own
+
+    # ------------------------------------------------------------------ what a robot declares
 
     @property
     def _prefix_of_idn(self) -> str:
