@@ -18,6 +18,8 @@ PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 #: By folder or module: the layers and the libraries that it may import.
 MAY_IMPORT = {
     'models': ({'models'}, PURE),
+    # Files of others may have meshes that MuJoCo does not read.
+    'models/files': ({'models'}, PURE | {'trimesh'}),
     'simulation': ({'models', 'simulation'}, PURE),
     'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),

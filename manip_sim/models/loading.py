@@ -81,7 +81,10 @@ def load_spec(file: Path) -> mujoco.MjSpec:
     """
     facts = check_xml(file)
     try:
-        spec = mujoco.MjSpec.from_file(str(file))
+        if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
+            spec = mujoco.MjSpec.from_string(file.read_text(encoding='utf-8'))
+        else:
+            spec = mujoco.MjSpec.from_file(str(file))
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
     resolve_files(spec, file, facts)

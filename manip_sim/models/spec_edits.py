@@ -112,13 +112,15 @@ def name_main_default(own: mujoco.MjSpec) -> None:
 
 def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
     """
-    Delete elements other than bodies, and the sensors that refer to them.
+    Delete elements other than bodies, and the sensors and contact pairs that refer to them.
 
     :param spec: the ``mujoco.MjSpec`` that has them
     """
     names = {element.name for element in elements if element.name}
     for sensor in [s for s in spec.sensors if s.objname in names or s.refname in names]:
         spec.delete(sensor)
+    for pair in [p for p in spec.pairs if names.intersection((p.geomname1, p.geomname2))]:
+        spec.delete(pair)
     for element in elements:
         spec.delete(element)
 

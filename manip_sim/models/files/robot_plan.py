@@ -20,8 +20,8 @@ from manip_sim.models.files.description import (
 from manip_sim.models.files.frames import add_body_at, find_place, free_name
 from manip_sim.models.files.hands import find_hands, FoundHand, hand_below
 from manip_sim.models.files.own_hand import OwnHand
+from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.reading import ModelFile, read_model
-from manip_sim.models.files.scenery import exclude_neighbours
 from manip_sim.models.files.start import start_pose
 from manip_sim.models.files.tree import BodyTree
 
@@ -72,7 +72,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     start = start_pose(model_file, description.start, where)
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
         raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
-    notes += exclude_neighbours(spec, tree.model, start)
+    notes += exclude_overlaps(spec, tree.model, start, file)
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,

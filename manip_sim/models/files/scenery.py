@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 import warnings
 
@@ -18,8 +17,6 @@ from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-#: Links that are nearer to each other than this touch [m].
-_TOUCHING_M = 1e-4
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
@@ -59,45 +56,11 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     return _wrapped(spec, name), notes
 
 
-def exclude_neighbours(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[str, float]
-                       ) -> list[str]:
-    """
-    Exclude collisions of links with the fixed links they move on, if they touch at the start.
-
-    MuJoCo excludes collisions with a parent by itself, except with one that cannot move.
-
-    :param spec: the ``mujoco.MjSpec``, changed in place
-    :param model: the same, compiled
-    :param start: where joints start, by name [rad or m]
-    :returns: what was done, in sentences
-    """
-    data = mujoco.MjData(model)
-    for joint, position in start.items():
-        data.joint(joint).qpos[0] = position
-    margins = model.geom_margin.copy()
-    model.geom_margin[:] += _TOUCHING_M
-    mujoco.mj_forward(model, data)
-    model.geom_margin[:] = margins
-    notes = []
-    for contact in data.contact:
-        fixed, other = sorted(model.geom_bodyid[contact.geom].tolist(),
-                              key=lambda body: int(model.body_weldid[body]))
-        mover = int(model.body_weldid[other])
-        neighbours = mover and fixed and not model.body_weldid[fixed] and not model.body_weldid[
-            model.body_parentid[mover]]
-        if neighbours and contact.dist < _TOUCHING_M:
-            names = [str(model.body(body).name) for body in (fixed, other)]
-            what = f"'{names[0]}' and '{names[1]}' overlap at the start, so they do not collide"
-            if what not in notes:
-                spec.add_exclude(bodyname1=names[0], bodyname2=names[1])
-                notes.append(what)
-    return notes
-
-
 def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     world, notes = spec.worldbody, []
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
+    notes += _keep_on_ground(spec, grounds)
     for what, elements in (('lights', list(world.lights)), ('cameras', list(world.cameras)),
                            ('grounds', grounds), ('bodies', objects)):
         names = [element.name for element in elements if element.name]
@@ -108,7 +71,28 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
             delete_elements(spec, elements)
     for body in objects:
         spec.delete(body)
+    for pair in list(spec.pairs):
+        if spec.geom(pair.geomname1) is None or spec.geom(pair.geomname2) is None:
+            spec.delete(pair)
     return notes
+
+
+def _keep_on_ground(spec: mujoco.MjSpec, grounds: list[Any]) -> list[str]:
+    """Let shapes touch grounds of the arena that touch those of the file by contact pairs only."""
+    names, kept = {geom.name for geom in grounds}, []
+    for pair in spec.pairs:
+        others = {pair.geomname1, pair.geomname2} - names
+        if len(others) != 1:
+            continue
+        geom = spec.geom(others.pop())
+        if geom is not None and not (geom.contype or geom.conaffinity):
+            # Arenas have contype 1, so the shape meets them, but no shape like it.
+            geom.conaffinity = 1
+            geom.friction, geom.solref, geom.solimp = pair.friction[[0, 2, 3]], pair.solref, (
+                pair.solimp)
+            kept.append(geom.name)
+    return [f'{len(kept)} shapes touch the arena where contact pairs named the ground: '
+            f'{quoted_names(kept)}'] if kept else []
 
 
 def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:

@@ -15,9 +15,11 @@ from xml.etree import ElementTree
 import mujoco
 
 from manip_sim.errors import ModelError
+from manip_sim.models.files.inertias import make_physical
+from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.xml_check import check_xml
-from manip_sim.quoting import one_line, quoted
+from manip_sim.quoting import one_line, quoted, quoted_names
 from manip_sim.resources import PACKAGE, share_directory
 
 _MESHES = ('.stl', '.obj', '.msh')
@@ -54,7 +56,7 @@ def load_urdf(file: Path) -> tuple[Any, list[str]]:
     """
     check_xml(file)
     robot = _parse(file)
-    notes = _find_meshes(robot, file)
+    notes = [*_find_meshes(robot, file), *_drop_empty_shapes(robot), *make_physical(robot)]
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true')):
@@ -96,22 +98,43 @@ def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
     """Make the paths of meshes absolute; remove shapes that MuJoCo cannot read."""
     extension = robot.find('mujoco/compiler')
     folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
-    unread = []
+    unread: dict[str, list[str]] = {'visual': [], 'collision': []}
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
             mesh = shape.find('geometry/mesh')
             if mesh is None:
                 continue
-            found = _readable(_resolve(mesh.get('filename', ''), folder, file, link))
+            found, why = _converted(_resolve(mesh.get('filename', ''), folder, file, link))
             if found is None:
-                unread.append(str(mesh.get('filename')))
+                unread[shape.tag].append(f'{quoted(mesh.get("filename"))} ({why})')
                 link.remove(shape)
             else:
                 mesh.set('filename', str(found))
-    if not unread:
-        return []
-    return [f'left out: {len(unread)} shapes of files that are not {", ".join(_MESHES)}, such as '
-            f'{quoted(unread[0])}']
+    lost = {'visual': '', 'collision': '; nothing touches these links there'}
+    return [f'left out: {len(names)} {tag} shapes of files that cannot be read, such as '
+            f'{names[0]}{lost[tag]}' for tag, names in unread.items() if names]
+
+
+def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
+    """Remove shapes of size zero, which some exporters write for links without a shape."""
+    dropped = []
+    for link in robot.iter('link'):
+        for shape in [*link.findall('visual'), *link.findall('collision')]:
+            sizes = [number for element in shape.findall('geometry/*') if element.tag != 'mesh'
+                     for key in ('size', 'radius', 'length')
+                     for number in element.get(key, '').split()]
+            if any(_is_zero(number) for number in sizes):
+                link.remove(shape)
+                dropped.append(str(link.get('name')))
+    return [f'left out: {len(dropped)} shapes of size zero, of {quoted_names(dropped)}'
+            ] if dropped else []
+
+
+def _is_zero(number: str) -> bool:
+    try:
+        return float(number) == 0.0
+    except ValueError:
+        return False
 
 
 def _readable(mesh: Path) -> Path | None:
@@ -120,6 +143,16 @@ def _readable(mesh: Path) -> Path | None:
         return mesh
     return next((other for suffix in _MESHES
                  if (other := mesh.with_suffix(suffix)).is_file()), None)
+
+
+def _converted(mesh: Path) -> tuple[Path | None, str]:
+    """Return a mesh that MuJoCo reads, or None and why not."""
+    found = _readable(mesh)
+    if found is not None:
+        return found, ''
+    if mesh.suffix.lower() in SUFFIXES:
+        return converted(mesh)
+    return None, f'not one of {", ".join((*_MESHES, *SUFFIXES))}'
 
 
 def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> Path:

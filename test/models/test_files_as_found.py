@@ -1,0 +1,224 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files as labs have them: links that overlap, inertias of no body, references to what is not."""
+
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+from files_rig import write
+
+from manip_sim.errors import ModelError
+from manip_sim.models import compose, load_robot
+from manip_sim.simulation import Simulation
+
+INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+SOLID = f'<inertial><mass value="1"/>{INERTIA}</inertial>'
+BALL = '<collision><geometry><sphere radius="0.12"/></geometry></collision>'
+LIMIT = '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="60" velocity="2"/>'
+
+
+def joint(name, parent, child, kind='revolute'):
+    return (f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="0 0 0.1"/>{LIMIT}</joint>')
+
+
+def urdf(links, joints):
+    return ('<robot name="r">' + ''.join(f'<link name="{name}">{content}</link>'
+                                         for name, content in links.items())
+            + ''.join(joints) + '</robot>')
+
+
+#: Links 1 and 3 overlap by 4 cm at the start, and nothing says that they must not collide.
+OVERLAPPING = urdf({'base': SOLID, 'l1': SOLID + BALL, 'l2': SOLID, 'l3': SOLID + BALL, 'tip': ''},
+                   [joint('j1', 'base', 'l1'), joint('j2', 'l1', 'l2'), joint('j3', 'l2', 'l3'),
+                    joint('f', 'l3', 'tip', 'fixed')])
+SMALL = urdf({'base': SOLID, 'l1': SOLID, 'tool': '{}'},
+             [joint('j1', 'base', 'l1'), joint('f', 'l1', 'tool', '{}')])
+
+
+def said(robot, words):
+    return [sentence for sentence in robot.inferred if words in sentence]
+
+
+def test_a_urdf_whose_links_overlap_at_the_start_holds_its_pose(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.urdf', OVERLAPPING))
+    assert said(robot, "'l1' and 'l3' overlap at the start, so they do not collide")
+    simulation = Simulation(compose(robot))
+    start = simulation.robot.state().position
+    for _ in range(100):
+        simulation.advance(5)
+    state = simulation.robot.state()
+    np.testing.assert_allclose(state.position, start, atol=1e-3)
+    assert np.abs(state.velocity).max() < 1e-3
+
+
+def test_an_mjcf_keeps_the_collisions_that_it_has(tmp_path):
+    text = ('<mujoco><worldbody><body name="a"><geom size="0.1"/><body name="b" pos="0 0 0.1">'
+            '<joint name="j" axis="0 1 0"/><geom size="0.01" contype="0" conaffinity="0"/>'
+            '<body name="c" pos="0 0 0.05">'
+            '<joint name="k" axis="0 1 0"/><geom size="0.1"/></body></body></body></worldbody>'
+            '<actuator><motor joint="j"/><motor joint="k"/></actuator></mujoco>')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    # Link b moves on the fixed a; c is two joints away and touches it.
+    assert not said(robot, 'overlap')
+    assert robot.compile().nexclude == 0
+
+
+def test_the_pairs_of_the_srdf_beside_a_urdf_do_not_collide(tmp_path):
+    write(tmp_path / 'arm.srdf', '<robot name="r"><disable_collisions link1="l3" link2="l1" '
+          'reason="Never"/><disable_collisions link1="base" link2="nothing"/></robot>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', OVERLAPPING))
+    assert said(robot, '1 pairs of links do not collide, as its SRDF says')
+    assert not said(robot, 'overlap')
+    assert robot.compile().nexclude == 1
+
+
+@pytest.mark.parametrize('srdf', ['<robot', '<!DOCTYPE r [<!ENTITY a "b">]><robot/>', '\x00'])
+def test_an_srdf_that_cannot_be_read_is_ignored_and_reported(tmp_path, srdf):
+    write(tmp_path / 'arm.srdf', srdf)
+    robot = load_robot(write(tmp_path / 'arm.urdf', OVERLAPPING))
+    assert said(robot, "'arm.srdf' is ignored: ")
+    assert said(robot, 'overlap')
+
+
+@pytest.mark.parametrize('inertia', [
+    'ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="2e-6" ixz="0" iyz="0"',
+    'ixx="-1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"',
+    'ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"'])
+@pytest.mark.parametrize('kind', ['fixed', 'revolute'])
+def test_an_inertia_that_no_body_has_becomes_one_that_a_body_can_have(tmp_path, inertia, kind):
+    text = SMALL.format(f'<inertial><mass value="0.1"/><inertia {inertia}/></inertial>', kind)
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert said(robot, "moments of inertia that are not positive became 1e-08 kg m^2: 'tool'")
+    model = robot.compile()
+    tool = model.body('robot0_tool')
+    assert tool.mass[0] == 0.1
+    assert (tool.inertia > 0.0).all()
+    assert 2.0 * tool.inertia.max() <= tool.inertia.sum() * (1.0 + 1e-9)
+
+
+def test_a_moving_link_of_mass_zero_gets_a_little(tmp_path):
+    text = SMALL.format(f'<inertial><mass value="0"/>{INERTIA}</inertial>', 'revolute')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert said(robot, "0.1 g for moving links of mass 0: 'tool'")
+    assert robot.compile().body('robot0_tool').mass[0] == 1e-4
+
+
+def test_valid_inertias_stay_as_they_are(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.urdf', SMALL.format(SOLID, 'fixed')))
+    assert not said(robot, 'moments of inertia')
+    np.testing.assert_array_equal(robot.compile().body('robot0_tool').inertia, [0.01] * 3)
+
+
+@pytest.mark.parametrize('shape', ['<sphere radius="0"/>', '<box size="0.1 0 0.1"/>',
+                                   '<cylinder radius="0.1" length="0.0"/>'])
+@pytest.mark.parametrize('tag', ['visual', 'collision'])
+def test_shapes_of_size_zero_are_left_out_and_reported(tmp_path, tag, shape):
+    text = SMALL.format(f'{SOLID}<{tag}><geometry>{shape}</geometry></{tag}>', 'fixed')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert said(robot, "left out: 1 shapes of size zero, of 'tool'")
+
+
+def test_a_lost_collision_shape_is_a_warning_of_its_own(tmp_path):
+    write(tmp_path / 'part.step', 'solid')
+    mesh = '<geometry><mesh filename="part.step"/></geometry>'
+    text = SMALL.format(f'{SOLID}<visual>{mesh}</visual><collision>{mesh}</collision>', 'fixed')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert said(robot, '1 visual shapes of files that cannot be read')
+    assert said(robot, '1 collision shapes') == said(robot, 'nothing touches these links there')
+
+
+@pytest.mark.parametrize('suffix', ['.glb', '.ply', '.off', '.dae'])
+def test_a_mesh_in_another_format_keeps_its_size(tmp_path, monkeypatch, suffix):
+    trimesh = pytest.importorskip('trimesh', reason='converts the meshes')
+    if suffix == '.dae':
+        pytest.importorskip('collada', reason='reads Collada')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / f'part{suffix}')
+    mesh = f'<collision><geometry><mesh filename="part{suffix}"/></geometry></collision>'
+    file = write(tmp_path / 'arm.urdf', SMALL.format(SOLID + mesh, 'fixed'))
+    for _ in range(2):
+        robot = load_robot(file)
+        assert not said(robot, 'left out')
+        vertices = robot.compile().mesh_vert
+        size = np.sort(vertices.max(axis=0) - vertices.min(axis=0))
+        np.testing.assert_allclose(size, [0.1, 0.2, 0.3], rtol=1e-5)
+    assert len(list((tmp_path / 'cache' / 'manip_sim' / 'meshes').iterdir())) == 1
+
+
+def test_a_collada_file_in_millimetres_is_read_in_metres(tmp_path, monkeypatch):
+    trimesh = pytest.importorskip('trimesh', reason='converts the meshes')
+    pytest.importorskip('collada', reason='reads Collada')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / 'part.dae')
+    text = (tmp_path / 'part.dae').read_text()
+    text = re.sub(r'<unit [^>]*/>', '', text)
+    write(tmp_path / 'part.dae', text.replace(
+        '</asset>', '<unit name="millimeter" meter="0.001"/></asset>', 1))
+    mesh = '<collision><geometry><mesh filename="part.dae"/></geometry></collision>'
+    robot = load_robot(write(tmp_path / 'arm.urdf', SMALL.format(SOLID + mesh, 'fixed')))
+    vertices = robot.compile().mesh_vert
+    assert (vertices.max(axis=0) - vertices.min(axis=0)).max() == pytest.approx(0.3, rel=1e-5)
+
+
+def test_a_mesh_that_cannot_be_converted_is_reported_with_the_reason(tmp_path, monkeypatch):
+    pytest.importorskip('trimesh', reason='converts the meshes')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    write(tmp_path / 'part.glb', 'nothing of the kind')
+    mesh = '<collision><geometry><mesh filename="part.glb"/></geometry></collision>'
+    robot = load_robot(write(tmp_path / 'arm.urdf', SMALL.format(SOLID + mesh, 'fixed')))
+    (sentence,) = said(robot, "'part.glb' (")
+    assert 'nothing touches these links there' in sentence
+
+
+ARM = ('<body name="base"><geom size="0.05"/><body name="l1" pos="0 0 0.1">'
+       '<joint name="j1" axis="0 1 0" range="-2 2"/>'
+       '<geom name="foot" type="capsule" size="0.03" fromto="0 0 0.05 0 0 0.3" {}/></body></body>')
+END = '<actuator><position joint="j1" kp="50" kv="5"/></actuator>'
+
+
+def mjcf(arm='', beside='', after=''):
+    return (f'<mujoco><compiler angle="radian"/><worldbody>{beside}{ARM.format(arm)}</worldbody>'
+            f'{after}{END}</mujoco>')
+
+
+def test_the_suffix_mjcf_loads(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.mjcf', mjcf()))
+    assert robot.arm_joints == ['robot0_j1']
+
+
+@pytest.mark.parametrize('content', [b'\xff\xfe', b'<mujoco>', b''])
+def test_a_broken_file_with_the_suffix_mjcf_is_one_error(tmp_path, content):
+    (tmp_path / 'arm.mjcf').write_bytes(content)
+    with pytest.raises(ModelError) as caught:
+        load_robot(tmp_path / 'arm.mjcf')
+    assert '\n' not in str(caught.value)
+
+
+def test_a_shape_that_touches_the_ground_by_a_pair_touches_that_of_the_arena(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.xml', mjcf(
+        'contype="0" conaffinity="0"', '<geom name="floor" type="plane" size="1 1 0.1"/>',
+        '<contact><pair geom1="foot" geom2="floor" friction="0.7 0.7 0.01 0.001 0.001"/></contact>'
+        )))
+    assert said(robot, "1 shapes touch the arena where contact pairs named the ground: 'foot'")
+    model = compose(robot, position=(0.0, 0.0, -0.25)).compile()
+    foot = model.geom('robot0_foot')
+    assert foot.friction.tolist() == [0.7, 0.01, 0.001]
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert any(foot.id in contact.geom for contact in data.contact)
+
+
+def test_an_object_that_rests_on_a_table_is_left_out_without_a_trace(tmp_path):
+    table = ('<body name="table" pos="1 0 0.2"><geom type="box" size="0.2 0.2 0.2"/></body>'
+             '<body name="obj" pos="1 0 0.42"><freejoint/>'
+             '<geom name="o" type="box" size="0.02 0.02 0.02"/></body>')
+    text = mjcf(beside=table, after='<contact><pair geom1="o" geom2="foot"/></contact>')
+    robot = load_robot(write(tmp_path / 'arm.xml', text))
+    assert said(robot, "'obj'")
+    model = Simulation(compose(robot)).model
+    assert model.npair == 0
