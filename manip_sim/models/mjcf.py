@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, overload, TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -22,6 +22,28 @@ from manip_sim.models.spec_edits import attach, name_main_default
 
 _MIN_MASS_KG = 1e-6
 _MIN_INERTIA = 1e-9
+#: robosuite keeps an ElementTree where there is a MjSpec here.
+_INSTEAD_OF_ROBOSUITE = {
+    'root': 'use spec (a mujoco.MjSpec), or parse to_xml()',
+    'tree': 'use spec (a mujoco.MjSpec), or parse to_xml()',
+    'worldbody': 'use spec.worldbody',
+    'asset': 'use spec.meshes, spec.textures and spec.materials',
+    'actuator': 'use spec.actuators',
+    'sensor': 'use spec.sensors',
+    'equality': 'use spec.equalities',
+    'tendon': 'use spec.tendons',
+    'contact': 'use spec.pairs and spec.excludes',
+    'default': 'use spec.default',
+    'merge': 'use manip_sim.models.compose or World, which put parts together',
+    'merge_assets': 'use manip_sim.models.compose or World, which put parts together',
+    'get_element_names': 'use joints, bodies, actuators, sites, sensors, contact_geoms or '
+                         'visual_geoms',
+    'contact_geom_rgba': 'use rgba of spec.geom(name) for the names in contact_geoms',
+    'grasp_qpos': 'use format_action, whose +1 closes, and init_qpos',
+    'init_torso_qpos': 'use init_qpos, which has all joints, or init_base_qpos',
+    'resolve_asset_dependency': 'files are found by the paths in the MJCF file',
+    'exclude_from_prefixing': 'override correct_naming',
+}
 
 
 class MujocoXMLModel:
@@ -183,6 +205,33 @@ class MujocoXMLModel:
         :raises ModelError: with MuJoCo's message
         """
         return compile_spec(self.compose(), self.name)
+
+    def get_xml(self) -> str:
+        """Return the same as :meth:`to_xml`, under robosuite's name."""
+        return self.to_xml()
+
+    def save_model(self, fname: str | PathLike[str], pretty: bool = False) -> None:
+        """
+        Write the MJCF of this part and all that is mounted on it, as robosuite does.
+
+        :param fname: the file, which is replaced
+        :param pretty: the text is indented anyway
+        :raises ModelError: if the file cannot be written
+        """
+        try:
+            Path(fname).write_text(self.to_xml(), encoding='utf-8')
+        except OSError as error:
+            raise ModelError(f'cannot write {fname}: {error.strerror}') from error
+
+    if not TYPE_CHECKING:  # With it, type checkers would accept any name.
+
+        def __getattr__(self, name: str) -> Any:
+            """Say what replaces an attribute of robosuite's models that is not there."""
+            if hasattr(type(self), name):  # A property raised the error.
+                return object.__getattribute__(self, name)
+            instead = _INSTEAD_OF_ROBOSUITE.get(name)
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'"
+                                 + (f': {instead}' if instead else ''), name=name, obj=self)
 
     def to_xml(self) -> str:
         """Return the MJCF of this part and all that is mounted on it."""

@@ -3,6 +3,8 @@
 
 """Tests of loading one MJCF file, naming its elements and listing them."""
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -249,3 +251,37 @@ def test_lists_are_copies(mjcf):
     model.base_offset[:] = 9.0
     assert model.joints == ['0_pivot']
     np.testing.assert_array_equal(model.base_offset, np.zeros(3))
+
+
+@pytest.mark.parametrize(('name', 'instead'), [
+    ('root', r'use spec \(a mujoco\.MjSpec\)'), ('worldbody', r'use spec\.worldbody'),
+    ('asset', r'spec\.meshes'), ('merge', 'compose or World'), ('get_element_names', 'joints'),
+    ('contact_geom_rgba', 'contact_geoms'), ('grasp_qpos', 'format_action')])
+def test_what_robosuite_has_and_is_not_here_names_its_replacement(mjcf, name, instead):
+    model = MujocoXMLModel(mjcf(PENDULUM))
+    with pytest.raises(AttributeError, match=f"'MujocoXMLModel' .* '{name}': .*{instead}"):
+        getattr(model, name)
+    assert not hasattr(model, name)
+
+
+def test_the_error_of_a_property_is_not_hidden(mjcf):
+    class Broken(MujocoXMLModel):
+        @property
+        def merge(self):
+            return {}.nothing
+
+    with pytest.raises(AttributeError, match="'dict' object has no attribute 'nothing'"):
+        assert not Broken(mjcf(PENDULUM)).merge
+
+
+def test_models_are_written_under_the_names_of_robosuite(mjcf, tmp_path):
+    model = MujocoXMLModel(mjcf(PENDULUM))
+    model.save_model(tmp_path / 'model.xml', pretty=True)
+    assert (tmp_path / 'model.xml').read_text() == model.get_xml() == model.to_xml()
+    with pytest.raises(ModelError, match='cannot write .*: No such file or directory'):
+        model.save_model(tmp_path / 'nowhere' / 'model.xml')
+
+
+def test_a_copy_has_the_same_elements(mjcf):
+    model = MujocoXMLModel(mjcf(PENDULUM))
+    assert copy.copy(model).joints == model.joints
