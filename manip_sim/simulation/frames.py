@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The tree of frames of a world: their names, their parents, and their poses in their parents.
+The frames of a world: the links of the tree that URDF and SRDF are written from, and their poses.
 
-There is one frame for each body, with the body's name; one for each requested site, as a child of
-its body; two for each camera, MuJoCo's and the optical one; one for each joint between a body and
-its parent that needs one; and those that the caller places in the root, ``world``.
+There is one frame for each body, with the body's name; one for each requested site; two for each
+camera, MuJoCo's and the optical one; one for each joint between a body and its parent that needs
+one; and those that the caller places in the root, ``world``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,16 +20,16 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.models.urdf_writer.tree import OPTICAL
-from manip_sim.simulation.joint_frames import JointFrames
+from manip_sim.models.urdf_writer.tree import (
+    build_tree, Joint, joints_of_body, KinematicTree, OPTICAL, ROOT_LINK)
 from manip_sim.simulation.poses import Pose
 
 #: The root of the tree.
-WORLD = 'world'
+WORLD = ROOT_LINK
 #: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
 #: along z with y down: half a turn about x, as w, x, y, z.
 _TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
-_FIXED_CAMERA = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @dataclass(frozen=True)
@@ -62,67 +62,33 @@ class FrameTree:
     def __init__(self, model: mujoco.MjModel, sites: Iterable[str] = (),
                  placed: Iterable[tuple[str, Pose]] = ()) -> None:
         self.model = model
-        self.moving: list[Frame] = []
         self.static: list[Frame] = []
-        self._names = {WORLD}
-        self._bodies = [WORLD]
-        self._cameras: list[int] = []
-        self._joint_frames: list[JointFrames] = []
         static_poses: list[FloatArray] = []
-        moving: list[int] = []
-        for body in range(1, model.nbody):
-            frame = self._add(model.body(body).name or f'body_{body}', '_body',
-                              self._bodies[model.body_parentid[body]])
-            self._bodies.append(frame.name)
-            if model.body_jntnum[body] or model.body_mocapid[body] >= 0:
-                self.moving.append(frame)
-                moving.append(body)
-            else:
+        tree = build_tree(model, 0, [model.site(name).id for name in sites])
+        bodies: dict[Frame, int] = {}
+        joints: dict[Frame, Joint] = {}
+        for frame, body, joint in _frames_of(model, tree):
+            if joint is None:
+                bodies[frame] = body
+            elif joint.kind == 'fixed':
                 self.static.append(frame)
-                static_poses.append(_row(model.body_pos[body], model.body_quat[body]))
-        for body in moving:
-            self._add_joints(JointFrames(model, body), body)
-        self._moving = np.array(moving, dtype=np.int64)
-        self._parents: Any = model.body_parentid[self._moving]
-        for site in (model.site(name).id for name in sites):
-            self.static.append(self._add(model.site(site).name, '_site',
-                                         self._bodies[model.site_bodyid[site]]))
-            static_poses.append(_row(model.site_pos[site], model.site_quat[site]))
-        for camera in range(model.ncam):
-            self._add_camera(camera, static_poses)
+                static_poses.append(_row(joint.position, _quat_wxyz(joint.rotation)))
+            else:
+                joints[frame] = joint
+        followers = {Frame(tree.take_name(model.camera(camera).name or f'camera_{camera}',
+                                          '_camera'), WORLD): camera
+                     for camera in range(model.ncam) if camera not in tree.link_of_camera}
+        self._bodies = np.array(list(bodies.values()), dtype=np.int64)
+        self._parents: Any = model.body_parentid[self._bodies]
+        self._joints, self._cameras = list(joints.values()), list(followers.values())
+        self.moving: list[Frame] = [*bodies, *joints, *followers]
+        for frame in followers:
+            self.static.append(Frame(tree.take_name(frame.name + OPTICAL, '_'), frame.name))
+            static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
         for name, pose in placed:
-            self.static.append(self._add(name, '_frame', WORLD))
+            self.static.append(Frame(tree.take_name(name, '_frame'), WORLD))
             static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
         self.static_poses = np.array(static_poses).reshape(-1, 7)
-
-    def _add(self, name: str, otherwise: str, parent: str) -> Frame:
-        # Sites, cameras and bodies may share a name in MuJoCo, frames cannot.
-        while name in self._names:
-            name += otherwise
-        self._names.add(name)
-        return Frame(name, parent)
-
-    def _add_joints(self, frames: JointFrames, body: int) -> None:
-        if frames.joints:
-            self._joint_frames.append(frames)
-        for joint in frames.joints:
-            name = self.model.joint(joint).name or f'joint_{joint}'
-            self.moving.append(self._add(f'{name}_link', '_',
-                                         self._bodies[self.model.body_parentid[body]]))
-
-    def _add_camera(self, camera: int, static_poses: list[FloatArray]) -> None:
-        model = self.model
-        fixed = int(model.cam_mode[camera]) == _FIXED_CAMERA
-        parent = self._bodies[int(model.cam_bodyid[camera])] if fixed else WORLD
-        frame = self._add(model.camera(camera).name or f'camera_{camera}', '_camera', parent)
-        if fixed:
-            self.static.append(frame)
-            static_poses.append(_row(model.cam_pos[camera], model.cam_quat[camera]))
-        else:
-            self.moving.append(frame)
-            self._cameras.append(camera)
-        self.static.append(self._add(frame.name + OPTICAL, '_', frame.name))
-        static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
 
     def moving_poses(self, data: mujoco.MjData) -> FloatArray:
         """
@@ -132,18 +98,57 @@ class FrameTree:
         :returns: in the order of :attr:`moving`, shape (n, 7)
         """
         poses = np.empty((len(self.moving), 7))
-        count = len(self._moving)
-        children, parents = self._moving, self._parents
+        count = len(self._bodies)
+        children, parents = self._bodies, self._parents
         axes = data.xmat[parents].reshape(-1, 3, 3)
         poses[:count, :3] = np.einsum('nji,nj->ni', axes, data.xpos[children] - data.xpos[parents])
         poses[:count, 3:] = np.einsum('ijk,nj,nk->ni', _INVERSE_PRODUCT, data.xquat[parents],
                                       data.xquat[children])
-        others = [pose for frames in self._joint_frames for pose in frames.poses(data)]
+        others = [self._moved(joint, data) for joint in self._joints]
         others += [(data.cam_xpos[camera], _quat_wxyz(data.cam_xmat[camera]))
                    for camera in self._cameras]
         for row, (position, quat_wxyz) in enumerate(others, start=count):
             poses[row] = _row(position, quat_wxyz)
         return poses
+
+    def _moved(self, joint: Joint, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
+        """Return position and quaternion w, x, y, z of the child of a joint in its parent."""
+        position = float(data.qpos[self.model.jnt_qposadr[joint.id]])
+        axis = np.zeros(3) if joint.axis is None else joint.axis
+        if joint.kind == 'prismatic':
+            return (joint.position + joint.rotation @ axis * position,
+                    _quat_wxyz(joint.rotation))
+        turn, turned = np.empty(4), np.empty(4)
+        mujoco.mju_axisAngle2Quat(turn, axis, position)
+        mujoco.mju_mulQuat(turned, _quat_wxyz(joint.rotation), turn)
+        return joint.position, turned
+
+
+def _frames_of(model: mujoco.MjModel, tree: KinematicTree
+               ) -> Iterator[tuple[Frame, int, Joint | None]]:
+    """
+    Return the frames of a tree with their bodies, and joints where these give their poses.
+
+    A body without a joint to give its pose moves in the frame of its parent body.
+    """
+    names = set(tree.link_of_body.values())
+    for link, joint in zip(tree.links[1:], tree.joints):
+        body = link.body
+        if body is None:
+            of = -1 if joint.id is None else int(model.jnt_bodyid[joint.id])
+            if of < 0 or _has_scalar_joints(model, of):
+                yield Frame(joint.child, joint.parent), 0, joint
+        elif not _has_scalar_joints(model, body) or (
+                joint.parent in names and joint.kind != 'fixed') or model.body_mocapid[body] >= 0:
+            parent = tree.link_of_body[int(model.body_parentid[body])]
+            yield Frame(joint.child, parent), body, None
+        else:
+            yield Frame(joint.child, joint.parent), body, joint
+
+
+def _has_scalar_joints(model: mujoco.MjModel, body: int) -> bool:
+    """Return whether all joints of a body, if it has any, are hinges or slides."""
+    return all(int(model.jnt_type[joint]) in _SCALAR for joint in joints_of_body(model, body))
 
 
 def _row(position: Any, quat_wxyz: Any) -> FloatArray:
@@ -152,7 +157,7 @@ def _row(position: Any, quat_wxyz: Any) -> FloatArray:
 
 def _quat_wxyz(matrix: Any) -> FloatArray:
     quat_wxyz = np.empty(4)
-    mujoco.mju_mat2Quat(quat_wxyz, matrix)
+    mujoco.mju_mat2Quat(quat_wxyz, np.ravel(matrix))
     return quat_wxyz
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from manip_sim.models import compose, create_arena
 from manip_sim.models.robots import robot_names
+from manip_sim.models.urdf_writer import robot_tree
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.frames import FrameTree, WORLD
 from manip_sim.simulation.poses import Pose
@@ -78,9 +79,21 @@ def test_composed_along_the_tree_each_frame_is_where_it_is_in_mujoco(name):
         f'{model.camera(camera).name}_optical_frame' for camera in range(model.ncam)}
     moving = {model.body(model.jnt_bodyid[joint]).name for joint in range(model.njnt)}
     between = {f'mobilebase0_joint_mobile_{way}_link' for way in ('forward', 'side', 'yaw')}
-    assert {frame.name for frame in tree.moving} == moving | (
-        between if name == 'PandaOmron' else set())
+    # As in the URDF, the base itself does not move in the frame of its last joint.
+    assert {frame.name for frame in tree.moving} == (
+        moving - {'mobilebase0_base'} | between if name == 'PandaOmron' else moving)
     assert 'cube' in moving
+
+
+@pytest.mark.parametrize('name', robot_names())
+def test_frames_have_the_parents_that_links_have_in_the_robot_description(name):
+    world = compose(name, arena='table')
+    model = Simulation(world).model
+    links = robot_tree(model, world.robots[0])
+    tree = FrameTree(model, [model.site(site).name for site in links.link_of_site])
+    parents = {frame.name: frame.parent for frame in (*tree.static, *tree.moving)}
+    for joint in links.joints:
+        assert parents[joint.child] == joint.parent
 
 
 def test_between_the_joints_of_a_body_there_are_frames_as_in_a_robot_description():

@@ -152,7 +152,7 @@ def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicT
     Return the tree of a body and all below it.
 
     :param model: the compiled ``mujoco.MjModel``
-    :param root: id of a child of the world body
+    :param root: id of a child of the world body, or 0 for the whole world
     :param sites: ids of sites below it that become links; all fixed cameras become links too
     """
     bodies = subtree(model, root)
@@ -160,9 +160,11 @@ def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicT
                                  for j in joints_of_body(model, b)})
     # Bodies take their names first: sites and cameras of equal name get another one.
     for body in bodies:
-        tree.link_of_body[body] = tree.take_name(model.body(body).name or f'body_{body}', '_body')
+        tree.link_of_body[body] = ROOT_LINK if body == 0 else tree.take_name(
+            model.body(body).name or f'body_{body}', '_body')
     for body in bodies:
-        _add_body(model, tree, body)
+        if body > 0:
+            _add_body(model, tree, body)
         for site in sites:
             if int(model.site_bodyid[site]) == body:
                 _add_site(model, tree, site)
