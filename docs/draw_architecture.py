@@ -17,6 +17,7 @@ FLOORS = (
     {'viewer': 'a client: see and drive', 'examples': 'clients: pick, hand over',
      'cli': 'the command manip_sim', 'moveit': 'SRDF and configuration',
      'testing': 'a fixture of pytest'},
+    {'experiments': 'many seeds: rows, intervals, shards'},
     {'ros': 'how it is seen: node, topics', 'records': 'episodes in MCAP files',
      'env': 'tasks for gymnasium'},
     {'tasks': 'starts, success, episodes'},

@@ -29,8 +29,10 @@ MAY_IMPORT = {
     'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},
                 PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
-    'cli': ({'cli', 'interface', 'models', 'moveit', 'records', 'simulation', 'rendering',
-             'tasks'}, PURE | {'PIL'}),
+    'experiments': ({'experiments', 'records', 'tasks'},
+                    PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
+    'cli': ({'cli', 'experiments', 'interface', 'models', 'moveit', 'records', 'simulation',
+             'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
     'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.

@@ -67,7 +67,7 @@ def _choose_renderer(command: str) -> None:
     if command == 'render':
         if sys.platform == 'linux':
             os.environ.setdefault('MUJOCO_GL', 'egl')
-    elif 'mujoco' not in sys.modules:
+    elif command != 'run' and 'mujoco' not in sys.modules:
         os.environ['MUJOCO_GL'] = 'disable'
 
 

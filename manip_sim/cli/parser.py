@@ -60,8 +60,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
-    for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_replay,
-                _add_convert):
+    for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
+                _add_merge, _add_replay, _add_convert):
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
@@ -240,6 +240,57 @@ def _add_records(parser: argparse.ArgumentParser) -> None:
                         help='a record, or a folder with records (*.mcap)')
 
 
+def _add_run(commands: Any) -> None:
+    parser = _command(
+        commands, 'run', 'run', 'run a policy on a task for many seeds, and report its success',
+        'Writes a row for each episode to episodes.parquet, and the success with its 95 % '
+        'interval to summary.json. A run that was interrupted goes on with the same command. An '
+        'episode in which the policy fails is a row with the error, and the exit code is 1.',
+        'examples: manip_sim run pick_cube --policy expert --seeds 0:100 --out results\n'
+        '          manip_sim run reach --policy my_policy.py:Reach --latency 0.15 --seeds 0:1000 '
+        '--out late')
+    parser.add_argument('task', metavar='TASK', help="as 'manip_sim list tasks' has it")
+    parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
+                        'with reset(seed) and act(observation); MODULE:FUNCTION of an '
+                        'observation; or a TorchScript (.pt) or ONNX file')
+    parser.add_argument('--seeds', required=True, metavar='SEEDS',
+                        help='such as 0:1000, which is 0 to 999, 0:1000:10 or 1,5,10:20')
+    parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of the run')
+    parser.add_argument('--robot', default='Panda', metavar='NAME', help='(default: Panda)')
+    parser.add_argument('--gripper', default='default', metavar='NAME',
+                        help="(default: the robot's own, unless the task needs another one)")
+    parser.add_argument('--action', default='osc_pose', metavar='KIND', help='osc_pose, '
+                        'joint_position, joint_velocity or joint_effort (default: osc_pose)')
+    parser.add_argument('--control-hz', type=_number, default=20.0, metavar='HZ',
+                        help='actions per second of simulated time (default: 20)')
+    parser.add_argument('--latency', type=_number, default=0.0, metavar='SECONDS', help='how much '
+                        'later a command takes effect, in simulated time (default: 0)')
+    parser.add_argument('--state-latency', type=_number, default=0.0, metavar='SECONDS',
+                        help='how old the observed state is (default: 0)')
+    parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
+                        'are observed, or description of another camera; may be repeated')
+    parser.add_argument('--image-size', type=_size, metavar='WIDTHxHEIGHT',
+                        help='size of the images [pixels] (default: as the camera has it)')
+    parser.add_argument('--worlds', type=_count, metavar='N', help='episodes at once, each in a '
+                        'process (default: one for each processor)')
+    parser.add_argument('--engine', choices=('processes', 'ray'), default='processes',
+                        help='what runs the episodes (default: processes of this machine)')
+    parser.add_argument('--address', metavar='ADDRESS', help="of a cluster of Ray, such as 'auto' "
+                        '(default: one is started here)')
+    parser.add_argument('--shard', default='1/1', metavar='I/K', help='run only one of K parts, '
+                        'from 1/K to K/K; parts in one folder are merged')
+    parser.add_argument('--record', action='store_true',
+                        help='record each episode in DIR/records/SEED.mcap')
+
+
+def _add_merge(commands: Any) -> None:
+    parser = _command(
+        commands, 'merge', 'run', 'merge the folders of shards that ran apart', '',
+        'example: manip_sim merge shard1 shard2 --out results')
+    parser.add_argument('folders', nargs='+', type=Path, metavar='DIR', help='folders of a run')
+    parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of all')
+
+
 def add_composition(parser: argparse.ArgumentParser) -> None:
     """Add the options of a composition, which ``compose_from`` reads."""
     group = parser.add_argument_group(
@@ -293,6 +344,13 @@ def _whole(text: str) -> int:
     if not (text.isascii() and text.isdecimal()):
         raise argparse.ArgumentTypeError(f'must be a whole number, got {text[:60]!r}')
     return int(text[:9])
+
+
+def _count(text: str) -> int:
+    number = _whole(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f'must be at least 1, got {text[:60]!r}')
+    return number
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -1,0 +1,141 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""``manip_sim run`` and ``manip_sim merge``: how often a policy does a task."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import contextlib
+import importlib.util
+from pathlib import Path
+import signal
+import sys
+from typing import Any
+
+from manip_sim.cli.tables import table, terminal_width
+from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.experiments import Experiment, parse_seeds, parse_shard, RunFolder
+from manip_sim.experiments.on_ray import run_on_ray
+from manip_sim.experiments.processes import processors, run_in_processes
+from manip_sim.experiments.run_folder import read_json, RUN, Shard
+from manip_sim.experiments.summary import Row
+from manip_sim.tasks import Setting
+
+
+def run(options: argparse.Namespace) -> tuple[str, int]:
+    """Run or merge; return the table, and 1 if the policy failed in an episode, else 0."""
+    if importlib.util.find_spec('pyarrow') is None:
+        raise ManipSimError("a table of episodes needs pyarrow: pip install 'manip_sim[run]'")
+    return _merge(options) if options.command == 'merge' else _run(options)
+
+
+def _run(options: argparse.Namespace) -> tuple[str, int]:
+    seeds = parse_seeds(options.seeds)
+    number, count = parse_shard(options.shard)
+    if options.address is not None and options.engine != 'ray':
+        raise ModelError('--address is for --engine ray')
+    if options.record and importlib.util.find_spec('mcap') is None:
+        raise ManipSimError("--record needs mcap: pip install 'manip_sim[records]'")
+    latency = {'command': options.latency, 'state': options.state_latency}
+    setting = Setting(
+        options.task, options.robot, options.gripper, options.action, options.control_hz,
+        latency, tuple(options.cameras or ()), options.image_size)
+    experiment = Experiment(setting, options.policy,
+                            options.out / 'records' if options.record else None)
+    # What cannot be used is said here, before anything is written.
+    period_s = experiment.create_worker().period_s
+    folder = RunFolder(options.out, experiment.description(), seeds, period_s)
+    with folder.shard(number, count) as shard:
+        if options.engine == 'ray':
+            rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
+        else:
+            rows = run_in_processes(experiment, shard.left, options.worlds or processors())
+        try:
+            with _interruptible():
+                _collect(rows, shard)
+        except KeyboardInterrupt:
+            folder.finish()
+            return f'{folder.path}: interrupted; the same command goes on', 130
+    return _told(folder.finish())
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM, which Slurm sends when time is up, raise KeyboardInterrupt."""
+    before = {number: signal.signal(number, signal.default_int_handler)
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _collect(rows: Iterator[Row], shard: Shard) -> None:
+    """Add rows as they come, and show how far it is."""
+    successes = episodes = 0
+    with contextlib.closing(rows), _progress(shard) as bar:  # type: ignore[type-var]
+        for row in rows:
+            shard.add(row)
+            episodes, successes = episodes + 1, successes + row.success
+            bar.set_postfix_str(f'{100.0 * successes / episodes:.1f} % succeed', refresh=False)
+            bar.update()
+
+
+def _progress(shard: Shard) -> Any:
+    try:
+        from tqdm import tqdm
+    except ImportError as error:
+        raise ManipSimError("progress needs tqdm: pip install 'manip_sim[run]'") from error
+    # Without a terminal, a line now and then.
+    often = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(total=shard.done + len(shard.left), initial=shard.done, unit='episode',
+                mininterval=often, dynamic_ncols=True)
+
+
+def _merge(options: argparse.Namespace) -> tuple[str, int]:
+    first = _description(options.folders[0])
+    seeds, period_s = parse_seeds(first.pop('seeds')), first.pop('period_s')
+    for folder in options.folders[1:]:
+        RunFolder(folder, first, seeds, period_s)
+    target = RunFolder(options.out, first, seeds, period_s)
+    given: dict[int, Path] = {}
+    with target.shard(1, 1) as shard:
+        left = set(shard.left)
+        for path in options.folders:
+            for seed, row in RunFolder(path, first, seeds, period_s).rows().items():
+                if seed in given:
+                    raise ModelError(f'{given[seed]} and {path} both have the seed {seed}: the '
+                                     'same shard twice')
+                given[seed] = path
+                if seed in left:
+                    shard.add(row)
+    return _told(target.finish())
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    if not (folder / RUN).is_file():
+        raise ModelError(f'{folder} is not the folder of a run: it has no {RUN}')
+    return read_json(folder / RUN)
+
+
+def _told(summary: dict[str, Any]) -> tuple[str, int]:
+    """Return the table of a summary, and the exit code."""
+    count, late = summary['episodes'], summary['latency']
+    low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
+    time_s = summary['median_time_of_success_s']
+    rows = [
+        ('task', f'{summary["task"]}, {summary["robot"]}'), ('policy', summary['policy']),
+        ('actions', f'{summary["action"]}, {summary["control_hz"]:g} Hz'),
+        ('latency', f'command {late["command_s"]:g} s, state {late["state_s"]:g} s'),
+        ('episodes', f'{count} of {summary["of"]}'),
+        ('success', f'{summary["successes"]} of {count}: '
+                    f'{100.0 * (summary["success_rate"] or 0.0):.1f} %, 95 % interval {low} to '
+                    f'{high} %'),
+        ('median time', '-' if time_s is None else f'{time_s:.2f} s'),
+        ('mean return', f'{summary["mean_return"] or 0.0:.2f}')]
+    rows += [('failed', f'{number} x {error}') for error, number in summary['errors'].items()]
+    return (table('Run', ('what', 'value'), rows, terminal_width()),
+            int(bool(summary['errors'])))

@@ -1,0 +1,11 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How often a policy does a task: episodes of many seeds, in processes or on Ray."""
+
+from manip_sim.experiments.experiment import Experiment
+from manip_sim.experiments.run_folder import RunFolder
+from manip_sim.experiments.seeds import parse_seeds, parse_shard
+from manip_sim.experiments.summary import wilson_interval
+
+__all__ = ['Experiment', 'RunFolder', 'parse_seeds', 'parse_shard', 'wilson_interval']

@@ -1,0 +1,145 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a run is: a setting and a policy; and how a worker runs the episode of a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+import platform
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.errors import ManipSimError
+from manip_sim.experiments.policies import load_policy, PolicyFailure
+from manip_sim.experiments.summary import Row
+from manip_sim.quoting import one_line
+from manip_sim.resources import package_version
+from manip_sim.tasks import Episode, Latency, Setting
+from manip_sim.tasks.expert import Expert, Policy
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """
+    What decides the row of a seed; a worker gets a copy.
+
+    :ivar setting: task, robot, actions, latency
+    :ivar policy: as for :func:`load_policy`
+    :ivar records: folder for a record of each episode; None for no records
+    """
+
+    setting: Setting
+    policy: str
+    records: Path | None = None
+
+    def description(self) -> dict[str, Any]:
+        """Return what the rows depend on, as JSON can hold it."""
+        setting, late = self.setting, self.setting.latency
+        assert isinstance(late, Latency)
+        return {
+            'task': setting.task, 'robot': str(setting.robot), 'gripper': _plain(setting.gripper),
+            'action': setting.action, 'control_hz': setting.control_hz, 'latency': asdict(late),
+            'cameras': [_plain(camera) for camera in setting.cameras],
+            'image_size': _plain(setting.image_size),
+            'composition': {key: _plain(value) for key, value in setting.composition.items()},
+            'policy': self.policy,
+            'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
+                         'numpy': np.__version__, 'python': platform.python_version()}}
+
+    def create_worker(self) -> Worker:
+        """
+        Return what runs episodes in this process.
+
+        :raises ManipSimError: if the task or the policy cannot be used, with what fits
+        """
+        return Worker(self)
+
+
+class Worker:
+    """
+    Runs the episodes of an experiment, one after the other, in one process.
+
+    :param experiment: what is run
+    :raises ManipSimError: if the task or the policy cannot be used, with what fits
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self._episode: Episode = experiment.setting.create_episode()
+        self._policy: Policy = load_policy(experiment.policy, self._episode)
+
+    @property
+    def period_s(self) -> float:
+        """Length of a control period [s]."""
+        return self._episode.period_s
+
+    def run(self, seed: int) -> Row:
+        """
+        Return the row of a seed; what a policy raises is in the row.
+
+        :param seed: of the episode
+        :raises RecordError: if a record cannot be written
+        """
+        episode, recorder = self._episode, self._recorder(seed)
+        total, error = 0.0, ''
+        episode.reset(seed)
+        if recorder is not None:
+            recorder.begin(seed)
+        try:
+            self._reset_policy(seed)
+            while not episode.over:
+                observation = None if isinstance(self._policy, Expert) else episode.observation
+                action = self._act(observation)
+                episode.step(action)
+                reward = episode.reward
+                total += reward
+                if recorder is not None:
+                    recorder.period(action, reward, images=_images(observation))
+        except ManipSimError as failure:
+            error = one_line(str(failure), 300)
+        row = Row(seed, not error and episode.success, total, episode.periods, episode.digest,
+                  error)
+        if recorder is not None:
+            recorder.end(row.success, row.digest, error)
+            recorder.close()
+        return row
+
+    def _reset_policy(self, seed: int) -> None:
+        try:
+            self._policy.reset(seed)
+        except Exception as error:  # A policy may raise anything.
+            raise PolicyFailure('reset', error) from error
+
+    def _act(self, observation: Any) -> Any:
+        try:
+            return self._policy.act(observation)
+        except Exception as error:
+            raise PolicyFailure('act', error) from error
+
+    def _recorder(self, seed: int) -> Any:
+        if self._experiment.records is None:
+            return None
+        from manip_sim.records import EpisodeRecorder  # It needs the extra records.
+        self._experiment.records.mkdir(parents=True, exist_ok=True)
+        return EpisodeRecorder(
+            self._experiment.records / f'{seed}.mcap', self._episode,
+            self._experiment.description(), overwrite=True)
+
+
+def _images(observation: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {key.removeprefix('image/'): value for key, value in (observation or {}).items()
+            if key.startswith('image/')}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON can hold it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value if isinstance(value, (int, float, str, type(None))) else str(value)

@@ -1,0 +1,83 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Run episodes on a cluster of Ray, which runs those of workers and nodes that die again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import functools
+import pickle
+from typing import Any
+
+from manip_sim.errors import ManipSimError
+from manip_sim.experiments.experiment import Experiment, Worker
+from manip_sim.experiments.summary import Row
+from manip_sim.quoting import one_line
+
+#: Seeds of one of Ray's tasks: seconds of work, beside which its overhead is small.
+_SEEDS_OF_TASK = 8
+
+
+def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None,
+               count: int | None) -> Iterator[Row]:
+    """
+    Yield the row of each seed, as they come.
+
+    :param experiment: what is run; its policy must be importable on all nodes
+    :param seeds: of the episodes
+    :param address: of a running cluster, as ``ray.init`` takes it; None starts one here
+    :param count: number of episodes at once; None for one per processor of the cluster
+    :raises ManipSimError: if Ray is not installed, or there is no cluster
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise ManipSimError("--engine ray needs Ray: pip install 'manip_sim[ray]'") from error
+    started = not ray.is_initialized()
+    if started:
+        try:
+            ray.init(address=address, num_cpus=count if address is None else None,
+                     log_to_driver=False, include_dashboard=False, logging_level='warning')
+        except Exception as error:  # Ray raises many types.
+            raise ManipSimError(f'Ray: {one_line(str(error), 300)}') from error
+    try:
+        yield from _spread(ray, experiment, seeds, count)
+    finally:
+        if started:
+            ray.shutdown()
+
+
+def _spread(ray: Any, experiment: Experiment, seeds: Sequence[int], count: int | None
+            ) -> Iterator[Row]:
+    # A task that dies with its worker or node is run again by Ray; the same seed, the same row.
+    run = ray.remote(max_retries=-1, scheduling_strategy='SPREAD')(_run)
+    shared = ray.put(experiment)
+    pieces = [list(seeds[i:i + _SEEDS_OF_TASK]) for i in range(0, len(seeds), _SEEDS_OF_TASK)]
+    most = count or max(1, int(ray.cluster_resources().get('CPU', 1)))
+    under_way: list[Any] = []
+    while pieces or under_way:
+        while pieces and len(under_way) < 2 * most:
+            under_way.append(run.remote(shared, pieces.pop(0)))
+        ready, under_way = ray.wait(under_way, num_returns=1)
+        for found in ready:
+            answer = ray.get(found)
+            if isinstance(answer, str):
+                raise ManipSimError(answer)
+            yield from answer
+
+
+def _run(experiment: Experiment, seeds: list[int]) -> list[Row] | str:
+    """Return the rows of some seeds, or why there are none."""
+    try:
+        worker = _worker(pickle.dumps(experiment))
+        return [worker.run(seed) for seed in seeds]
+    except ManipSimError as error:
+        return str(error)
+
+
+@functools.lru_cache(maxsize=1)
+def _worker(pickled: bytes) -> Worker:
+    """Return the worker of this process, which Ray uses for one task after the other."""
+    experiment: Experiment = pickle.loads(pickled)
+    return experiment.create_worker()

@@ -1,0 +1,181 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Policies by name: the expert of a task, a class, a function, a TorchScript or an ONNX file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import importlib
+import importlib.util
+import inspect
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import describe_choices, ManipSimError, ModelError
+from manip_sim.quoting import one_line, quoted
+from manip_sim.tasks import Episode
+from manip_sim.tasks.expert import Policy
+from manip_sim.tasks.observation import IMAGE, Observation
+
+EXPERT = 'expert'
+_FORMS = "'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt or FILE.onnx"
+
+
+class PolicyFailure(ManipSimError):
+    """
+    A policy raised an error.
+
+    :param where: the method
+    :param error: what it raised
+    """
+
+    def __init__(self, where: str, error: Exception) -> None:
+        super().__init__(f'{where}() of the policy: {type(error).__name__}: '
+                         f'{one_line(str(error), 200)}')
+
+
+def load_policy(name: str, episode: Episode) -> Policy:
+    """
+    Return a policy.
+
+    :param name: ``expert``; ``module:Class`` of a class without arguments, with ``reset`` and
+        ``act``; ``module:function`` of a function of an observation; ``.py`` file in place of the
+        module; or a ``.pt`` or ``.onnx`` file
+    :param episode: in which it acts
+    :raises ModelError: if it cannot be used, with what is missing
+    """
+    if name == EXPERT:
+        return episode.task.expert(episode.simulation)
+    suffix = Path(name).suffix.lower()
+    if suffix in ('.pt', '.pth', '.onnx'):
+        if not Path(name).is_file():
+            raise ModelError(f'policy {quoted(name)}: there is no such file')
+        act = (_onnx if suffix == '.onnx' else _torch_script)(name)
+        return _Function(act)
+    where, colon, attribute = name.rpartition(':')
+    if not (colon and where and attribute):
+        raise ModelError(f'policy {quoted(name)} must be {_FORMS}')
+    found: Any = _module(where)
+    for part in attribute.split('.'):
+        if not hasattr(found, part):
+            raise ModelError(f'policy {quoted(name)}: no {quoted(part)} in {where}: '
+                             + describe_choices(part, [n for n in vars(found) if n[0] != '_']))
+        found = getattr(found, part)
+    return _made(name, found)
+
+
+def _module(where: str) -> Any:
+    """Import a module by its name or its file."""
+    try:
+        if not where.endswith('.py'):
+            if '' not in sys.path:  # As python -m does, modules of the working directory count.
+                sys.path.insert(0, '')
+            return importlib.import_module(where)
+        file = Path(where).resolve()
+        spec = importlib.util.spec_from_file_location(file.stem, file)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+        return module
+    except Exception as error:  # What is imported may raise anything.
+        raise ModelError(f'policy: cannot import {quoted(where)}: {type(error).__name__}: '
+                         f'{one_line(str(error), 200)}') from error
+
+
+def _made(name: str, found: Any) -> Policy:
+    if inspect.isclass(found):
+        try:
+            found = found()
+        except Exception as error:
+            raise ModelError(f'policy {quoted(name)} cannot be created without arguments: '
+                             f'{type(error).__name__}: {one_line(str(error), 200)}') from error
+        missing = [method for method in ('reset', 'act')
+                   if not callable(getattr(found, method, None))]
+        if missing:
+            raise ModelError(f'policy {quoted(name)} needs reset(seed) and act(observation); it '
+                             f'has no {" and no ".join(missing)}')
+        if not inspect.signature(found.reset).parameters:
+            return _Function(found.act, found.reset)
+        policy: Policy = found
+        return policy
+    if not callable(found):
+        raise ModelError(f'policy {quoted(name)} must be a class or a function, got '
+                         f'{type(found).__name__}')
+    return _Function(found)
+
+
+class _Function:
+    """A policy that is a function of the observation."""
+
+    def __init__(self, act: Callable[[Observation], FloatArray],
+                 reset: Callable[[], None] = lambda: None) -> None:
+        self.act = act
+        self._reset = reset
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode."""
+        self._reset()
+
+
+def flat(observation: Observation) -> FloatArray:
+    """
+    Return all of an observation but its images in one array, shape (n,), float64.
+
+    The order is that of the sorted keys, as gymnasium's ``FlattenObservation`` has it.
+    """
+    return np.concatenate([observation[key].ravel() for key in sorted(observation)
+                           if not key.startswith(IMAGE)])
+
+
+def _inputs(observation: Observation, names: list[str]) -> dict[str, Any]:
+    """Return what a network takes, with a leading axis of 1, numbers as float32."""
+    if len(names) == 1 and names[0] not in observation:
+        return {names[0]: flat(observation)[None].astype(np.float32)}
+    return {key: (value if value.dtype == np.uint8 else value.astype(np.float32))[None]
+            for key, value in observation.items() if key in names}
+
+
+def _onnx(file: str) -> Callable[[Observation], FloatArray]:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ModelError(f"policy {quoted(file)} needs onnxruntime: pip install "
+                         "'manip_sim[onnx]'") from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    try:
+        session = onnxruntime.InferenceSession(file, options, ['CPUExecutionProvider'])
+    except Exception as error:
+        raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
+    names = [found.name for found in session.get_inputs()]
+    return lambda observation: np.asarray(
+        session.run(None, _inputs(observation, names))[0], dtype=float).ravel()
+
+
+def _torch_script(file: str) -> Callable[[Observation], FloatArray]:
+    try:
+        import torch
+    except ImportError as error:
+        raise ModelError(f"policy {quoted(file)} needs torch: pip install 'manip_sim[torch]'"
+                         ) from error
+    torch.set_num_threads(1)
+    try:
+        module = torch.jit.load(file, map_location='cpu').eval()
+    except Exception as error:
+        raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
+    takes_dict = 'Dict' in str(module.forward.schema.arguments[1].type)
+
+    def act(observation: Observation) -> FloatArray:
+        names = list(observation) if takes_dict else ['']
+        given = {key: torch.from_numpy(value)
+                 for key, value in _inputs(observation, names).items()}
+        with torch.no_grad():
+            found = module(given if takes_dict else given[''])
+        return np.asarray(found.numpy(), dtype=float).ravel()
+    return act

@@ -1,0 +1,139 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Run episodes in processes of this machine; the seed of a process that dies is run again."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+import contextlib
+import multiprocessing
+from multiprocessing.connection import Connection, wait
+import os
+import signal
+from typing import Any
+
+from manip_sim.errors import ManipSimError
+from manip_sim.experiments.experiment import Experiment
+from manip_sim.experiments.summary import Row
+from manip_sim.startup import use_one_blas_thread
+
+#: How often a seed is tried whose process dies each time.
+TRIES = 3
+
+
+def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -> Iterator[Row]:
+    """
+    Yield the row of each seed, as they come.
+
+    A seed whose process dies three times gets a row with that error.
+
+    :param experiment: what is run
+    :param seeds: of the episodes
+    :param count: number of processes
+    :raises ManipSimError: if a process cannot begin
+    """
+    waiting, died = deque(seeds), Counter[int]()
+    workers = [_Worker(experiment) for _ in range(min(count, len(seeds)))]
+    try:
+        while waiting or any(worker.seed is not None for worker in workers):
+            for worker in workers:
+                if worker.seed is None and waiting:
+                    worker.begin(waiting.popleft())
+            ready = wait([worker.pipe for worker in workers if worker.seed is not None])
+            for worker in [worker for worker in workers if worker.pipe in ready]:
+                seed, answer = worker.seed, worker.answer()
+                assert seed is not None
+                if isinstance(answer, ManipSimError):
+                    raise answer
+                if answer is not None:
+                    yield answer
+                    continue
+                died[seed] += 1
+                if died[seed] < TRIES:
+                    waiting.appendleft(seed)
+                else:
+                    yield Row(seed, False, 0.0, 0, '', f'its process died {TRIES} times, '
+                              f'exit code {worker.exit_code}')
+                worker.restart()
+    finally:
+        for worker in workers:
+            worker.end()
+
+
+class _Worker:
+    """
+    A process that runs one episode after the other.
+
+    :ivar seed: what it runs, or None
+    :ivar pipe: of the answers
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self.seed: int | None = None
+        self.exit_code: int | None = None
+        self._start()
+
+    def _start(self) -> None:
+        # Forked processes would share OpenGL and threads of libraries.
+        context = multiprocessing.get_context('spawn')
+        self.pipe, theirs = context.Pipe()
+        self._process: Any = context.Process(
+            target=_serve, args=(theirs, self._experiment), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def begin(self, seed: int) -> None:
+        """Let it run a seed; that it has died shows in the answer."""
+        self.seed = seed
+        with contextlib.suppress(OSError):
+            self.pipe.send(seed)
+
+    def answer(self) -> Row | ManipSimError | None:
+        """Return the row of its seed, why it cannot begin, or None if it has died."""
+        self.seed = None
+        try:
+            found: Row | ManipSimError = self.pipe.recv()
+            return found
+        except (EOFError, OSError):
+            self._process.join()
+            self.exit_code = self._process.exitcode
+            return None
+
+    def restart(self) -> None:
+        """Start another process in place of one that has died."""
+        self.pipe.close()
+        self._start()
+
+    def end(self) -> None:
+        """End the process."""
+        self.pipe.close()
+        self._process.terminate()
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+
+def _serve(pipe: Connection, experiment: Experiment) -> None:
+    """Run the seeds that come, until the other end closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # The process that asks ends this one.
+    use_one_blas_thread()
+    try:
+        worker = experiment.create_worker()
+        while True:
+            pipe.send(worker.run(pipe.recv()))
+    except ManipSimError as error:
+        pipe.send(type(error)(*error.args) if len(error.args) == 1 else ManipSimError(str(error)))
+    except (EOFError, OSError):
+        pass
+    finally:
+        pipe.close()
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
+        os.cpu_count() or 1)

@@ -1,0 +1,88 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Rows of episodes, and what they say: how often an episode succeeds, with its interval."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+import math
+import statistics
+from typing import Any
+
+#: Of the normal distribution, for 95 %.
+_Z = 1.959964
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    An episode.
+
+    :ivar seed: that drew its start
+    :ivar success: whether it ended in success
+    :ivar returned: the sum of its rewards
+    :ivar periods: number of its control periods
+    :ivar digest: of its final state
+    :ivar error: why it ended early, such as what the policy raised; empty if it did not
+    """
+
+    seed: int
+    success: bool
+    returned: float
+    periods: int
+    digest: str
+    error: str = ''
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the columns of the row."""
+        found = asdict(self)
+        return {'return' if key == 'returned' else key: value for key, value in found.items()}
+
+    @classmethod
+    def of(cls, columns: dict[str, Any]) -> Row:
+        """
+        Return the row of some columns.
+
+        :param columns: as :meth:`as_dict` returns them
+        """
+        return cls(**{'returned' if key == 'return' else key: value
+                      for key, value in columns.items()})
+
+
+def wilson_interval(successes: int, count: int) -> tuple[float, float]:
+    """
+    Return the 95 % interval of Wilson's score for a share of successes.
+
+    :param successes: of ``count``
+    :param count: number of episodes, from 1
+    """
+    share, z2 = successes / count, _Z * _Z
+    middle = (share + z2 / (2.0 * count)) / (1.0 + z2 / count)
+    half = _Z / (1.0 + z2 / count) * math.sqrt(
+        share * (1.0 - share) / count + z2 / (4.0 * count * count))
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def summarize(rows: Iterable[Row], seeds: int, period_s: float) -> dict[str, Any]:
+    """
+    Return the summary of a run, as JSON can hold it.
+
+    :param rows: of the episodes so far
+    :param seeds: number of episodes that there will be
+    :param period_s: length of a control period [s]
+    """
+    found = list(rows)
+    times_s = [row.periods * period_s for row in found if row.success]
+    successes = len(times_s)
+    low, high = wilson_interval(successes, len(found)) if found else (0.0, 1.0)
+    return {
+        'episodes': len(found), 'of': seeds, 'complete': len(found) == seeds,
+        'successes': successes,
+        'success_rate': successes / len(found) if found else None,
+        'success_rate_95': [low, high],
+        'mean_return': statistics.fmean(row.returned for row in found) if found else None,
+        'median_time_of_success_s': statistics.median(times_s) if times_s else None,
+        'errors': dict(Counter(row.error for row in found if row.error).most_common(20))}

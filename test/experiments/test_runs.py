@@ -1,0 +1,252 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Runs of many seeds: real processes, rows on the disk, resuming, shards, and bad input."""
+
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+
+parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed')
+pytest.importorskip('tqdm', reason='tqdm is not installed')
+
+from manip_sim.cli.main import main  # noqa: E402
+from manip_sim.errors import ModelError  # noqa: E402
+from manip_sim.experiments import (  # noqa: E402
+    Experiment, parse_seeds, parse_shard, wilson_interval)
+from manip_sim.experiments.policies import flat, load_policy  # noqa: E402
+from manip_sim.experiments.run_folder import spans  # noqa: E402
+from manip_sim.tasks import Setting  # noqa: E402
+
+POLICIES = Path(__file__).with_name('policies_under_test.py')
+
+
+def run(out, *more, policy='Towards', seeds='0:6', task='reach', worlds='2'):
+    name = policy if policy == 'expert' or ':' in policy else f'{POLICIES}:{policy}'
+    return main(['run', task, '--policy', name, '--seeds', seeds, '--out', str(out), '--worlds',
+                 worlds, *more])
+
+
+def rows(out):
+    return parquet.read_table(out / 'episodes.parquet').to_pylist()
+
+
+def summary(out):
+    return json.loads((out / 'summary.json').read_text())
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory):
+    """Return the folder of a run of six seeds by a policy of this file."""
+    out = tmp_path_factory.mktemp('run') / 'whole'
+    assert run(out) == 0
+    return out
+
+
+def test_a_run_has_the_rows_of_episodes_that_are_run_by_hand(whole):
+    worker = Experiment(Setting('reach'), f'{POLICIES}:Towards').create_worker()
+    episode, policy = worker._episode, load_policy(f'{POLICIES}:Towards', worker._episode)
+    for row in rows(whole):
+        total = 0.0
+        episode.reset(row['seed'])
+        policy.reset(row['seed'])
+        while not episode.over:
+            episode.step(policy.act(episode.observation))
+            total += episode.reward
+        assert row == {'seed': row['seed'], 'success': episode.success, 'return': total,
+                       'periods': episode.periods, 'digest': episode.digest, 'error': ''}
+    assert [row['seed'] for row in rows(whole)] == list(range(6))
+
+
+def test_the_summary_says_how_often_and_how_sure(whole):
+    found = summary(whole)
+    successes = sum(row['success'] for row in rows(whole))
+    assert (found['episodes'], found['complete'], found['successes']) == (6, True, successes)
+    interval = stats.binomtest(successes, 6).proportion_ci(method='wilson')
+    np.testing.assert_allclose(found['success_rate_95'], interval, atol=1e-6)
+    assert found['task'] == 'reach' and found['seeds'] == '0:6'
+    assert {'manip_sim', 'mujoco', 'numpy', 'python'} == set(found['versions'])
+
+
+@pytest.mark.parametrize('successes, count', [(0, 1), (1, 1), (3, 10), (870, 1000), (200, 200)])
+def test_the_interval_is_that_of_wilsons_score(successes, count):
+    expected = stats.binomtest(successes, count).proportion_ci(method='wilson')
+    np.testing.assert_allclose(wilson_interval(successes, count), expected, atol=1e-6)
+
+
+def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path, capsys):
+    for number in (1, 2):
+        assert run(tmp_path / 'shared', '--shard', f'{number}/2', worlds='1') == 0
+        assert run(tmp_path / f'apart{number}', '--shard', f'{number}/2', worlds='1') == 0
+        assert summary(tmp_path / 'shared')['complete'] == (number == 2)
+    assert rows(tmp_path / 'shared') == rows(whole)
+    apart = [str(tmp_path / f'apart{number}') for number in (1, 2)]
+    assert main(['merge', *apart, '--out', str(tmp_path / 'merged')]) == 0
+    assert rows(tmp_path / 'merged') == rows(whole)
+    assert 'episodes     6 of 6' in capsys.readouterr().out.split('Run')[-1]
+    assert main(['merge', apart[0], apart[0], '--out', str(tmp_path / 'twice')]) == 1
+    assert 'both have the seed 0: the same shard twice' in capsys.readouterr().err
+
+
+def test_a_run_that_was_killed_goes_on_and_doubles_nothing(whole, tmp_path):
+    out = tmp_path / 'killed'
+    command = [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',
+               f'{POLICIES}:Towards', '--seeds', '0:6', '--out', str(out), '--worlds', '1']
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    file = out / 'rows-1-of-1.jsonl'
+    while process.poll() is None and not (file.exists() and file.read_text().count('\n') >= 2):
+        pass
+    process.kill()
+    process.communicate()
+    done = file.read_text().count('\n')
+    assert 2 <= done < 6
+    # As a process that is killed while it writes leaves it.
+    with file.open('a') as opened:
+        opened.write('{"seed": 5, "succ')
+    assert run(out) == 0
+    assert rows(out) == rows(whole)
+    assert file.read_text().count('\n') == 6
+    assert run(out) == 0  # Nothing is left to do.
+    assert rows(out) == rows(whole)
+
+
+def test_an_interrupted_run_says_that_it_goes_on(tmp_path):
+    out = tmp_path / 'interrupted'
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',
+         f'{POLICIES}:Towards', '--seeds', '0:600', '--out', str(out), '--worlds', '1'],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    file = out / 'rows-1-of-1.jsonl'
+    while process.poll() is None and not (file.exists() and file.read_text()):
+        pass
+    os.killpg(process.pid, signal.SIGINT)
+    text, errors = process.communicate()
+    assert process.returncode == 130, errors
+    assert 'interrupted; the same command goes on' in text and 'Traceback' not in errors
+    assert summary(out)['complete'] is False and summary(out)['episodes'] >= 1
+
+
+def test_a_policy_that_fails_costs_its_episode(tmp_path, capsys):
+    assert run(tmp_path / 'fails', policy='Sometimes') == 1
+    found = rows(tmp_path / 'fails')
+    assert [bool(row['error']) for row in found] == [False, True, True, True, False, False]
+    assert [row['error'] for row in found[1:4]] == [
+        'act() of the policy: ZeroDivisionError: one', found[2]['error'],
+        'an action must have 7 numbers, got 5']
+    assert 'finite' in found[2]['error']
+    assert not any(row['success'] for row in found[1:4])
+    assert '1 x act() of the policy: ZeroDivisionError: one' in capsys.readouterr().out
+
+
+def test_a_process_that_dies_loses_nothing(whole, tmp_path, monkeypatch):
+    mark = tmp_path / 'mark'
+    mark.touch()
+    monkeypatch.setenv('MANIP_SIM_TEST_MARK', str(mark))
+    assert run(tmp_path / 'dies', policy='Deadly') == 0
+    assert not mark.exists()
+    assert rows(tmp_path / 'dies') == rows(whole)
+
+
+def test_a_seed_whose_process_always_dies_is_a_row_with_that_error(tmp_path):
+    assert run(tmp_path / 'dies', policy='AlwaysDeadly', seeds='1:4') == 1
+    assert [row['error'] for row in rows(tmp_path / 'dies')] == [
+        '', 'its process died 3 times, exit code -9', '']
+
+
+@pytest.mark.parametrize('policy', ['WithoutSeed', 'towards'])
+def test_a_policy_may_be_a_function_or_need_no_seed(whole, tmp_path, policy):
+    assert run(tmp_path / 'other', policy=policy, seeds='0:2', worlds='1') == 0
+    assert rows(tmp_path / 'other') == rows(whole)[:2]
+
+
+def test_a_run_can_record_its_episodes(tmp_path):
+    pytest.importorskip('mcap', reason='mcap is not installed')
+    assert run(tmp_path / 'recorded', '--record', seeds='3:5', worlds='1') == 0
+    assert sorted(file.name for file in (tmp_path / 'recorded' / 'records').iterdir()) == [
+        '3.mcap', '4.mcap']
+
+
+def test_latency_is_a_part_of_the_run(whole, tmp_path):
+    assert run(tmp_path / 'late', '--latency', '0.2', worlds='1', seeds='0:2') == 0
+    assert [row['digest'] for row in rows(tmp_path / 'late')] != [
+        row['digest'] for row in rows(whole)[:2]]
+    assert summary(tmp_path / 'late')['latency'] == {'command_s': 0.2, 'state_s': 0.0}
+
+
+@pytest.mark.parametrize('more, text', [
+    ({'task': 'pick_cub'}, "unknown task 'pick_cub': did you mean 'pick_cube'"),
+    ({'more': ['--robot', 'Pandda']}, "unknown robot 'Pandda': did you mean 'Panda'"),
+    ({'task': 'pick_cube', 'more': ['--gripper', 'none']}, 'pick_cube needs 1 arm with grippers'),
+    ({'more': ['--action', 'osc']}, "unknown action 'osc': did you mean 'osc_pose'"),
+    ({'policy': 'WithoutAct'}, 'it has no act'),
+    ({'policy': 'NeedsArguments'}, 'cannot be created without arguments: TypeError'),
+    ({'policy': 'NUMBER'}, 'must be a class or a function, got int'),
+    ({'policy': 'Toward'}, "did you mean 'Towards'"),
+    ({'policy': 'no_such_module:Policy'}, 'cannot import'),
+    ({'policy': 'nothing:'}, "must be 'expert', MODULE:CLASS"),
+    ({'policy': 'there.onnx:'}, "must be 'expert'"),
+    ({'seeds': '5:5'}, "'5:5' has no seed"), ({'seeds': '-1'}, "'-1' must be like 7, 0:1000"),
+    ({'seeds': '0:3,2'}, 'a seed is there twice'), ({'seeds': '0:9:0'}, 'has no seed'),
+    ({'seeds': '0:99999999999'}, 'more than 10000000 seeds'), ({'seeds': ''}, 'must be like 7'),
+    ({'more': ['--shard', '5/4']}, 'must be from 1/4 to 4/4'),
+    ({'more': ['--shard', '0/4']}, 'must be from 1/4 to 4/4'),
+    ({'more': ['--shard', 'two']}, 'must be like 1/4'),
+    ({'more': ['--latency', '-1']}, 'latency of a command must be from 0 to 10 s'),
+    ({'more': ['--address', 'auto']}, '--address is for --engine ray')])
+def test_what_cannot_be_used_is_said_in_one_line(tmp_path, capsys, more, text):
+    arguments = {**more}
+    extra = arguments.pop('more', [])
+    assert run(tmp_path / 'none', *extra, **arguments) == 1
+    error = capsys.readouterr().err
+    assert text in error and error.count('\n') == 1
+    assert not (tmp_path / 'none').exists()
+
+
+def test_a_folder_of_something_else_is_rejected(whole, tmp_path, capsys):
+    before = {file: file.read_bytes() for file in whole.iterdir()}
+    assert run(whole, '--latency', '0.1') == 1
+    assert 'is the folder of another run: its latency is' in capsys.readouterr().err
+    assert run(whole, seeds='0:7') == 1
+    assert "its seeds is '0:6', not '0:7'" in capsys.readouterr().err
+    assert run(whole, '--shard', '1/2') == 1
+    assert 'has shards of 1, not of 2' in capsys.readouterr().err
+    assert {file: file.read_bytes() for file in whole.iterdir()} == before
+    (tmp_path / 'thesis.tex').touch()
+    assert run(tmp_path) == 1
+    assert 'is not the folder of a run, but has thesis.tex' in capsys.readouterr().err
+    assert main(['merge', str(tmp_path), '--out', str(tmp_path / 'x')]) == 1
+    assert 'it has no run.json' in capsys.readouterr().err
+
+
+def test_a_shard_that_runs_already_is_rejected(tmp_path, capsys):
+    import fcntl
+    assert run(tmp_path / 'twice', seeds='0:1', worlds='1') == 0
+    with (tmp_path / 'twice' / 'rows-1-of-1.jsonl').open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert run(tmp_path / 'twice', seeds='0:1', worlds='1') == 1
+    assert 'shard 1/1 of' in capsys.readouterr().err
+
+
+def test_seeds_and_shards_are_read_as_they_are_written():
+    assert parse_seeds('0:3, 7,10:20:5') == [0, 1, 2, 7, 10, 15]
+    assert spans(parse_seeds('0:3,7,10:12')) == '0:3,7,10:12'
+    assert parse_shard('2/4') == (2, 4)
+    with pytest.raises(ModelError, match="'1:a' must be like"):
+        parse_seeds('1:a')
+
+
+def test_a_flat_observation_has_the_order_of_gymnasium():
+    gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
+    from manip_sim.env import TaskEnv
+    env = TaskEnv('pick_cube')
+    observation, _ = env.reset(seed=1)
+    flattened, _ = gymnasium.wrappers.FlattenObservation(env).reset(seed=1)
+    np.testing.assert_array_equal(flat(observation), flattened)
+    env.close()
