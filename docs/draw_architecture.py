@@ -30,7 +30,8 @@ THREADS = (
     ('main', 'waits for signals', 'what it starts and ends'),
     ('executor', 'services, parameters, actions, diagnostics', 'the simulation by thread.call()'),
     ('commands', 'takes messages, checks them, makes commands', 'limits and modes; submit()'),
-    ('physics', 'control and mj_step; observers publish states', 'model, data, controllers'),
+    ('physics', 'control and mj_step; observers make messages', 'model, data, controllers'),
+    ('publishing', 'publishes them in their order; not in lock-step', 'publishers'),
     ('cameras', 'renders copies of the state', 'its own MjData and OpenGL context'),
     ('background', 'tries spawned models', 'nothing; the executor takes the result'))
 #: The module or function of each station.

@@ -6,13 +6,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+import ctypes
+import functools
+import os
 from typing import Any
 
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError, WaitSet
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 
-__all__ = ['endpoint_counts', 'InUse', 'parameter_overrides', 'RCLError',
+__all__ = ['endpoint_counts', 'InUse', 'parameter_overrides', 'publish_bytes', 'RCLError',
            'UnknownROSArgsError', 'WaitSet']
 
 
@@ -57,3 +61,53 @@ def parameter_overrides(node: Node) -> dict[str, Parameter]:
     """Return the overrides of a node's parameters, declared or not; no copy, may be changed."""
     overrides: dict[str, Parameter] = node._parameter_overrides
     return overrides
+
+
+class _SerializedMessage(ctypes.Structure):
+    """``rcl_serialized_message_t``."""
+
+    _fields_ = (('buffer', ctypes.c_char_p), ('length', ctypes.c_size_t),
+                ('capacity', ctypes.c_size_t), ('allocator', 5 * ctypes.c_void_p))
+
+
+class _ErrorText(ctypes.Structure):
+    """``rcl_error_string_t``."""
+
+    _fields_ = (('text', 1024 * ctypes.c_char),)
+
+
+@functools.cache
+def _rcl() -> Any:
+    """Return the library that rclpy has loaded, or None if it has another name here."""
+    try:
+        found = (ctypes.CDLL('librcl.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD),
+                 ctypes.CDLL('librcutils.so', mode=os.RTLD_NOW | os.RTLD_NOLOAD))
+        publish, text = found[0].rcl_publish_serialized_message, found[1].rcutils_get_error_string
+    except (AttributeError, OSError):
+        return None
+    publish.argtypes = (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p)
+    publish.restype, text.restype = ctypes.c_int, _ErrorText
+    return publish, text, found[1].rcutils_reset_error
+
+
+def publish_bytes(publisher: Publisher, content: bytes) -> None:
+    """
+    Publish a serialized message as rclpy does, but without Python's global lock meanwhile.
+
+    :param publisher: of rclpy
+    :param content: the message
+    :raises RCLError: if it cannot be published
+    :raises InvalidHandle: if the publisher has been destroyed
+    """
+    rcl = _rcl()
+    if rcl is None:
+        publisher.publish(content)
+        return
+    publish, error_text, reset_error = rcl
+    message = _SerializedMessage(content, len(content), len(content))
+    handle = publisher.handle
+    with handle:
+        if publish(handle.pointer, ctypes.byref(message), None):
+            text = error_text().text.decode(errors='replace')
+            reset_error()
+            raise RCLError(f'Failed to publish: {text}')

@@ -29,7 +29,7 @@ from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
-from manip_sim.ros.outputs import create_output
+from manip_sim.ros.outputs import create_publisher, Output
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
@@ -100,7 +100,7 @@ class CameraPublishers:
 
     def __init__(self, node: Node, log: RejectionLog, name: str, found: Intrinsics, depth: bool,
                  frame_id: str) -> None:
-        outputs = {row.name[len(name) + 1:]: create_output(node, log, row)
+        outputs = {row.name[len(name) + 1:]: Output(create_publisher(node, row), log)
                    for row in topics_of_cameras({name: depth})}
         self.view = View(name, found.width, found.height)
         self._frame_id = frame_id

@@ -82,6 +82,8 @@ def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
                 return _fail('the executor ended unexpectedly')
             if not node.takes_commands:
                 return _fail('the thread that takes commands ended unexpectedly')
+            if not node.publishes:
+                return _fail('the thread that publishes ended unexpectedly')
         return 0
     finally:
         if spinner.is_alive():

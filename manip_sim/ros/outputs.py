@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -15,11 +16,13 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import serialize_message
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import Topic
-from manip_sim.rclpy_internals import RCLError
+from manip_sim.rclpy_internals import publish_bytes, RCLError
 from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.serialized import Make, SerializedMessage
 from manip_sim.simulation import Simulation
 
@@ -34,10 +37,13 @@ class Output:
 
     :param publisher: the publisher
     :param log: counts and logs what could not be published
+    :param thread: publishes the messages; None: :meth:`publish` does so itself
     """
 
-    def __init__(self, publisher: Publisher, log: RejectionLog) -> None:
+    def __init__(self, publisher: Publisher, log: RejectionLog,
+                 thread: PublishingThread | None = None) -> None:
         self._publisher = publisher
+        self._thread = thread
         self._log = log
         self._stalled = False
         self._closed = False
@@ -77,9 +83,17 @@ class Output:
 
     def publish(self, message: Any) -> None:
         """Publish a message or its serialized bytes, or count it as dropped."""
+        if self._thread is None:
+            self._publish(self._publisher.publish, message)
+            return
+        content = message if isinstance(message, bytes) else serialize_message(message)
+        self._thread.add(partial(
+            self._publish, partial(publish_bytes, self._publisher), content))
+
+    def _publish(self, publish: Callable[[Any], None], message: Any) -> None:
         try:
             if not (self._stalled and self._drops()):
-                self._publisher.publish(message)
+                publish(message)
         except InvalidHandle:  # It is being closed in another thread.
             pass
         except RCLError as error:
@@ -112,10 +126,12 @@ def create_output(node: Node, log: RejectionLog, row: Topic, message_type: Any =
     """
     Create the output of a row of the table; unless it is latched, parameters override its QoS.
 
+    :param node: if it has an attribute ``publishing``, this thread publishes
     :param log: counts and logs what could not be published
     :param message_type: instead of that of the row
     """
-    return Output(create_publisher(node, row, message_type), log)
+    return Output(create_publisher(node, row, message_type), log,
+                  getattr(node, 'publishing', None))
 
 
 class Publication:

@@ -39,6 +39,7 @@ from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
+from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
 from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.sensor_publishers import offer_sensors
@@ -47,6 +48,10 @@ from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import Command
+
+#: How many publications may wait, by stepping: states would become old in ``free``, else as many
+#: as a second of states, while a reader does not acknowledge.
+_MOST = {'free': 32, 'realtime': 20_000}
 
 
 class SimNode(Node):
@@ -95,11 +100,14 @@ class SimNode(Node):
         lockstep = value('stepping') == 'lockstep'
         self._command_thread = (None if self._inbox is None or lockstep
                                 else CommandThread(self._inbox))
+        # In lock-step, the thread of the physics waits for the answer to a state in any case.
+        self.publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
         self.thread = SimulationThread(
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self._robots.items()},
-            value('start_paused'), self._tell_failure, self._inbox if lockstep else None)
+            value('start_paused'), self._tell_failure, self._inbox if lockstep else None,
+            self.publishing.flush if self.publishing is not None else None)
         self._check_lockstep()
         self.thread.pause_at(value('pause_at'))
         self.table = topics_of_world(
@@ -298,6 +306,11 @@ class SimNode(Node):
         """Whether the thread that takes commands runs; True if there is none."""
         return self._command_thread is None or self._command_thread.is_alive
 
+    @property
+    def publishes(self) -> bool:
+        """Whether the thread that publishes runs; True if there is none."""
+        return self.publishing is None or self.publishing.is_alive
+
     def end_goals(self) -> None:
         """Abort the goals of actions and inform their clients, while the executor still spins."""
         if self._actions is not None:
@@ -308,6 +321,8 @@ class SimNode(Node):
         if self._command_thread is not None:
             self._command_thread.stop()
         self.thread.stop()
+        if self.publishing is not None:
+            self.publishing.stop()
         self.cameras.stop()
 
 

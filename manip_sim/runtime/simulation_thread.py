@@ -42,6 +42,8 @@ class SimulationThread:
     :param paused: whether to begin paused and wait for :meth:`pause` or :meth:`step`
     :param tell_failure: is called in this thread with a command that failed and the exception
     :param inbox: what the thread waits for besides deadlines; may bring commands
+    :param flush: waits until others have seen what observers passed on; called at the end of each
+        :meth:`call` of another thread, in that thread
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -50,8 +52,9 @@ class SimulationThread:
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
                  tell_failure: Callable[[Command, Exception], None] | None = None,
-                 inbox: Inbox | None = None) -> None:
+                 inbox: Inbox | None = None, flush: Callable[[], None] | None = None) -> None:
         self._simulation = simulation
+        self._flush = flush
         self._steps = steps
         self._stepping = stepping
         self._tell_failure = tell_failure
@@ -179,7 +182,11 @@ class SimulationThread:
         with self._lock:
             if self._thread.ident is None and not self._stopping:
                 return function()
-        return self._calls.run(function)
+        try:
+            return self._calls.run(function)
+        finally:
+            if self._flush is not None:
+                self._flush()
 
     def pause(self, paused: bool) -> None:
         """

@@ -170,8 +170,11 @@ class ExternalWrench:
         force, torque = mean[:3], mean[3:]
         moment = np.empty(3)
         mujoco.mju_cross(moment, data.site_xpos[self._site], force)
-        to_world = data.site_xmat[self._site].reshape(3, 3)
-        return np.concatenate([force @ to_world, (torque - moment) @ to_world])
+        to_world, wrench = data.site_xmat[self._site].reshape(3, 3), np.empty(6)
+        # By MuJoCo, with the same bits on every processor.
+        mujoco.mju_mulMatTVec(wrench[:3], to_world, force)
+        mujoco.mju_mulMatTVec(wrench[3:], to_world, torque - moment)
+        return wrench
 
 
 class TouchWatch:
