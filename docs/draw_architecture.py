@@ -23,8 +23,9 @@ FLOORS = (
     {'tasks': 'starts, success, episodes'},
     {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing',
      'rendering': 'pictures', 'worlds': 'many copies of one'},
-    {'simulation': 'what happens: physics, control, sensors'},
-    {'models': 'what exists: robots, grippers, arenas, worlds'})
+    {'simulation': 'what happens: physics, control'},
+    {'models': 'what exists: robots, grippers, arenas, worlds'},
+    {'sensing': 'what is measured: instruments'})
 #: Name, what it does, what it may touch.
 THREADS = (
     ('main', 'waits for signals', 'what it starts and ends'),

@@ -17,10 +17,11 @@ TESTS = sorted(TESTS_FOLDER.rglob('*.py'))
 PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 #: By folder or module: the layers and the libraries that it may import.
 MAY_IMPORT = {
-    'models': ({'models'}, PURE),
+    'sensing': ({'sensing'}, PURE),
+    'models': ({'models', 'sensing'}, PURE),
     # Files of others may have meshes that MuJoCo does not read.
     'models/files': ({'models'}, PURE | {'trimesh'}),
-    'simulation': ({'models', 'simulation'}, PURE),
+    'simulation': ({'models', 'sensing', 'simulation'}, PURE),
     'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),
     'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
@@ -38,7 +39,7 @@ MAY_IMPORT = {
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),
     'viewer': ({'viewer'}, PURE | {'viser'}),
-    'interface': ({'interface', 'models', 'simulation'}, PURE),
+    'interface': ({'interface', 'models', 'sensing', 'simulation'}, PURE),
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'

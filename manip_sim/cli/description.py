@@ -17,6 +17,7 @@ from manip_sim.cli.composition import Composed
 from manip_sim.cli.listing import origin
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.instruments import served_instruments
 from manip_sim.interface.sensors import offered_topics
 from manip_sim.interface.topics import actions_of, Scope, SERVICES, topics_of_world
 from manip_sim.models.bases import RobotBaseModel
@@ -155,7 +156,8 @@ def describe(composed: Composed) -> Row:
     of_robots = [_of_robot(parameters, simulation, model, scope, robot) for scope, robot in served]
     topics = topics_of_world(
         [(scope, robot.parts, robot.joints.twist_indices is not None) for scope, robot in served],
-        simulation.entities.free_names, {name: images.depth for name, images in cameras.items()})
+        simulation.entities.free_names, {name: images.depth for name, images in cameras.items()},
+        [one.topic for one in served_instruments(simulation, dict(served))])
     return {
         'name': world.name,
         'arena': world.arena.arena_name,

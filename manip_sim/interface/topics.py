@@ -8,8 +8,9 @@ The node makes its publishers and subscriptions from the rows of :data:`TOPICS`,
 further topic is a row and the function of ``manip_sim.ros`` that the row names.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
-has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` for each object and
-``<camera>`` for each camera that is chosen; :func:`topics_of_world` fills in all of them.
+has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` for each object,
+``<camera>`` for each camera that is chosen and ``<sensor>`` for each instrument of the model;
+:func:`topics_of_world` fills in all of them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
-PART, ARM, OBJECT, CAMERA = '<part>', '<arm>', '<name>', '<camera>'
+PART, ARM, OBJECT, CAMERA, SENSOR = '<part>', '<arm>', '<name>', '<camera>', '<sensor>'
 _GRIPPER = f'{ARM}/gripper'
 #: When topics are published.
 _PERIOD, _TF_RATE, _IMAGES = 'publish_rate', 'tf_rate', 'camera.<camera>.rate'
@@ -73,8 +74,8 @@ class Topic:
     :ivar direction: :data:`PUBLISHED` or :data:`SUBSCRIBED` by the node
     :ivar meaning: what the messages say, with units and frame
     :ivar needs: what a part must have: ``joints``, ``actuators`` or nothing; ``twist`` is a
-        mobile base that moves along x and y and turns; ``object``, ``camera`` and ``depth`` are
-        no parts, but free bodies, cameras and cameras with depth
+        mobile base that moves along x and y and turns; ``object``, ``camera``, ``depth`` and
+        ``sensor`` are no parts, but free bodies, cameras, cameras with depth, and instruments
     :ivar by: name of the function that reads or takes the messages; empty if a publisher of its
         own makes them
     :ivar rate: when they are published; empty if the node subscribes
@@ -98,7 +99,7 @@ class Topic:
     def per(self) -> str:
         """Return the placeholder that the name holds; that of a gripper counts as a part."""
         return PART if _GRIPPER in self.name else next(
-            (per for per in (PART, ARM, OBJECT, CAMERA) if per in self.name), '')
+            (per for per in (PART, ARM, OBJECT, CAMERA, SENSOR) if per in self.name), '')
 
     def filled_in(self, of: str) -> Topic:
         """Return the topic of a part, an arm, an object or a camera."""
@@ -185,6 +186,19 @@ TOPICS = (
     _published('~/dynamics', 'std_msgs/String',
                'armature, damping, friction and limits of each joint as JSON, latched',
                rate=_ONCE, depth=1, latched=True),
+    _published('sensors/<sensor>/imu', 'sensor_msgs/Imu',
+               'accelerometer, gyro and framequat of a site, in its frame [m/s^2, rad/s]',
+               'sensor', 'imu'),
+    _published('sensors/<sensor>/wrench', 'geometry_msgs/WrenchStamped',
+               'force and torque sensor of a site, in its frame [N, N m]', 'sensor', 'wrench'),
+    _published('sensors/<sensor>/range', 'sensor_msgs/Range',
+               'rangefinder, along z of its site [m], +Inf where there is nothing', 'sensor',
+               'range'),
+    _published('sensors/<sensor>/magnetic_field', 'sensor_msgs/MagneticField',
+               'magnetometer, in the frame of its site, in the unit of the file', 'sensor',
+               'magnetic_field'),
+    _published('sensors/<sensor>/values', 'std_msgs/Float64MultiArray',
+               'any other sensor; the label says of what, in SI units', 'sensor', 'values'),
     _published('<camera>/color/image_raw', 'sensor_msgs/Image', 'what it sees, rgb8',
                'camera', rate=_IMAGES, depth=2),
     _published('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage',
@@ -307,21 +321,33 @@ def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
             if row.per == CAMERA and (depth or row.needs != 'depth')]
 
 
+def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
+    """
+    Return the topics that the node has for the instruments of a model.
+
+    :param instruments: the name of each as a part of a topic, and its kind, such as ``imu``
+    """
+    return [row.filled_in(name) for name, kind in instruments for row in TOPICS
+            if row.per == SENSOR and row.by == kind]
+
+
 def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
                     objects: Iterable[str] = (),
-                    cameras: Mapping[str, bool] = MappingProxyType({})) -> list[Topic]:
+                    cameras: Mapping[str, bool] = MappingProxyType({}),
+                    sensors: Iterable[Topic] = ()) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
     :param robots: where the topics of each are, its parts, and whether its base takes a twist
     :param objects: names of free bodies
     :param cameras: that are chosen, by name: whether with depth
+    :param sensors: topics of instruments
     """
     # A name that is absolute or private is the world's, and found with each robot.
     return list(dict.fromkeys([
         *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
           for topic in topics_of(parts, twist)),
-        *topics_of_objects(objects), *topics_of_cameras(cameras)]))
+        *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors]))
 
 
 def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:

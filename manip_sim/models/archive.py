@@ -42,7 +42,8 @@ _LIGHT = frozenset((
     'mujoco', 'compiler', 'option', 'flag', 'size', 'visual', 'global', 'headlight', 'default',
     'asset', 'texture', 'material', 'worldbody', 'body', 'frame', 'geom', 'joint', 'freejoint',
     'inertial', 'site', 'camera', 'light', 'contact', 'exclude', 'equality', 'actuator', 'general',
-    'motor', 'position', 'velocity', 'sensor', 'force', 'torque'))
+    'motor', 'position', 'velocity', 'sensor', 'force', 'torque', 'accelerometer', 'gyro',
+    'framequat', 'touch'))
 _MAX_LIGHT_ELEMENTS, _MAX_LIGHT_PIXELS = 5000, 2**20
 #: The record at the end of an archive: signature, list of files and length of the comment.
 _END = struct.Struct('<4s4H2LH')

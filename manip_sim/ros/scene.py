@@ -26,6 +26,7 @@ from manip_sim.ros.messages import WORLD
 from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.ros.transforms import offer_transforms
 from manip_sim.runtime import SimulationThread
+from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.frames import FrameTree
 from manip_sim.simulation.odometry import OdometryReader
@@ -127,7 +128,8 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
              for site in (reader.ft_frame, reader.grip_site)]
     placed = [(frame, reader.origin) for frame, reader in readers.items()]
     transforms = offer_transforms(
-        node, lambda simulation: FrameTree(simulation.model, sites, placed), prefix, log)
+        node, lambda simulation: FrameTree(simulation.model, dict.fromkeys(
+            [*sites, *instrument_sites(simulation.model)]), placed), prefix, log)
     if transforms is None:
         return []
     transforms.follow(simulation)

@@ -33,6 +33,7 @@ from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
@@ -148,7 +149,10 @@ class SimNode(Node):
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish, look=self.objects.look)
         model = ModelPublisher(self, world)
-        self._followers = [model.follow, self.objects.follow, *publish_scene(
+        instruments = InstrumentPublishers(self, self._robots, self.rejections, frame_prefix)
+        instruments.follow(self.simulation)
+        self.thread.observe(instruments.publish, look=instruments.look)
+        self._followers = [model.follow, self.objects.follow, instruments.follow, *publish_scene(
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
         if value('publish_clock'):
             clock = ClockPublisher(self, self.rejections)

@@ -101,6 +101,12 @@ class SimulatedRobot:
         return base.root_body if base is not None and base.joints else self.robot_model.root_body
 
     @property
+    def sensor_names(self) -> list[str]:
+        """The sensors of the robot, its base and its grippers."""
+        return [name for part in (self.robot_model, *self.robot_model.models)
+                for name in part.sensors]
+
+    @property
     def twist_joints(self) -> tuple[str, ...]:
         """The joints x, y and yaw of a base that takes a twist, or none."""
         indices = self.joints.twist_indices

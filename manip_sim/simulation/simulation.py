@@ -15,6 +15,7 @@ import numpy as np
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
+from manip_sim.sensing.sensors import Sensors
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.cartesian.parser import CartesianParser
@@ -75,6 +76,7 @@ class Simulation:
     :ivar physics: the only holder of model and data
     :ivar robots: the robots, with their commands and states, by name
     :ivar efforts: of the actuators in the last physics step
+    :ivar sensors: values of all sensors of the model, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
@@ -109,6 +111,7 @@ class Simulation:
             reader.external for robot in robots for reader in robot.end_effectors.values()],
             VelocityLaws(self.physics, laws) if laws else None)
         self.physics.on_change(self._look_at_model)
+        self.sensors = Sensors(self.physics)
         self._settle_linkages()
         self._reset()
         self.start_defects = check_start(

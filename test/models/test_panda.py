@@ -29,8 +29,9 @@ def hand_pose_by_hand(chain, qpos):
 
 def test_names_are_those_of_the_reference(reference):
     robot = Panda()
-    for name in ('joints', 'actuators', 'bodies', 'sites', 'cameras'):
+    for name in ('joints', 'actuators', 'bodies', 'cameras'):
         assert getattr(robot, name) == reference[name], name
+    assert robot.sites == [*reference['sites'], 'robot0_right_imu']
     assert robot.arm_joints == reference['joints']
     assert robot.arm_actuators == reference['actuators']
     assert robot.root_body == 'robot0_base'

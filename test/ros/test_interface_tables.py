@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.interface.instruments import served_instruments
 from manip_sim.interface.topics import (
     PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of_world)
 from manip_sim.ros import transforms
@@ -46,7 +47,8 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
     expected = topics_of_world(
         [(scope, robot.parts, robot.joints.twist_indices is not None)
          for scope, robot in zip(scopes, robots)], simulation.entities.free_names,
-        {name: images.depth for name, images in cameras.items()})
+        {name: images.depth for name, images in cameras.items()},
+        [one.topic for one in served_instruments(simulation, dict(zip(scopes, robots)))])
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):

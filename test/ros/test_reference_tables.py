@@ -32,6 +32,7 @@ def general(name):
     if name not in ('/clock', '/diagnostics', '/tf', '/tf_static'):
         name = name.lstrip('/')
     name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
+    name = re.sub(r'^sensors/\w+/', 'sensors/<sensor>/', name)
     name = re.sub(r'^\w+/(color|depth)/', r'<camera>/\1/', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
     if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
@@ -67,10 +68,14 @@ def test_topics_are_documented_with_their_types(serve, client):
     if transforms.TFMessage is not None:
         table |= frames
     assert found <= table
-    # A Panda has no mobile base.
-    assert table - found == {('base/cmd_vel', 'geometry_msgs/Twist'),
-                             ('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped'),
-                             ('odom', 'nav_msgs/Odometry')}
+    # A Panda has no mobile base, and none of these sensors.
+    assert table - found == {
+        ('sensors/<sensor>/wrench', 'geometry_msgs/WrenchStamped'),
+        ('sensors/<sensor>/range', 'sensor_msgs/Range'),
+        ('sensors/<sensor>/magnetic_field', 'sensor_msgs/MagneticField'),
+        ('base/cmd_vel', 'geometry_msgs/Twist'),
+        ('base/cmd_vel_stamped', 'geometry_msgs/TwistStamped'),
+        ('odom', 'nav_msgs/Odometry')}
 
 
 def test_services_are_documented_with_their_types(serve, client):

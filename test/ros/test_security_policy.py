@@ -55,7 +55,7 @@ def graph():
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
                 names[permission] |= {re.sub('^/birdview/', '/*/', re.sub(
-                    '^/objects/.*', '/objects/*', name))
+                    '^/(objects|sensors)/.*', r'/\1/*', name))
                     for name, _ in entities('manip_sim', '/') if '/_action/' not in name}
             # With or without control_msgs in this environment.
             names['execute'] |= {f'/{action.name}' for action in actions_of(

@@ -19,6 +19,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer.numbers import matrix_of
+from manip_sim.sensing.instruments import instrument_sites
 
 ROOT_LINK = 'world'
 OPTICAL = '_optical_frame'
@@ -144,7 +145,8 @@ def robot_tree(model: mujoco.MjModel, robot: RobotModel) -> KinematicTree:
             sensor = model.sensor(gripper.important_sensors['force_ee'])
             sites += [int(sensor.objid[0]),
                       int(model.site(gripper.important_sites['grip_site']).id)]
-    return build_tree(model, model.body(robot.root_body).id, sites)
+    sites += [int(model.site(name).id) for name in instrument_sites(model)]
+    return build_tree(model, model.body(robot.root_body).id, list(dict.fromkeys(sites)))
 
 
 def build_tree(model: mujoco.MjModel, root: int, sites: list[int]) -> KinematicTree:

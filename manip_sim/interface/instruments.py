@@ -1,0 +1,49 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which instruments of a world have topics, and in the namespace of which robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from manip_sim.interface.topics import Scope, Topic, topics_of_sensors
+from manip_sim.sensing.instruments import Instrument
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+
+@dataclass(frozen=True)
+class ServedInstrument:
+    """
+    An instrument with its topic.
+
+    :ivar instrument: the instrument
+    :ivar topic: the row of the table, filled in
+    """
+
+    instrument: Instrument
+    topic: Topic
+
+
+def served_instruments(simulation: Simulation, robots: Mapping[Scope, SimulatedRobot]
+                       ) -> list[ServedInstrument]:
+    """
+    Return the instruments of a world that have topics of their own.
+
+    The force/torque sensor of a gripper is published as the wrench of its arm.
+
+    :param simulation: of the world
+    :param robots: by the scope of their topics; what belongs to none has no namespace
+    """
+    scopes = {sensor: scope for scope, robot in robots.items() for sensor in robot.sensor_names}
+    of_arms = {reader.ft_frame for robot in robots.values()
+               for reader in robot.end_effectors.values()}
+    found = []
+    for instrument in simulation.sensors.instruments:
+        if instrument.kind == 'wrench' and instrument.elements[0] in of_arms:
+            continue
+        scope = scopes.get(instrument.sensors[0], Scope())
+        for row in topics_of_sensors([(instrument.topic, instrument.kind)]):
+            found.append(ServedInstrument(instrument, replace(row, name=scope.topic(row.name))))
+    return found

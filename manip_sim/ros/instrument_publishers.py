@@ -1,0 +1,149 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publish what the instruments of a model measure; those of objects may come and go."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Mapping
+from functools import partial
+import math
+from typing import Any
+
+from builtin_interfaces.msg import Time
+import numpy as np
+from sensor_msgs.msg import Imu, MagneticField, Range
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from manip_sim.arrays import FloatArray
+from manip_sim.interface.instruments import ServedInstrument, served_instruments
+from manip_sim.interface.topics import Scope
+from manip_sim.ros.log import RejectionLog
+from manip_sim.ros.messages import wrench_stamped
+from manip_sim.ros.outputs import create_output, Publication, Publications
+from manip_sim.sensing.instruments import (
+    ACCELEROMETER, GYRO, IMU, Instrument, MAGNETIC_FIELD, ORIENTATION, RANGE, VALUES, WRENCH)
+from manip_sim.simulation import SimulatedRobot, Simulation
+
+#: What an entry of a covariance is set to where there is no such sensor (sensor_msgs/Imu).
+_NONE = -1.0
+#: Rows of a tactile sensor: pressure along the normal and along two tangents.
+_TACTILE_CHANNELS = 3
+
+
+class InstrumentPublishers(Publications):
+    """
+    Publishers of all instruments of a world, but for the gripper's, which have topics of the arms.
+
+    :param node: the node, with its ``table`` of topics
+    :param robots: by the scope of their topics
+    :param log: counts and logs what could not be published
+    :param frame_prefix: prefix of the names of frames
+    """
+
+    def __init__(self, node: Any, robots: Mapping[Scope, SimulatedRobot], log: RejectionLog,
+                 frame_prefix: str) -> None:
+        super().__init__()
+        self._node = node
+        self._robots = robots
+        self._log = log
+        self._prefix = frame_prefix
+        self._topics: dict[str, tuple[ServedInstrument, Publication]] = {}
+
+    def follow(self, simulation: Simulation) -> None:
+        """
+        Create publishers for instruments that have come, and destroy those of what has gone.
+
+        To be called in the thread that spins the node, or before it spins.
+
+        :param simulation: its instruments are published from now on
+        """
+        served = {one.topic.name: one for one in served_instruments(simulation, self._robots)}
+        gone = {name: publication for name, (one, publication) in self._topics.items()
+                if name not in served or not _alike(served[name], one)}
+        self._topics = {name: (one, self._topics[name][1] if name in self._topics
+                               and name not in gone else self._create(one))
+                        for name, one in served.items()}
+        self.replace(tuple(publication for _, publication in self._topics.values()))
+        for publication in gone.values():
+            publication.output.close(self._node)
+
+    def _create(self, served: ServedInstrument) -> Publication:
+        found, name = served.instrument, served.topic.name
+        if served.topic not in self._node.table:
+            self._node.table.append(served.topic)
+        return Publication(
+            create_output(self._node, self._log, served.topic),
+            _MAKERS[found.kind](self._prefix + found.frame if found.frame else '', found),
+            lambda simulation: self._read(name, simulation), found.length)
+
+    def _read(self, name: str, simulation: Simulation) -> FloatArray | None:
+        # Objects that have come or gone make another model before follow() is called.
+        served, _ = self._topics[name]
+        found = simulation.sensors.instrument(served.instrument.name)
+        return None if found is None else found.read(simulation.data)
+
+
+def _alike(one: ServedInstrument, other: ServedInstrument) -> bool:
+    """Tell whether the messages of two instruments differ in their numbers only."""
+    return all(getattr(one.instrument, field) == getattr(other.instrument, field)
+               for field in ('kind', 'frame', 'types', 'elements', 'length'))
+
+
+def _imu(frame_id: str, found: Instrument) -> Callable[[Time, FloatArray], Imu]:
+    def make(stamp: Time, numbers: FloatArray) -> Imu:
+        message = Imu()
+        message.header.stamp, message.header.frame_id = stamp, frame_id
+        turn, rate, acceleration = (message.orientation, message.angular_velocity,
+                                    message.linear_acceleration)
+        turn.x, turn.y, turn.z, turn.w = numbers[ORIENTATION].tolist()
+        rate.x, rate.y, rate.z = numbers[GYRO].tolist()
+        acceleration.x, acceleration.y, acceleration.z = numbers[ACCELEROMETER].tolist()
+        for kind, field in (('framequat', message.orientation_covariance),
+                            ('gyro', message.angular_velocity_covariance),
+                            ('accelerometer', message.linear_acceleration_covariance)):
+            field[0] = 0.0 if kind in found.types else _NONE
+        return message
+    return make
+
+
+def _range(frame_id: str, _: Instrument) -> Callable[[Time, FloatArray], Range]:
+    def make(stamp: Time, numbers: FloatArray) -> Range:
+        message = Range(radiation_type=Range.INFRARED, max_range=math.inf)
+        message.header.stamp, message.header.frame_id = stamp, frame_id
+        # MuJoCo gives -1 where there is nothing, REP 117 wants +Inf.
+        message.range = float(numbers[0]) if numbers[0] >= 0.0 else math.inf
+        return message
+    return make
+
+
+def _magnetic_field(frame_id: str, _: Instrument) -> Callable[[Time, FloatArray], MagneticField]:
+    def make(stamp: Time, numbers: FloatArray) -> MagneticField:
+        message = MagneticField()
+        message.header.stamp, message.header.frame_id = stamp, frame_id
+        field = message.magnetic_field
+        field.x, field.y, field.z = numbers.tolist()
+        return message
+    return make
+
+
+def _values(_: str, found: Instrument) -> Callable[[Time, FloatArray], Float64MultiArray]:
+    label = ' of '.join(filter(None, (found.types[0], found.elements[0])))
+    sizes = [(label, found.length)]
+    if found.types[0] == 'tactile' and found.length % _TACTILE_CHANNELS == 0:
+        sizes = [(f'{label}: normal, tangents', _TACTILE_CHANNELS),
+                 ('taxels', found.length // _TACTILE_CHANNELS)]
+
+    def make(_: Time, numbers: FloatArray) -> Float64MultiArray:
+        message = Float64MultiArray(data=array('d', np.asarray(numbers, float).tobytes()))
+        strides = np.cumprod([size for _, size in reversed(sizes)])[::-1].tolist()
+        message.layout.dim = [MultiArrayDimension(label=name, size=size, stride=stride)
+                              for (name, size), stride in zip(sizes, strides)]
+        return message
+    return make
+
+
+_MAKERS: dict[str, Callable[[str, Instrument], Callable[[Time, FloatArray], Any]]] = {
+    IMU: _imu, RANGE: _range, MAGNETIC_FIELD: _magnetic_field, VALUES: _values,
+    WRENCH: lambda frame_id, _: partial(wrench_stamped, frame_id)}

@@ -1,0 +1,195 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The instruments of a model: which of its sensors are read together, and where their values are.
+
+An accelerometer, a gyro and a framequat of one site are one IMU; a force and a torque of one site
+are one force/torque sensor. What the messages look like is not known here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+import re
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+
+IMU, WRENCH, RANGE, MAGNETIC_FIELD, VALUES = KINDS = (
+    'imu', 'wrench', 'range', 'magnetic_field', 'values')
+#: What an IMU reads: places of the orientation x, y, z, w, angular velocity and acceleration.
+ORIENTATION, GYRO, ACCELEROMETER = slice(0, 4), slice(4, 7), slice(7, 10)
+_IMU_LENGTH = 10
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
+_BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
+#: By type of sensor: the kind of instrument that it belongs to, and its places in what that reads.
+_ROLES = {
+    'accelerometer': (IMU, ACCELEROMETER), 'gyro': (IMU, GYRO), 'framequat': (IMU, ORIENTATION),
+    'force': (WRENCH, slice(0, 3)), 'torque': (WRENCH, slice(3, 6)),
+    'rangefinder': (RANGE, slice(0, 1)), 'magnetometer': (MAGNETIC_FIELD, slice(0, 3))}
+#: Quaternions in the order x, y, z, w, which MuJoCo has as w, x, y, z.
+_XYZW = [1, 2, 3, 0]
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """
+    One or more sensors of a model that are read together.
+
+    :ivar name: of the site that they share, or of the sensor
+    :ivar kind: one of :data:`KINDS`
+    :ivar frame: name of the site or body that it is fixed to; empty if there is none
+    :ivar sensors: names of the sensors
+    :ivar types: their types, such as ``gyro``
+    :ivar elements: names of what they are sensors of, such as a joint
+    :ivar sources: places in ``sensordata``, shape (n,)
+    :ivar targets: places in what is read, shape (n,)
+    :ivar length: of what is read
+    """
+
+    name: str
+    kind: str
+    frame: str
+    sensors: tuple[str, ...]
+    types: tuple[str, ...]
+    elements: tuple[str, ...]
+    sources: IntArray
+    targets: IntArray
+    length: int
+
+    def read(self, data: mujoco.MjData) -> FloatArray:
+        """
+        Return what the sensors measure at the instant of the last ``mj_forward``, exactly.
+
+        :param data: the ``mujoco.MjData``
+        :returns: in SI units, shape (length,): of an IMU orientation x, y, z, w, angular velocity
+            and acceleration, zero where it has no such sensor; of a force/torque sensor force and
+            torque; else as MuJoCo gives it
+        """
+        values = np.zeros(self.length)
+        values[self.targets] = data.sensordata[self.sources]
+        return values
+
+    @property
+    def topic(self) -> str:
+        """Its name as a part of the name of a topic."""
+        token = re.sub('_+', '_', re.sub('[^A-Za-z0-9]', '_', self.name)).strip('_')
+        return token if token[:1].isalpha() else f'sensor_{token}'
+
+
+def sensor_type(model: mujoco.MjModel, sensor: int) -> str:
+    """Return the type of a sensor, such as ``gyro``."""
+    return str(mujoco.mjtSensor(int(model.sensor_type[sensor])).name[7:].lower())
+
+
+def find_instruments(model: mujoco.MjModel) -> list[Instrument]:
+    """
+    Return the instruments of a model, in the order of their first sensors.
+
+    The names of their topics differ; where they would not, a number is added to the name.
+
+    :param model: the compiled ``mujoco.MjModel``
+    """
+    groups: list[tuple[str, list[int]]] = []
+    open_groups: dict[tuple[str, int], list[int]] = {}
+    for sensor in range(model.nsensor):
+        kind = _kind(model, sensor)
+        key = kind, int(model.sensor_objid[sensor])
+        group = open_groups.get(key)
+        if kind == VALUES or group is None or any(
+                model.sensor_type[other] == model.sensor_type[sensor] for other in group):
+            group = []
+            groups.append((kind, group))
+            open_groups[key] = group
+        group.append(sensor)
+    complete = [part for kind, group in groups for part in _complete(model, kind, group)]
+    found: list[Instrument] = []
+    taken: set[str] = set()
+    for kind, group in complete:
+        instrument = _instrument(model, kind, group, taken)
+        taken.add(instrument.topic)
+        found.append(instrument)
+    return found
+
+
+def _kind(model: mujoco.MjModel, sensor: int) -> str:
+    """Return the kind of instrument that a sensor belongs to."""
+    kind, places = _ROLES.get(sensor_type(model, sensor), (VALUES, slice(0)))
+    fits = (int(model.sensor_objtype[sensor]) == _SITE and int(model.sensor_refid[sensor]) < 0
+            and int(model.sensor_dim[sensor]) == places.stop - (places.start or 0))
+    return kind if fits else VALUES
+
+
+def _complete(model: mujoco.MjModel, kind: str, group: list[int]
+              ) -> Iterable[tuple[str, list[int]]]:
+    """Take apart what lacks a sensor that a message of its kind needs."""
+    types = {sensor_type(model, sensor) for sensor in group}
+    lacks = (kind == WRENCH and len(types) < 2) or (kind == IMU and types == {'framequat'})
+    return [(VALUES, [sensor]) for sensor in group] if lacks else [(kind, group)]
+
+
+def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[str]) -> Instrument:
+    sensors = tuple(_name(model, mujoco.mjtObj.mjOBJ_SENSOR, n) or f'sensor_{n}' for n in group)
+    elements = tuple(_name(model, int(model.sensor_objtype[n]), int(model.sensor_objid[n]))
+                     for n in group)
+    sources, targets = [], []
+    for sensor in group:
+        begin, size = int(model.sensor_adr[sensor]), int(model.sensor_dim[sensor])
+        own = np.arange(begin, begin + size)
+        if kind == VALUES:
+            places = slice(0, size)
+        else:
+            places = _ROLES[sensor_type(model, sensor)][1]
+            if places == ORIENTATION:
+                own = own[_XYZW]
+        sources.append(own)
+        targets.append(np.arange(places.start, places.stop))
+    length = _IMU_LENGTH if kind == IMU else sum(map(len, targets))
+    wanted = elements[0] if kind in (IMU, WRENCH) and elements[0] else sensors[0]
+    found = Instrument(
+        wanted, kind, _frame(model, group[0]), sensors,
+        tuple(sensor_type(model, n) for n in group), elements, np.concatenate(sources),
+        np.concatenate(targets), length)
+    number = 2
+    while found.topic in taken:
+        found = replace(found, name=f'{wanted}_{number}')
+        number += 1
+    return found
+
+
+def _name(model: mujoco.MjModel, kind: int, number: int) -> str:
+    return (mujoco.mj_id2name(model, kind, number) or '') if number >= 0 else ''
+
+
+def _frame(model: mujoco.MjModel, sensor: int) -> str:
+    """Return the name of the frame of the site or body that a sensor is fixed to."""
+    kind, number = int(model.sensor_objtype[sensor]), int(model.sensor_objid[sensor])
+    if kind == _SITE:
+        return frame_of_site(model, number)
+    return _name(model, _BODIES[0], number) if kind in _BODIES else ''
+
+
+def frame_of_site(model: mujoco.MjModel, site: int) -> str:
+    """
+    Return the name of the frame of a site, which differs from those of the bodies.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param site: its id
+    """
+    name = _name(model, _SITE, site)
+    return f'{name}_site' if mujoco.mj_name2id(model, _BODIES[0], name) >= 0 else name
+
+
+def instrument_sites(model: mujoco.MjModel) -> list[str]:
+    """
+    Return the names of the sites whose frames are those of messages.
+
+    :param model: the compiled ``mujoco.MjModel``
+    """
+    sites = [int(model.sensor_objid[n]) for n in range(model.nsensor)
+             if _kind(model, n) != VALUES]
+    return list(dict.fromkeys(filter(None, (_name(model, _SITE, site) for site in sites))))

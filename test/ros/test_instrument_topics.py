@@ -1,0 +1,93 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The sensors of the model on topics, as another process would see them."""
+
+import math
+
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+import pytest
+from sensor_msgs.msg import Imu, JointState, MagneticField, Range
+from std_msgs.msg import Float64MultiArray
+
+OBJECT = """
+<mujoco>
+  <worldbody>
+    <body name="probe">
+      <freejoint name="probe"/>
+      <geom size="0.05" mass="1"/>
+      <site name="probe_eye" pos="0 0 -0.06" euler="180 0 0"/>
+      <site name="probe_up" pos="0 0 0.06"/>
+      <site name="probe_flange"/>
+    </body>
+  </worldbody>
+  <sensor>
+    <rangefinder name="probe_down" site="probe_eye"/>
+    <rangefinder name="probe_sky" site="probe_up"/>
+    <magnetometer name="probe_compass" site="probe_eye"/>
+    <force name="probe_force" site="probe_flange"/>
+    <torque name="probe_torque" site="probe_flange"/>
+    <framelinvel name="probe_velocity" objtype="site" objname="probe_eye"/>
+  </sensor>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def probe(tmp_path):
+    """Return a description of an object with sensors of its own, half a metre above the floor."""
+    path = tmp_path / 'probe.xml'
+    path.write_text(OBJECT)
+    return f'{{name: probe, file: {path}, position: [1.0, 1.0, 0.5]}}'
+
+
+def test_imus_and_pads_are_published_with_the_stamp_of_the_states_in_frames_of_the_tree(
+        serve, client):
+    node = serve(start_paused=True)
+    hand, base = (client.listen(Imu, f'sensors/{site}/imu')
+                  for site in ('robot0_right_imu', 'fixed_mount0_imu'))
+    pad = client.listen(Float64MultiArray, 'sensors/gripper0_right_finger1_pad_touch/values')
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: all((hand, base, pad, states)))
+    assert hand[-1].header.stamp == states[-1].header.stamp == base[-1].header.stamp
+    assert hand[-1].header.frame_id == 'robot0_right_imu'
+    assert hand[-1].orientation_covariance[0] == 0.0
+    force = base[-1].linear_acceleration
+    np.testing.assert_allclose([force.x, force.y, force.z], [0, 0, 9.81], atol=1e-9)
+    assert [d.label for d in pad[-1].layout.dim] == ['touch of gripper0_right_finger1_pad_touch']
+    assert pad[-1].layout.dim[0].size == pad[-1].layout.dim[0].stride == 1 == len(pad[-1].data)
+    node.thread.step()
+    client.spin_until(lambda: hand[-1].header.stamp != hand[0].header.stamp)
+    np.testing.assert_allclose(
+        [getattr(hand[-1].linear_acceleration, axis) for axis in 'xyz'],
+        node.simulation.sensors['robot0_right_imu_accelerometer'])
+
+
+def test_sensors_of_objects_of_the_user_are_published_too(probe, serve, client):
+    node = serve(start_paused=True, objects=[probe])
+    down, sky = (client.listen(Range, f'sensors/{name}/range')
+                 for name in ('probe_down', 'probe_sky'))
+    compass = client.listen(MagneticField, 'sensors/probe_compass/magnetic_field')
+    flange = client.listen(WrenchStamped, 'sensors/probe_flange/wrench')
+    speed = client.listen(Float64MultiArray, 'sensors/probe_velocity/values')
+    client.spin_until(lambda: all((down, sky, compass, flange, speed)))
+    found = node.simulation.sensors
+    assert down[-1].range == pytest.approx(float(found['probe_down'][0]), abs=1e-6)
+    assert down[-1].header.frame_id == 'probe_eye'
+    assert math.isinf(sky[-1].range) and sky[-1].range > 0.0
+    np.testing.assert_allclose(
+        [compass[-1].magnetic_field.y], found['probe_compass'][1:2])
+    np.testing.assert_allclose(
+        [flange[-1].wrench.force.z], found['probe_force'][2:], atol=1e-12)
+    assert len(speed[-1].data) == 3
+
+
+def test_each_robot_has_its_sensors_in_its_namespace(serve, client):
+    node = serve(robots=['a', 'b'], start_paused=True)
+    names = {row.name for row in node.table if '/imu' in row.name}
+    assert names == {'a/sensors/a_right_imu/imu', 'a/sensors/a_base_imu/imu',
+                     'b/sensors/b_right_imu/imu', 'b/sensors/b_base_imu/imu'}
+    messages = client.listen(Imu, 'b/sensors/b_base_imu/imu')
+    client.spin_until(lambda: messages != [])
+    assert messages[-1].header.frame_id == 'b_base_imu'
