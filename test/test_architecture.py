@@ -29,6 +29,7 @@ MAY_IMPORT = {
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
     'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},
                 PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
+    'records/node_recorder.py': ({'records'}, None),
     'moveit': ({'models', 'moveit', 'simulation'}, PURE),
     'experiments': ({'experiments', 'records', 'tasks'},
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
@@ -43,7 +44,8 @@ MAY_IMPORT = {
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
-WITH_RCLPY = ('ros', 'examples', 'testing', 'viewer/ros', f'{INTERNALS}.py')
+WITH_RCLPY = ('ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
+              f'{INTERNALS}.py')
 TOP_LEVEL = {'algebra', 'arrays', 'entry_points', 'environment', 'errors', 'patching', 'quoting',
              'resources', 'startup'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}

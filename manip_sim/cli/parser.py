@@ -53,7 +53,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = _Parser(
         prog='manip_sim', allow_abbrev=False,
         description='List robots, grippers, bases and arenas, and describe, check, render and '
-                    'export what is composed of them; repeat and convert records. Works without '
+                    'export what is composed of them; record nodes, repeat and '
+                    'convert records. Works without '
                     'ROS.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
                "The node is another program, 'sim_node'.")
@@ -61,7 +62,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND',
                                      title='commands')
     for add in (_add_list, _add_describe, _add_export, _add_render, _add_check, _add_run,
-                _add_merge, _add_replay, _add_convert):
+                _add_merge, _add_record, _add_replay, _add_convert):
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
@@ -206,6 +207,23 @@ def _add_check(commands: Any) -> None:
     add_composition(parser)
 
 
+def _add_record(commands: Any) -> None:
+    parser = _command(
+        commands, 'record', 'record', 'record topics of a running node',
+        'Writes an MCAP file as rosbag2 does, with the model, the parameters and the definitions '
+        'of all types inside. Ends with Ctrl-C; the file is then complete. It needs ROS.',
+        'examples: manip_sim record all.mcap\n'
+        "          manip_sim record joints.mcap joint_states '~/mjcf' --duration 10")
+    parser.add_argument('file', type=Path, metavar='FILE', help='new file, such as out.mcap')
+    parser.add_argument('topics', nargs='*', metavar='TOPIC', help='topic of the node; relative '
+                        'names are in its namespace (default: all that it publishes or '
+                        'subscribes to)')
+    parser.add_argument('--node', default='manip_sim', metavar='NAME', help='full name of the '
+                        'node, such as /left/manip_sim (default: /manip_sim)')
+    parser.add_argument('--duration', type=_positive, metavar='SECONDS',
+                        help='end after this time, of the wall clock [s]')
+
+
 def _add_replay(commands: Any) -> None:
     parser = _command(
         commands, 'replay', 'replay', 'repeat recorded episodes in a fresh simulation',
@@ -337,6 +355,13 @@ def _number(text: str) -> float:
         number = math.nan
     if not math.isfinite(number):
         raise argparse.ArgumentTypeError(f'must be a finite number, got {text[:60]!r}')
+    return number
+
+
+def _positive(text: str) -> float:
+    number = _number(text)
+    if number <= 0.0:
+        raise argparse.ArgumentTypeError(f'must be above 0, got {text[:60]!r}')
     return number
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from manip_sim.cli.progress import Progress
 from manip_sim.errors import RecordError
 from manip_sim.records.converting import records_in
-from manip_sim.records.record import Record
-from manip_sim.records.replay import Repetition, Replay
+from manip_sim.records.recorded import Record
+from manip_sim.records.repeating import Repetition, Replay
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:

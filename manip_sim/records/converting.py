@@ -13,7 +13,7 @@ from manip_sim.errors import RecordError
 from manip_sim.records.frames import Frames
 from manip_sim.records.hdf5 import write_hdf5
 from manip_sim.records.lerobot import write_lerobot
-from manip_sim.records.record import Record
+from manip_sim.records.recorded import Record
 
 #: By name: what writes a format.
 FORMATS: dict[str, Callable[[Iterable[Frames], Path], int]] = {

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
-from manip_sim.records.record import RecordedEpisode
+from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import GOAL, REWARD, SUCCESS
 
 _IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')

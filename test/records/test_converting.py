@@ -22,7 +22,7 @@ import pyarrow.parquet as parquet  # noqa: E402
 
 from manip_sim.records.frames import Frames  # noqa: E402
 from manip_sim.records.lerobot import write_lerobot  # noqa: E402
-from manip_sim.records.record import Record  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
 
 
 @pytest.fixture(scope='module')

@@ -23,7 +23,7 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
-from manip_sim.records.record import Record  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
 
 WRITER = """
 import sys

@@ -21,9 +21,9 @@ from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
 
 from manip_sim.records import EpisodeRecorder  # noqa: E402
 from manip_sim.records.definitions import definition, full_name  # noqa: E402
-from manip_sim.records.record import Record  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.recorder import ACTION  # noqa: E402
-from manip_sim.records.replay import Replay  # noqa: E402
+from manip_sim.records.repeating import Replay  # noqa: E402
 
 _SIZE_ARRAY = 'std_msgs/Float64MultiArray'
 

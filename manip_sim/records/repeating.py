@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, DivergenceError, ModelError, RecordError
-from manip_sim.records.record import RecordedEpisode
+from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation

@@ -1,0 +1,307 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Record topics of a running node as they are sent, with its model and its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+import importlib
+import os
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+import mujoco
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import UInt8MultiArray
+import yaml
+
+from manip_sim.errors import describe_choices, RecordError
+from manip_sim.quoting import quoted
+from manip_sim.rclpy_internals import RCLError
+from manip_sim.records.record_file import RecordFile
+from manip_sim.records.recorder import MODEL
+from manip_sim.resources import package_version
+from manip_sim.startup import EndSignals
+
+#: Name of the metadata with what is known of the node.
+NODE = 'manip_sim/node'
+#: How often the topics of the node are looked up, how long is waited for the node, for topics that
+#: were asked for, and for parameters [s].
+_LOOK_S, _NODE_S, _TOPICS_S, _PARAMETERS_S = 0.5, 10.0, 3.0, 5.0
+#: Messages that may wait, of images and of others.
+_IMAGE_DEPTH, _DEPTH = 20, 500
+_ARCHIVE = 'mjcf_archive'
+_SEPARATOR = '=' * 80
+
+
+def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float | None,
+                show: Callable[[int, str], object]) -> tuple[str, bool]:
+    """
+    Record a node until SIGINT, SIGTERM or SIGHUP, or for some time.
+
+    :param path: of the file, which must not be there
+    :param name: full name of the node, such as ``/manip_sim``
+    :param topics: that are recorded, ``~`` and relative names as in the node; none for all that it
+        publishes or subscribes to, but those of actions
+    :param duration_s: how long [s]; None for no limit
+    :param show: is called with the number of messages and more text from time to time
+    :returns: what was recorded, and whether that is anything
+    :raises RecordError: if the file is there or cannot be written, or there is no such node or
+        topic
+    """
+    if path.exists():
+        raise RecordError(f'{path} is there already, and is not overwritten')
+    ended = EndSignals()
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    try:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        node: Node = rclpy.create_node(f'manip_sim_record_{os.getpid()}', enable_rosout=False,
+                                       start_parameter_services=False)
+    except RCLError as error:
+        raise RecordError(f'ROS cannot be started: {str(error).partition(", at ")[0]}') from error
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        recorder = _NodeRecorder(node, executor, name, topics)
+        if not recorder.wait(ended):
+            return f'nothing was recorded, {path} was not written', False
+        recorder.open(path)
+        end_s = None if duration_s is None else time.monotonic() + duration_s
+        recorder.run(ended, end_s, show)
+        return recorder.close(), recorder.messages > 0
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+class _NodeRecorder:
+    """Subscribes to the topics of a node, and writes what comes."""
+
+    def __init__(self, node: Node, executor: SingleThreadedExecutor, name: str,
+                 topics: Sequence[str]) -> None:
+        self._node, self._executor = node, executor
+        self._space, _, self._name = name.rpartition('/')
+        self._full = name
+        self._asked = {self._resolved(topic) for topic in topics}
+        self._subscriptions: dict[str, Any] = {}
+        self._notes: list[str] = []
+        self._file: RecordFile | None = None
+        self.messages = 0
+        self._bytes = 0
+        self._begin_s = 0.0
+
+    def _resolved(self, topic: str) -> str:
+        if topic.startswith('~/'):
+            return f'{self._full}{topic[1:]}'
+        return topic if topic.startswith('/') else f'{self._space}/{topic}'
+
+    def _topics(self) -> dict[str, str]:
+        """Return the topics of the node with their types; none if it is not there."""
+        found: dict[str, str] = {}
+        for find in (self._node.get_publisher_names_and_types_by_node,
+                     self._node.get_subscriber_names_and_types_by_node):
+            try:
+                found.update((topic, types[0]) for topic, types in find(
+                    self._name, self._space or '/') if types and '/_action/' not in topic)
+            except RuntimeError:  # There is no such node, or not yet.
+                return {}
+        return found
+
+    def wait(self, ended: EndSignals) -> bool:
+        """Wait for the node and the topics that were asked for; tell whether they are there."""
+        before: dict[str, str] = {}
+        end_s = time.monotonic() + _NODE_S
+        while time.monotonic() < end_s:
+            if ended.wait(0.2):
+                return False
+            found = self._topics()
+            # Names arrive one by one: what has not changed between two looks is complete.
+            if found and (found == before and not self._asked or self._asked and
+                          self._asked <= found.keys()):
+                return True
+            if found and not before:
+                end_s = time.monotonic() + _TOPICS_S
+            before = found
+        if not before:
+            nodes = [f'{space.rstrip("/")}/{name}'
+                     for name, space in self._node.get_node_names_and_namespaces()
+                     if name != self._node.get_name()]
+            raise RecordError(f'there is no node {quoted(self._full)}: '
+                              + describe_choices(self._full, nodes))
+        missing = sorted(self._asked - before.keys())[0]
+        raise RecordError(f'the node {self._full} has no topic {quoted(missing)}: '
+                          + describe_choices(missing, before))
+
+    def open(self, path: Path) -> None:
+        """Create the file and subscribe."""
+        self._file = RecordFile(path)
+        self._file.describe(NODE, {
+            'node': self._full, 'manip_sim': package_version(),
+            'mujoco': mujoco.mj_versionString(), 'begin_ns': str(time.time_ns()),
+            'parameters': yaml.safe_dump(self._parameters(), sort_keys=True)})
+        self._begin_s = time.monotonic()
+        archive = f'{self._full}/{_ARCHIVE}'
+        self._node.create_subscription(
+            UInt8MultiArray, archive, self._attach, QoSProfile(
+                depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL), raw=True)
+        self._look()
+
+    def _parameters(self) -> dict[str, Any]:
+        client = AsyncParameterClient(self._node, self._full)
+        if not client.wait_for_services(_PARAMETERS_S):
+            return {}
+        listed = client.list_parameters()
+        self._executor.spin_until_future_complete(listed, _PARAMETERS_S)
+        names = list(listed.result().result.names) if listed.done() else []
+        values = client.get_parameters(names)
+        self._executor.spin_until_future_complete(values, _PARAMETERS_S)
+        if not values.done():
+            return {}
+        return {name: _plain(parameter_value_to_python(value)) for name, value in zip(
+            names, values.result().values) if not name.startswith('qos_overrides.')}
+
+    def _look(self) -> None:
+        """Subscribe to topics that are new."""
+        for topic, kind in self._topics().items():
+            if topic not in self._subscriptions and (not self._asked or topic in self._asked):
+                self._subscriptions[topic] = self._subscribe(topic, kind)
+
+    def _subscribe(self, topic: str, kind: str) -> Any:
+        assert self._file is not None
+        try:
+            cls = _message_class(kind)
+            text = installed_definition(kind)
+        except (ImportError, AttributeError, RecordError) as error:
+            self._notes.append(f'{topic} was left out: {kind} is not installed ({error})')
+            return None
+        offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(topic)]
+        # What the least of all publishers offers, so that each matches.
+        qos = QoSProfile(
+            depth=_IMAGE_DEPTH if 'image' in kind.lower() else _DEPTH,
+            reliability=_common(offered, 'reliability', QoSReliabilityPolicy.RELIABLE,
+                                QoSReliabilityPolicy.BEST_EFFORT),
+            durability=_common(offered, 'durability', QoSDurabilityPolicy.TRANSIENT_LOCAL,
+                               QoSDurabilityPolicy.VOLATILE))
+        channel = self._file.channel(topic, kind, text, {
+            'offered_qos_profiles': yaml.safe_dump([_described(profile) for profile in offered])})
+        return self._node.create_subscription(
+            cls, topic, partial(self._write, channel), qos, raw=True)
+
+    def _write(self, channel: int, content: bytes, info: dict[str, int]) -> None:
+        assert self._file is not None
+        self._file.write(channel, info['received_timestamp'], content, info['source_timestamp'])
+        self.messages += 1
+        self._bytes += len(content)
+
+    def _attach(self, content: bytes) -> None:
+        assert self._file is not None
+        archive = bytes(deserialize_message(content, UInt8MultiArray).data)
+        self._file.attach(MODEL, 'application/zip', archive, time.time_ns())
+
+    def run(self, ended: EndSignals, end_s: float | None, show: Callable[[int, str], object]
+            ) -> None:
+        """Record until a signal or an instant of the monotonic clock [s]."""
+        look_s = 0.0
+        while not ended.wait(0.0):
+            now_s = time.monotonic()
+            if end_s is not None and now_s >= end_s:
+                return
+            if now_s >= look_s:
+                look_s = now_s + _LOOK_S
+                self._look()
+                show(self.messages, f', {now_s - self._begin_s:.0f} s, {self._size()}'
+                     + ('' if self._topics() else ', the node is gone'))
+            try:
+                self._executor.spin_once(timeout_sec=0.1)
+            except ExternalShutdownException:
+                return
+
+    def _size(self) -> str:
+        return f'{self._bytes / 1e6:.1f} MB'
+
+    def close(self) -> str:
+        """Complete the file and return what it holds."""
+        assert self._file is not None
+        self._file.close()
+        topics = sum(found is not None for found in self._subscriptions.values())
+        return '\n'.join([*self._notes, f'{self._file.path} ({self.messages} messages of '
+                          f'{topics} topics, {time.monotonic() - self._begin_s:.1f} s, '
+                          f'{self._size()})'])
+
+
+def installed_definition(kind: str) -> str:
+    """
+    Return the definition of a type followed by those that it refers to, as rosbag2 stores it.
+
+    :param kind: such as ``std_msgs/msg/Bool``
+    :raises RecordError: if the package has no such definition
+    """
+    known = [kind]
+    parts: list[str] = []
+    for name in known:
+        text = _file_of(name).read_text()
+        parts.append((f'{_SEPARATOR}\nMSG: {name.replace("/msg/", "/")}\n' if parts else '')
+                     + text.rstrip('\n'))
+        package = name.partition('/')[0]
+        for line in text.splitlines():
+            field = line.partition('#')[0].split()
+            base = field[0].partition('[')[0].partition('<')[0] if field else ''
+            if not base or base[0].islower() and '/' not in base:
+                continue
+            other = base if '/' in base else f'{package}/{base}'
+            other = other if '/msg/' in other else other.replace('/', '/msg/')
+            if other not in known:
+                known.append(other)
+    return '\n'.join(parts) + '\n'
+
+
+def _file_of(kind: str) -> Path:
+    prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
+    for prefix in filter(None, prefixes):
+        file = Path(prefix, 'share', f'{kind}.msg')
+        if file.is_file():
+            return file
+    raise RecordError(f'the definition of {kind} is not installed')
+
+
+def _message_class(kind: str) -> Any:
+    package, middle, name = kind.split('/')
+    return getattr(importlib.import_module(f'{package}.{middle}'), name)
+
+
+def _common(profiles: Sequence[QoSProfile], what: str, more: Any, less: Any) -> Any:
+    return more if profiles and all(getattr(found, what) == more for found in profiles) else less
+
+
+def _described(profile: QoSProfile) -> dict[str, Any]:
+    """Return a profile as rosbag2 stores it."""
+    def duration(found: Any) -> dict[str, int]:
+        seconds, nanoseconds = divmod(found.nanoseconds, 1_000_000_000)
+        return {'sec': seconds, 'nsec': nanoseconds}
+    return {
+        'history': int(profile.history), 'depth': profile.depth,
+        'reliability': int(profile.reliability), 'durability': int(profile.durability),
+        'deadline': duration(profile.deadline), 'lifespan': duration(profile.lifespan),
+        'liveliness': int(profile.liveliness),
+        'liveliness_lease_duration': duration(profile.liveliness_lease_duration),
+        'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of a parameter as YAML has it."""
+    if isinstance(value, (str, bytes, bool, int, float)) or value is None:
+        return value
+    return list(value)
