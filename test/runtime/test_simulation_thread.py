@@ -391,3 +391,23 @@ def test_the_simulation_pauses_when_it_reaches_a_time(stepping):
     finally:
         thread.stop()
     assert sorted(set(seen)) == list(range(10_000_000, max(seen) + 1, 10_000_000))
+
+
+def test_the_simulation_pauses_in_time_where_many_periods_run_at_once():
+    simulation = Simulation(World([UR5e()]))
+    thread = SimulationThread(simulation, steps=5, stepping='free', paused=True)
+    thread.start()
+    try:
+        for time_s in (2.005, 4.0):
+            thread.pause_at(time_s)
+            thread.pause(False)
+            while not thread.paused:
+                thread.call(lambda: None)
+            assert simulation.time_ns == round(time_s * 100 + 0.25) * 10_000_000
+        # It is at that time now, which does not stop it again.
+        thread.pause(False)
+        while simulation.time_ns < 5_000_000_000:
+            thread.call(lambda: None)
+            assert not thread.paused
+    finally:
+        thread.stop()
