@@ -18,10 +18,17 @@ HEADER = ('# Copyright 2026 The manip_sim developers\n'
 
 
 def test_every_python_file_begins_with_the_licence():
-    folders = ('manip_sim', 'test', 'benchmark')
+    folders = ('manip_sim', 'test', 'benchmark', 'hardware')
     files = [ROOT / 'setup.py', *(p for folder in folders for p in (ROOT / folder).rglob('*.py'))]
     assert len(files) > 20
     assert not [str(file) for file in files if not file.read_text().startswith(HEADER)]
+
+
+def test_every_cpp_file_begins_with_the_licence():
+    files = [*(ROOT / 'hardware').rglob('*.cpp')]
+    assert files
+    assert not [str(file) for file in files
+                if not file.read_text().startswith(HEADER.replace('#', '//'))]
 
 
 @pytest.mark.skipif(importlib.util.find_spec('reuse') is None, reason='reuse is not installed')

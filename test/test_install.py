@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ['sim_node', 'sim_view', 'manip_sim', 'pick_cube', 'hand_over']
 PARTS = ['package.xml', 'pyproject.toml', 'setup.py', 'setup.cfg', 'README.md', 'resource',
-         'manip_sim', 'assets', 'config']
+         'manip_sim', 'assets', 'config', 'hardware']
 FIND = ('from ament_index_python import get_package_prefix; '
         "print(get_package_prefix('manip_sim'))")
 TALK = """

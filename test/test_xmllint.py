@@ -14,7 +14,8 @@ import pytest
 import manip_sim
 
 ROOT = Path(__file__).resolve().parents[1]
-FILES = [ROOT / 'package.xml', *sorted((ROOT / 'assets').rglob('*.xml'))]
+FILES = [ROOT / 'package.xml', *sorted((ROOT / 'hardware').glob('*.xml')),
+         *sorted((ROOT / 'assets').rglob('*.xml'))]
 
 
 @pytest.mark.parametrize('file', FILES, ids=lambda file: str(file.relative_to(ROOT)))
@@ -35,6 +36,9 @@ def test_package_xml_and_setup_py_agree():
         package.findtext('name'), package.findtext('version'), package.findtext('license'),
         maintainer.text, maintainer.get('email'), package.findtext('description')]
     assert manip_sim.__version__ == package.findtext('version')
+    hardware = ElementTree.parse(ROOT / 'hardware' / 'package.xml').getroot()
+    for field in ('version', 'maintainer', 'license'):
+        assert hardware.findtext(field) == package.findtext(field)
     assert f'version: {manip_sim.__version__}\n' in (ROOT / 'CITATION.cff').read_text()
 
 
