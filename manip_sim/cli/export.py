@@ -26,6 +26,14 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         folder: Path = options.moveit
         return '\n'.join([f'{folder}', *write_package(
             compose_from(options).composition.world, folder)]), 0
+    if isinstance(options.ros2_control, Path):
+        from manip_sim.moveit.control_package import write_control_package
+        folder = options.ros2_control
+        composed = compose_from(options)
+        world = composed.composition.world
+        return '\n'.join([f'{folder}', *write_control_package(
+            world, folder, _hardware(composed, choose_robot(world).name_in_world),
+            composed.parameters.given)]), 0
     file: Path = options.file
     ending = file.suffix.lower()
     if ending not in ('.xml', '.urdf', *_ARCHIVES):

@@ -106,11 +106,13 @@ def _conflict(options: argparse.Namespace) -> str | None:
     if 'params_file' in given and len(given) > 1:
         return f'--params-file cannot be combined with --{given[0].replace("_", "-")}'
     if options.command == 'export':
-        if (options.file is None) == (options.moveit is None):
-            return 'give either a FILE or --moveit DIR'
-        if options.ros2_control and (options.moveit or options.file.suffix.lower() != '.urdf'):
-            return '--ros2-control is for a .urdf'
-        if options.name and (options.moveit or options.file.suffix.lower() != '.urdf'):
+        folder = isinstance(options.ros2_control, Path)
+        if (options.file is not None) + (options.moveit is not None) + folder != 1:
+            return 'give either a FILE, --moveit DIR or --ros2-control DIR'
+        if options.ros2_control and not folder and (
+                options.moveit or options.file.suffix.lower() != '.urdf'):
+            return '--ros2-control without DIR is for a .urdf'
+        if options.name and (options.file is None or options.file.suffix.lower() != '.urdf'):
             return '--name is for a .urdf'
     if options.command != 'render':
         return None
@@ -161,17 +163,20 @@ def _add_export(commands: Any) -> None:
         'The file name selects the format: .xml is MJCF that refers to the mesh files by their '
         'paths, .mjz and .zip are a MuJoCo archive that contains them, and .urdf is a URDF of '
         'the robot with base and grippers. --moveit writes a package for MoveIt 2: URDF, SRDF, '
-        'limits, controllers, launch file.',
+        'limits, controllers, launch file. --ros2-control DIR writes a package for ros2_control: '
+        'URDF, controllers, launch files.',
         'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
         '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
-        '          manip_sim export --moveit panda_moveit_config --robot Panda')
+        '          manip_sim export --moveit panda_moveit_config --robot Panda\n'
+        '          manip_sim export --ros2-control panda_control --robot Panda')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
                         help='out.xml, out.mjz, out.zip or out.urdf')
     parser.add_argument('--moveit', type=Path, metavar='DIR',
                         help='new folder for the package; its name is that of the package')
     parser.add_argument('--name', metavar='ROBOT', help='the robot to write, if there are several')
-    parser.add_argument('--ros2-control', action='store_true',
-                        help='add a <ros2_control> tag to a .urdf, for the setup in '
+    parser.add_argument('--ros2-control', nargs='?', type=Path, const=True, default=False,
+                        metavar='DIR', help='new folder for a package that starts ros2_control; '
+                        'without DIR: add a <ros2_control> tag to a .urdf, for the setup in '
                         'config/topic_based_ros2_control.yaml')
     add_composition(parser)
 

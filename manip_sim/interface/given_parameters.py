@@ -32,11 +32,12 @@ class GivenParameters:
     Parameters from a file or a command line.
 
     :param given: values by name
+    :ivar given: the same, a copy
     :ivar specs: what was declared, by name
     """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
-        self._given = dict(given)
+        self.given = dict(given)
         self._values: dict[str, Any] = {}
         self.specs: dict[str, ParameterSpec] = {}
 
@@ -49,8 +50,8 @@ class GivenParameters:
         for spec in specs:
             self.specs[spec.name] = spec
             self._values[spec.name] = spec.default
-            if spec.name in self._given:
-                value = spec.as_declared(self._given[spec.name])
+            if spec.name in self.given:
+                value = spec.as_declared(self.given[spec.name])
                 problem = spec.type_problem(type_name(value), value) or spec.problem_with(value)
                 if problem:
                     raise ParameterError(problem)
@@ -66,7 +67,7 @@ class GivenParameters:
 
         :raises ParameterError: naming the nearest parameters
         """
-        check_names(self._given, self.specs)
+        check_names(self.given, self.specs)
 
 
 def check_names(given: Iterable[str], known: Iterable[str]) -> None:

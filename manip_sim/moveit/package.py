@@ -19,7 +19,8 @@ import yaml
 
 from manip_sim.errors import ModelError
 from manip_sim.models import World
-from manip_sim.models.urdf_writer import choose_robot, Urdf, write_urdf
+from manip_sim.models.robots import RobotModel
+from manip_sim.models.urdf_writer import choose_robot, Hardware, Urdf, write_urdf
 from manip_sim.models.urdf_writer.shapes import (
     binary_stl, ELLIPSOID, MeshFile, stl_of, unit_sphere)
 from manip_sim.moveit import launch_files
@@ -147,18 +148,33 @@ def write_package(world: World, folder: Path) -> list[str]:
     :returns: what was left out, in sentences
     :raises ModelError: if the folder cannot be used, or there is nothing to plan for
     """
-    _check_folder(folder)
+    check_folder(folder)
     files, notes = _contents(world, folder.name)
+    write_files(folder, files)
+    return notes
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """
+    Write all files of a package, or none.
+
+    :param folder: new or empty
+    :param files: contents by path
+    """
     with tempfile.TemporaryDirectory(dir=folder.parent) as unfinished:
         for name, content in files.items():
             file = Path(unfinished, folder.name, name)
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
         shutil.copytree(Path(unfinished, folder.name), folder, dirs_exist_ok=True)
-    return notes
 
 
-def _check_folder(folder: Path) -> None:
+def check_folder(folder: Path) -> None:
+    """
+    Check that a folder can become a package.
+
+    :raises ModelError: if its name is that of no ROS package, or it is not empty
+    """
     if not _NAME.fullmatch(folder.name):
         raise ModelError(f'{quoted(folder.name)} cannot be the name of a ROS package: it needs '
                          'lower-case letters, digits and single underscores, such as '
@@ -174,9 +190,7 @@ def _check_folder(folder: Path) -> None:
 def _contents(world: World, package: str) -> tuple[dict[str, bytes], list[str]]:
     """Return the contents of all files by path, and what was left out."""
     model, robot = world.compile(), choose_robot(world)
-    meshes = _meshes(model)
-    uris = {key: _mesh_file(package, name) for key, (name, _) in meshes.items()}
-    urdf = write_urdf(model, robot, uris)
+    urdf, meshes = describe(model, robot, package)
     simulation = Simulation(world)
     simulated = simulation.robot
     groups = find_groups(model, simulated, urdf)
@@ -188,14 +202,28 @@ def _contents(world: World, package: str) -> tuple[dict[str, bytes], list[str]]:
     srdf = write_srdf(name, groups, postures, passive_joints(model, simulated, urdf), disabled)
     texts = {f'config/{name}.urdf': urdf.xml, f'config/{name}.srdf': srdf,
              **launch_files.text_files(package, name),
-             **_as_yaml(_settings(groups, simulated, velocity, effort)),
-             **_as_yaml({'.setup_assistant': launch_files.setup_assistant(package, name),
-                         'rviz/moveit.rviz': launch_files.rviz(groups[0].name)})}
-    used = {key: mesh for key, mesh in meshes.items() if f'/meshes/{mesh[0]}"' in urdf.xml}
-    return ({**{path: text.encode() for path, text in texts.items()},
-             'meshes/README.md': b'Meshes of the robot as MuJoCo has compiled them.\n',
-             **{f'meshes/{file}': content for file, content in used.values()}},
-            list(urdf.notes))
+             **as_yaml(_settings(groups, simulated, velocity, effort)),
+             **as_yaml({'.setup_assistant': launch_files.setup_assistant(package, name),
+                        'rviz/moveit.rviz': launch_files.rviz(groups[0].name)})}
+    return {**{path: text.encode() for path, text in texts.items()}, **meshes}, list(urdf.notes)
+
+
+def describe(model: mujoco.MjModel, robot: RobotModel, package: str,
+             hardware: Hardware | None = None) -> tuple[Urdf, dict[str, bytes]]:
+    """
+    Return the URDF of a robot, and the meshes that it names in its package, by path.
+
+    :param model: of the world
+    :param robot: one of its robots
+    :param package: name of the package
+    :param hardware: of the ``<ros2_control>`` tag; None for none
+    """
+    meshes = _meshes(model)
+    uris = {key: _mesh_file(package, name) for key, (name, _) in meshes.items()}
+    urdf = write_urdf(model, robot, uris, hardware)
+    used = [mesh for mesh in meshes.values() if f'/meshes/{mesh[0]}"' in urdf.xml]
+    return urdf, {'meshes/README.md': b'Meshes of the robot as MuJoCo has compiled them.\n',
+                  **{f'meshes/{file}': content for file, content in used}}
 
 
 def _settings(groups: list[Group], robot: Any, velocity: Mapping[str, float],
@@ -209,7 +237,8 @@ def _settings(groups: list[Group], robot: Any, velocity: Mapping[str, float],
         'config/pilz_cartesian_limits.yaml': pilz_cartesian_limits()}
 
 
-def _as_yaml(contents: Mapping[str, Any]) -> dict[str, str]:
+def as_yaml(contents: Mapping[str, Any]) -> dict[str, str]:
+    """Return the text of YAML files, by path."""
     return {path: yaml.safe_dump(content, sort_keys=False) for path, content in contents.items()}
 
 

@@ -35,6 +35,7 @@ OTHERS = {
     'foxglove_bridge': 'foxglove_bridge foxglove_bridge_launch.xml',
     'joint_state_publisher': 'joint_state_publisher', 'joy': 'joy_node',
     'nav2_bringup': 'navigation_launch.py', 'panda_moveit_config': 'moveit.launch.py',
+    'panda_control': 'bringup.launch.py', 'panda_lockstep_control': 'bringup.launch.py',
     'plotjuggler': 'plotjuggler', 'robot_state_publisher': 'robot_state_publisher',
     'rqt_image_view': 'rqt_image_view', 'spacenav': 'spacenav_node',
     'teleop_twist_joy': 'teleop_node',
