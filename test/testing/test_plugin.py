@@ -27,12 +27,13 @@ def pytest_in(folder, *arguments):
 def test_the_tests_of_the_page_on_testing_pass(tmp_path):
     files = {block.file: block.text
              for block in blocks(DOCS / 'how_to' / 'test_your_controller.md') if block.tested_by}
-    assert set(files) == {'test_reach.py', 'test_follower.py', 'test_pick.py'}
+    assert set(files) == {'test_reach.py', 'test_follower.py', 'test_admittance.py',
+                          'test_pick.py'}
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     done = pytest_in(tmp_path)
     assert done.returncode == 0, done.stdout
-    assert '3 passed' in done.stdout
+    assert '4 passed' in done.stdout
 
 
 FAILS = """
