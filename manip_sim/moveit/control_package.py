@@ -203,6 +203,14 @@ def effort_gains(inertia: float) -> Settings:
             'd': round(2.0 * _DAMPING * inertia * _FREQUENCY, 4)}
 
 
+def velocity_gains(_inertia: float) -> Settings:
+    """Return the gains of a joint in velocity mode."""
+    return {'p': _VELOCITY_GAIN, 'i': 0.0, 'd': 0.0, 'ff_velocity_scale': 1.0}
+
+
+_GAINS = {'velocity': velocity_gains, 'effort': effort_gains}
+
+
 def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[str],
                  inertias: Mapping[str, float]) -> Iterator[tuple[str, str, str, Settings]]:
     """Yield name, type, mode (empty: always active) and parameters of each controller."""
@@ -237,9 +245,6 @@ def _trajectory(joints: list[str], mode: str, inertias: Mapping[str, float]) -> 
     # A copy: rcl reads no YAML with references.
     settings: Settings = {'joints': [*joints], 'command_interfaces': [mode],
                           'state_interfaces': ['position', 'velocity']}
-    if mode == 'velocity':
-        settings['gains'] = {joint: {'p': _VELOCITY_GAIN, 'i': 0.0, 'd': 0.0,
-                                     'ff_velocity_scale': 1.0} for joint in joints}
-    if mode == 'effort':
-        settings['gains'] = {joint: effort_gains(inertias[joint]) for joint in joints}
+    if mode in _GAINS:
+        settings['gains'] = {joint: _GAINS[mode](inertias[joint]) for joint in joints}
     return settings
