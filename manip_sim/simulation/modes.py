@@ -191,6 +191,8 @@ class Modes(Mapping[str, ControlMode]):
                 _LOGGER.warning('control mode %s cannot be used: %s', offer, error)
 
     def __getitem__(self, name: str) -> ControlMode:
+        if not isinstance(name, str):
+            raise UnknownNameError('control mode', repr(name), self._modes)
         if name not in self._modes:
             self._add_offers()
         if name not in self._modes:

@@ -395,6 +395,8 @@ class Simulation:
         :param state: from :meth:`save`
         :raises ModelError: if not, as :meth:`restore`
         """
+        if not isinstance(state, SimulationState):
+            raise ModelError(f'expected a state of save(), got {state!r:.60}')
         if state.versions != self._versions():
             raise ModelError(f'the state was saved by {state.versions}, this is '
                              + self._versions())

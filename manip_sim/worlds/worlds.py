@@ -198,12 +198,13 @@ class Worlds:
             another world or version; no world is restored then
         """
         simulations = list(self._of(where))
-        if len(states) != len(simulations):
+        given = list(states) if isinstance(states, Sequence) else []
+        if len(given) != len(simulations):
             raise ModelError(f'expected {len(simulations)} states, one for each world that is '
-                             f'restored, got {len(states)}')
-        for simulation, state in zip(simulations, states):
+                             f'restored, got {len(given) or repr(states)[:60]}')
+        for simulation, state in zip(simulations, given):
             simulation.check_restorable(state)
-        for simulation, state in zip(simulations, states):
+        for simulation, state in zip(simulations, given):
             simulation.restore(state)
 
     def digest(self, where: ArrayLike | None = None) -> list[str]:

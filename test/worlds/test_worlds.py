@@ -13,7 +13,8 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
-from manip_sim.errors import CommandError, DivergenceError, ModelError, UnknownNameError
+from manip_sim.errors import (
+    CommandError, DivergenceError, ManipSimError, ModelError, UnknownNameError)
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.composing import compose_robot
@@ -69,8 +70,9 @@ class Pair:
         robot, one = self.worlds.robot, self.simulations[0].robot
         indices = one.joints.indices_of(self.part)
         names = [one.joints.names[i] for i in indices]
-        wave = 0.3 * np.sin(0.4 * number + np.arange(COUNT)[:, None] + np.arange(len(indices)))
-        six = np.sin(number + np.arange(COUNT)[:, None] * 2.0 + np.arange(6))
+        worlds = np.arange(len(self.simulations))[:, None]
+        wave = 0.3 * np.sin(0.4 * number + worlds + np.arange(len(indices)))
+        six = np.sin(number + worlds * 2.0 + np.arange(6))
         if kind == 'stream':
             self._both('action', (self.part, wave), where)
         elif kind == 'some':
@@ -162,6 +164,76 @@ def test_each_world_is_a_simulation_with_the_same_seed_and_commands(lasting_pair
         for _ in range(2):
             pair.advance()
     pair.check_equal()
+
+
+@pytest.mark.parametrize('count, threads', [(1, 1), (2, 3), (6, 2)])
+def test_any_number_of_worlds_and_threads_makes_the_same_digests(count, threads):
+    pair = Pair(count=count, threads=threads)
+    masks = st.none() | st.lists(st.booleans(), min_size=count, max_size=count).map(np.array)
+
+    @given(mode=st.sampled_from(MODES), seed=st.integers(0, 2**40), events=st.lists(st.tuples(
+        st.sampled_from((*KINDS, 'stream', 'reset', 'restore')), masks, st.integers(1, 12)),
+        min_size=4, max_size=10))
+    @settings(max_examples=8, deadline=None)
+    def hold(mode, seed, events):
+        pair.set_mode(mode)
+        pair.reset(seed + np.arange(count))
+        saved = pair.worlds.save()
+        for number, (kind, where, steps) in enumerate(events):
+            if kind == 'reset':
+                pair.reset(seed + 7 * np.arange(count) + number, where)
+            elif kind == 'restore':
+                pair.worlds.restore(saved)
+                for simulation, state in zip(pair.simulations, saved):
+                    simulation.restore(state)
+            else:
+                pair.command(kind, number, where)
+            pair.advance(steps)
+            if number == 2:
+                saved = pair.worlds.save()
+        pair.check_equal()
+    hold()
+    pair.worlds.close()
+
+
+ANYTHING = st.one_of(
+    st.none(), st.floats(), st.integers(), st.text(max_size=3), st.lists(st.floats(), max_size=4),
+    st.sampled_from([np.zeros((3, 7)), np.full((3, 7), np.nan), np.zeros((7, 3)), np.zeros(3),
+                     np.zeros((3, 6), dtype=complex), np.array([[1, 'a']]), [[0.0], [0.0, 1.0]],
+                     np.zeros((3, 7), dtype=object), np.full((3, 6), 1e300), np.zeros((3, 0)),
+                     np.zeros((3, 2, 7)), np.zeros((3, 6)), {}, [None] * 3]))
+WHERE = st.sampled_from([None, True, 'all', [True, False, True], [1, 0, 1], [[True] * 3],
+                         np.zeros(3, dtype=bool), [], [0.0] * 3])
+NAMES = st.sampled_from([['robot0_joint1'], ['robot0_joint1'] * 2, [], ['joint'], 'robot0_joint1',
+                         [f'robot0_joint{n}' for n in range(1, 8)]])
+
+
+@given(what=st.sampled_from(['action', 'joints', 'trajectory', 'twist', 'pose', 'hand', 'osc',
+                             'reset', 'restore', 'mode']),
+       one=ANYTHING, other=ANYTHING, where=WHERE, names=NAMES)
+@settings(max_examples=150, deadline=None)
+def test_whatever_is_given_is_taken_or_rejected_with_a_reason(
+        lasting_pair, what, one, other, where, names):
+    worlds, robot = start(lasting_pair).worlds, lasting_pair.worlds.robot
+    command, hands = robot.command, robot.command_cartesian
+    before = worlds.digest()
+    try:
+        {'action': lambda: command.action('arm', one, where=where),
+         'joints': lambda: command.joint_command(names, position=one, where=where),
+         'trajectory': lambda: command.trajectory('arm', names, other, one, where=where),
+         'twist': lambda: command.twist(one, where=where),
+         'pose': lambda: hands.pose('right', one, other, where=where),
+         'hand': lambda: hands.twist('right', one, other, where=where),
+         'osc': lambda: hands.action('right', one, where=where),
+         'reset': lambda: worlds.reset(one, where),
+         'restore': lambda: worlds.restore(one, where),
+         'mode': lambda: robot.set_control_mode('arm', one, where)}[what]()
+    except ManipSimError as error:
+        assert str(error)
+        assert worlds.digest() == before
+    for _ in range(2):
+        worlds.advance(3)
+    assert not worlds.diverged.any()
 
 
 @pytest.mark.parametrize('name', ROBOTS.names())
@@ -411,6 +483,10 @@ def test_states_that_do_not_fit_restore_no_world(pair):
         pair.worlds.restore(states[:2])
     with pytest.raises(ModelError, match='another world'):
         pair.worlds.restore([*states[:2], other])
+    with pytest.raises(ModelError, match="expected a state of save\\(\\), got 'saved'"):
+        pair.worlds.restore([*states[:2], 'saved'])
+    with pytest.raises(ModelError, match='expected 3 states, one for each world .*got None'):
+        pair.worlds.restore(None)
     assert pair.worlds.digest() == after
 
 
