@@ -19,7 +19,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
-from manip_sim.examples.demonstration import run, Demonstration, TaskFailed
+from manip_sim.examples.demonstration import Demonstration, run, TaskFailed
 
 #: Where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
@@ -35,7 +35,7 @@ _SETTLE_S = 0.3
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-class HandOver(Demonstration):
+class HandOverDemonstration(Demonstration):
     """A task: ``left`` picks the cube up, ``middle`` takes it, and ``right`` puts it down."""
 
     def __init__(self) -> None:
@@ -179,4 +179,4 @@ def main(arguments: Sequence[str] | None = None,
     :param is_asked_to_end: is asked while the task waits
     :returns: the exit code: 1 if the task failed, 0 if it succeeded or was interrupted
     """
-    return run(HandOver, arguments, is_asked_to_end)
+    return run(HandOverDemonstration, arguments, is_asked_to_end)

@@ -14,8 +14,8 @@ import numpy as np
 from manip_sim.models import World
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.urdf_writer.tree import subtree
-from manip_sim.moveit.srdf import Posture
+from manip_sim.models.urdf_writer.kinematic_tree import subtree
+from manip_sim.moveit.srdf import GroupState
 from manip_sim.simulation.couplings import JointCouplings
 
 #: Of random configurations; the seed is fixed, so that the same robot has the same file.
@@ -30,7 +30,7 @@ Pair = frozenset[str]
 
 
 def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
-                   postures: Iterable[Posture]) -> dict[Pair, str]:
+                   postures: Iterable[GroupState]) -> dict[Pair, str]:
     """
     Return the pairs of links that need not be checked for collisions, with the reason.
 

@@ -21,7 +21,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer import choose_robot, Hardware, Urdf, write_urdf
-from manip_sim.models.urdf_writer.shapes import (
+from manip_sim.models.urdf_writer.link_shapes import (
     binary_stl, ELLIPSOID, MeshFile, stl_of, unit_sphere)
 from manip_sim.moveit import launch_files
 from manip_sim.moveit.collisions import disabled_pairs

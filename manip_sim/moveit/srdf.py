@@ -16,8 +16,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.models.urdf_writer import Urdf
-from manip_sim.models.urdf_writer.numbers import text_of
-from manip_sim.models.urdf_writer.tree import KinematicTree, subtree
+from manip_sim.models.urdf_writer.kinematic_tree import KinematicTree, subtree
+from manip_sim.models.urdf_writer.urdf_numbers import text_of
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.robot import SimulatedRobot
@@ -156,7 +156,7 @@ def _path(tree: KinematicTree, link: str) -> list[Any]:
 
 
 @dataclass(frozen=True)
-class Posture:
+class GroupState:
     """
     Where the joints are.
 
@@ -170,7 +170,7 @@ class Posture:
     position: dict[str, float]
 
 
-def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[Posture]:
+def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[GroupState]:
     """
     Return the start posture, and those of each empty gripper opened (-1) and closed (+1).
 
@@ -178,7 +178,7 @@ def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[Posture
     :param robot: of this simulation
     """
     start = _positions(simulation, robot)
-    postures = [Posture(START, None, start)]
+    postures = [GroupState(START, None, start)]
     for part, gripper in robot.grippers.items():
         if not gripper.part.joints or not gripper.dof:
             continue
@@ -187,7 +187,7 @@ def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[Posture
             robot.apply(robot.parse.action(part, np.full(gripper.dof, action)))
             _settle(simulation, robot, gripper.part.dof_addresses)
             moved = _positions(simulation, robot, _DIGITS)
-            postures.append(Posture(name, part, {
+            postures.append(GroupState(name, part, {
                 **start, **{joint: moved[joint] for joint in gripper.part.joints}}))
     simulation.reset()
     return postures
@@ -212,7 +212,7 @@ def _positions(simulation: Simulation, robot: SimulatedRobot, digits: int = 15
     return positions
 
 
-def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[Posture],
+def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[GroupState],
                passive: Iterable[str], disabled: Mapping[frozenset[str], str]) -> str:
     """
     Return the SRDF.
@@ -258,7 +258,7 @@ def _add_group(robot: ElementTree.Element, group: Group) -> None:
             ElementTree.SubElement(element, 'joint', name=joint)
 
 
-def _add_state(robot: ElementTree.Element, group: Group, posture: Posture) -> None:
+def _add_state(robot: ElementTree.Element, group: Group, posture: GroupState) -> None:
     element = ElementTree.SubElement(robot, 'group_state', name=posture.name, group=group.name)
     for joint in group.active:
         ElementTree.SubElement(element, 'joint', name=joint,

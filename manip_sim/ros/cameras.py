@@ -24,7 +24,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import topics_of_cameras
 from manip_sim.models.cameras import ImageSettings
-from manip_sim.models.urdf_writer.tree import OPTICAL
+from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.ros.log import RejectionLog

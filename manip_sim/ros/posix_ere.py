@@ -44,7 +44,7 @@ class Node(NamedTuple):
     most: int | None = None
 
 
-class _Parser:
+class _EreParser:
     """A recursive descent parser."""
 
     def __init__(self, pattern: str) -> None:
@@ -183,7 +183,7 @@ def parse(pattern: str) -> Node:
     :param pattern: the expression
     :raises ValueError: if it is not one
     """
-    return _Parser(pattern).parse()
+    return _EreParser(pattern).parse()
 
 
 class PosixExpression:

@@ -20,7 +20,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.models.urdf_writer.tree import (
+from manip_sim.models.urdf_writer.kinematic_tree import (
     build_tree, Joint, joints_of_body, KinematicTree, OPTICAL, ROOT_LINK)
 from manip_sim.simulation.poses import Pose
 

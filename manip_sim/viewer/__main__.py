@@ -48,7 +48,7 @@ def _run() -> int:
         else:
             import viser  # noqa: F401
         import_mujoco()
-        from manip_sim.viewer.ros.main import show
+        from manip_sim.viewer.ros.page_process import show
     except ModuleNotFoundError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:

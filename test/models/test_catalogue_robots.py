@@ -213,7 +213,7 @@ OWN_KEYS = {'radius', 'table_placement', 'torso_start', 'action', 'each_action'}
 @pytest.mark.parametrize('folder', assets(), ids=lambda folder: folder.name)
 def test_a_part_of_the_catalogue_is_described_as_a_file_of_a_user_is(folder, tmp_path):
     pytest.importorskip('pydantic', reason='descriptions need pydantic')
-    from manip_sim.models.files import description as d
+    from manip_sim.models.files import part_descriptions as d
     if not (folder / 'part.yaml').is_file():
         pytest.skip('all is in its MJCF file')
     kind = {'robots': d.RobotDescription, 'grippers': d.GripperDescription,

@@ -10,10 +10,10 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import arenas, bases, grippers, robots
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.files.base import FileMobileBase, FileMount
-from manip_sim.models.files.gripper import FileGripper
+from manip_sim.models.files.file_base import FileMobileBase, FileMount
+from manip_sim.models.files.file_gripper import FileGripper
+from manip_sim.models.files.file_robot import FileManipulator, FileRobot
 from manip_sim.models.files.own_hand import OwnHand
-from manip_sim.models.files.robot import FileManipulator, FileRobot
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import Panda
 

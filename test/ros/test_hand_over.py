@@ -123,10 +123,10 @@ def test_an_arm_that_does_not_move_is_told(node, process, client):
 
 
 def test_a_cube_that_does_not_stand_at_the_goal_is_told():
-    from manip_sim.examples.hand_over import HandOver
+    from manip_sim.examples.hand_over import HandOverDemonstration
     from manip_sim.examples.demonstration import TaskFailed
     rclpy.init(domain_id=DOMAIN)
-    task = HandOver()
+    task = HandOverDemonstration()
     try:
         pose = PoseStamped()
         pose.pose.position.z = 0.825

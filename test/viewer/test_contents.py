@@ -19,9 +19,8 @@ from sensor_msgs.msg import Image, JointState  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from manip_sim.errors import MessageError  # noqa: E402
-from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status  # noqa: E402
-from manip_sim.viewer.page.robots import (  # noqa: E402
-    commanded_joints, declared_limits, limit_of)
+from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus  # noqa: E402
+from manip_sim.viewer.page.robots import commanded_joints, declared_limits, limit_of  # noqa: E402
 from manip_sim.viewer.ros import contents  # noqa: E402
 from manip_sim.viewer.ros.layout import layout_of  # noqa: E402
 
@@ -135,7 +134,7 @@ def test_too_many_statuses_are_rejected():
 
 
 def test_a_value_is_a_number_only_if_it_is_finite():
-    status = Status(0, 'x', '', {'a': '1.5', 'b': 'nan', 'c': 'inf', 'd': 'many'})
+    status = ShownStatus(0, 'x', '', {'a': '1.5', 'b': 'nan', 'c': 'inf', 'd': 'many'})
     assert [status.number(key) for key in 'abcde'] == [1.5, None, None, None, None]
 
 

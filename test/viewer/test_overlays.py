@@ -11,7 +11,7 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 from hypothesis.extra import numpy as arrays_of  # noqa: E402
 
-from manip_sim.viewer.page.scene import Overlays  # noqa: E402
+from manip_sim.viewer.page.model_scene import Overlays  # noqa: E402
 
 
 class Scene:

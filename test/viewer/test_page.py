@@ -15,15 +15,15 @@ from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
-from manip_sim.viewer.page.commands import Events, Following  # noqa: E402
-from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status  # noqa: E402
+from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus  # noqa: E402
+from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
 from manip_sim.viewer.page.latest import RealTimeFactor  # noqa: E402
+from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
+from manip_sim.viewer.page.page_commands import Events, Following  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
 from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
-from manip_sim.viewer.page.posture import Posture  # noqa: E402
 from manip_sim.viewer.page.robots import (  # noqa: E402
     commanded_joints, declared_limits, short_labels)
-from manip_sim.viewer.page.scene import first_view  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.ros.layout import layout_of, RobotTopics  # noqa: E402
 
@@ -130,16 +130,16 @@ def test_the_real_time_factor_is_that_of_the_last_two_seconds():
     assert real_time_factor.factor is None
 
 
-SIMULATION = Status(0, 'simulation', 'running', {
+SIMULATION = ShownStatus(0, 'simulation', 'running', {
     'state': 'realtime', 'real_time_factor': '1.0000', 'missed_deadlines': '3',
     'mjWARN_BADQPOS': '0', 'start_defects': 'none', 'failed_callbacks': '2'})
-ARM = Status(0, 'left/arm', 'commands', {
+ARM = ShownStatus(0, 'left/arm', 'commands', {
     'rate': '12.0', 'age': '0.310', 'accepted': '120', 'dropped': '2', 'clamped': '0',
     'control_mode': 'admittance', 'command_interface': 'velocity'})
 
 
 def test_diagnostics_are_told_in_words_with_trouble_first():
-    slow = Status(1, 'other nodes', '/clock is also published by x')
+    slow = ShownStatus(1, 'other nodes', '/clock is also published by x')
     first, second, third = in_words([SIMULATION, ARM, slow])
     assert first == Line('/clock is also published by x', 'Warning: other nodes')
     assert second == Line('realtime at 1.0000 times real time; 3 deadlines missed; '
@@ -170,7 +170,7 @@ class Browsers:
 
 @pytest.fixture
 def arm_posture():
-    posture = Posture(compose('Panda', arena='table').compile())
+    posture = Kinematics(compose('Panda', arena='table').compile())
     posture.compute()
     return posture
 
@@ -226,13 +226,13 @@ def test_another_world_is_framed_in_the_browsers_that_are_open(arm_posture):
     camera.position = moved
     # The same world with another object.
     ball = {'name': 'ball', 'shape': 'sphere', 'size': 0.03, 'position': [0.1, 0.0, 1.0]}
-    aiming.begin(Posture(compose('Panda', arena='table', objects=[ball]).compile()))
+    aiming.begin(Kinematics(compose('Panda', arena='table', objects=[ball]).compile()))
     aiming.update(arm_posture)
     np.testing.assert_array_equal(camera.position, moved)
     # Other robots; another arena; the robot at another place.
     for world in (compose('GR1', arena='table'), compose('GR1'),
                   compose('GR1', position=[0.0, 1.0, 0.0])):
-        other = Posture(world.compile())
+        other = Kinematics(world.compile())
         camera.position = moved
         aiming.begin(other)
         aiming.update(other)

@@ -14,17 +14,18 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.viewer.page.commands import Events  # noqa: E402
 from manip_sim.viewer.page.hand_target import HandTarget  # noqa: E402
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel, rounded_inward  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
+from manip_sim.viewer.page.page_commands import Events  # noqa: E402
 from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel  # noqa: E402
 from manip_sim.viewer.page.plots import PlotPanel  # noqa: E402
-from manip_sim.viewer.page.poses import PosePanel, Poses  # noqa: E402
-from manip_sim.viewer.page.robots import Joint, Part, Robot  # noqa: E402
+from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart  # noqa: E402
+from manip_sim.viewer.page.saved_poses import PosePanel, Poses  # noqa: E402
 
 RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}
-ARM = Part('arm', (Joint('robot0_a', 'a', False, RANGES), Joint('robot0_b', 'b', False, RANGES)))
+ARM = ShownPart('arm', (ShownJoint('robot0_a', 'a', False, RANGES),
+                        ShownJoint('robot0_b', 'b', False, RANGES)))
 ROBOT = Robot('/left/', 'left', (ARM,), ('right',), (1.0, 0.5, 2.0))
 
 
@@ -194,7 +195,7 @@ def test_velocities_and_efforts_are_repeated_until_they_are_zero(rig, mode):
 
 
 def test_fingers_take_actions(rig):
-    JointPanel(rig.gui, ROBOT, Part('right/gripper', ()), 'position', rig.sent, rig.events)
+    JointPanel(rig.gui, ROBOT, ShownPart('right/gripper', ()), 'position', rig.sent, rig.events)
     for value in ('Close', 'Open'):
         rig.gui.found['Fingers'].use(value=value)
         rig.events.run()
@@ -396,7 +397,7 @@ def test_a_slider_shows_the_nearest_of_its_steps_within_its_range(rig, measured)
 def test_any_range_gives_a_slider(low, width):
     ranges = {**RANGES, 'position': (low, low + width)}
     rig = SimpleNamespace(gui=Gui(), sent=Sent(), events=Events())
-    part = Part('arm', (Joint('robot0_a', 'a', False, ranges),))
+    part = ShownPart('arm', (ShownJoint('robot0_a', 'a', False, ranges),))
     panel = JointPanel(rig.gui, ROBOT, part, 'position', rig.sent, rig.events)
     slider = rig.gui.found['a']
     assert low <= slider.min <= slider.value <= slider.max <= low + width

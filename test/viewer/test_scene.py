@@ -13,10 +13,10 @@ trimesh = pytest.importorskip('trimesh', reason='the viewer needs the extra view
 
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.viewer.page.aiming import VIEWS  # noqa: E402
-from manip_sim.viewer.page.posture import Posture  # noqa: E402
-from manip_sim.viewer.page.scene import (  # noqa: E402
+from manip_sim.viewer.page.body_meshes import body_meshes  # noqa: E402
+from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
+from manip_sim.viewer.page.model_scene import (  # noqa: E402
     FIELD_OF_VIEW, first_view, local_poses, ROOT, Scene)
-from manip_sim.viewer.page.shapes import body_meshes  # noqa: E402
 
 SHAPES = {
     'type="box" size="0.1 0.2 0.3"': (8 * 0.1 * 0.2 * 0.3, (0.1, 0.2, 0.3)),
@@ -97,7 +97,7 @@ def test_poses_in_parents_lead_to_the_poses_in_the_world(omron):
 
 def test_a_posture_takes_joints_by_name_and_free_bodies_by_pose(omron):
     model, data = omron
-    posture = Posture(model)
+    posture = Kinematics(model)
     scalar = [model.joint(i).name for i in range(model.njnt) if int(model.jnt_type[i]) > 1]
     posture.set_joints(['no_such_joint', *reversed(scalar)],
                        [9.0, *(float(data.joint(name).qpos[0]) for name in reversed(scalar))])
@@ -137,7 +137,7 @@ class Recorder:
 
 def test_only_what_has_moved_in_its_parent_is_sent(omron):
     model, _ = omron
-    posture = Posture(model)
+    posture = Kinematics(model)
     server = Recorder()
     scene = Scene(server, model, posture.data)
     server.log.clear()

@@ -12,8 +12,8 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from manip_sim.viewer.page.diagnosis import Status  # noqa: E402
-from manip_sim.viewer.ros.commands import CommandSender  # noqa: E402
+from manip_sim.viewer.page.diagnosis import ShownStatus  # noqa: E402
+from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
 
 
 @pytest.mark.parametrize('forgotten', [False, True])
@@ -56,8 +56,8 @@ def test_an_action_is_sent_for_as_many_fingers_as_the_diagnostics_say(node):
                            ('abc', None), ('nan', None), ('9' * 30, None)):
         told.clear()
         sent.clear()
-        sender.notice('/', [Status(0, 'right/gripper', '', {'action_size': size}),
-                            Status(0, 'arm', '', {})])
+        sender.notice('/', [ShownStatus(0, 'right/gripper', '', {'action_size': size}),
+                            ShownStatus(0, 'arm', '', {})])
         sender.act('/', 'right/gripper', 1.0)
         if expected is None:
             assert (sent, told) == (

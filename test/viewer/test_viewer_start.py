@@ -74,7 +74,7 @@ def test_an_unknown_option_is_a_wrong_command_line():
 
 def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
     pytest.importorskip('rclpy', reason='the viewer needs ROS 2')
-    from manip_sim.viewer.ros import main
+    from manip_sim.viewer.ros import page_process
     rounds, logged = [], []
 
     class Failing:
@@ -85,13 +85,13 @@ def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
             rounds.append(now_s)
             raise ValueError('another model')
     for name in ('open_server', 'page_address', 'close_server'):
-        monkeypatch.setattr(main, name, lambda *_: None)
-    monkeypatch.setattr(main, 'Session', Failing)
+        monkeypatch.setattr(page_process, name, lambda *_: None)
+    monkeypatch.setattr(page_process, 'Session', Failing)
     readers = SimpleNamespace(log=SimpleNamespace(failure=lambda *told: logged.append(told)))
-    main._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None),
-                SimpleNamespace(
-                    allow_host=[], listen='', port=0, dark=False, no_commands=False, poses=None),
-                SimpleNamespace(wait=lambda _: len(rounds) == 3))
+    options = SimpleNamespace(
+        allow_host=[], listen='', port=0, dark=False, no_commands=False, poses=None)
+    page_process._serve(None, readers, 'sim', SimpleNamespace(run_ready=lambda: None), options,
+                        SimpleNamespace(wait=lambda _: len(rounds) == 3))
     assert len(rounds) == 3
     assert [(kind, what, str(error)) for kind, what, error in logged] == [
         ('callbacks', 'the page', 'another model')] * 3

@@ -8,13 +8,13 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from manip_sim.models.files.arena import FileArena
-from manip_sim.models.files.base import base_of_file, FileBase
-from manip_sim.models.files.description import (
-    ArenaDescription, BaseDescription, GripperDescription, RobotDescription)
+from manip_sim.models.files.file_arena import FileArena
+from manip_sim.models.files.file_base import base_of_file, FileBase
+from manip_sim.models.files.file_gripper import FileGripper
+from manip_sim.models.files.file_robot import FileManipulator, FileRobot
 from manip_sim.models.files.finding import find_model
-from manip_sim.models.files.gripper import FileGripper
-from manip_sim.models.files.robot import FileManipulator, FileRobot
+from manip_sim.models.files.part_descriptions import (
+    ArenaDescription, BaseDescription, GripperDescription, RobotDescription)
 from manip_sim.models.files.robot_plan import plan_robot
 
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 import mujoco
 import numpy as np
 
-from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.files.body_tree import BodyTree
 
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)

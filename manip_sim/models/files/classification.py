@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 import re
 
-from manip_sim.models.files.tree import BodyTree, words_of
+from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.robots.subsystems import classify
 
 #: Words for a subsystem besides those of ``classify``, in the order in which they are tried.

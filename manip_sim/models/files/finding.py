@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from manip_sim.errors import ModelError
-from manip_sim.models.files.description import (
+from manip_sim.models.files.part_descriptions import (
     Description, DescriptionT, read_description, RobotDescription)
 from manip_sim.models.sources import is_path
 from manip_sim.quoting import one_line

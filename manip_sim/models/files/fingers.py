@@ -15,8 +15,8 @@ import numpy as np
 
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
-from manip_sim.models.files.hands import FoundHand
-from manip_sim.models.files.tree import BodyTree, words_of
+from manip_sim.models.files.body_tree import BodyTree, words_of
+from manip_sim.models.files.found_hands import FoundHand
 
 #: Words in the names of sites between the fingertips, in order of preference.
 _GRASP_WORDS = ('pinch', 'grasp', 'grip', 'tcp')

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.files.description import OwnHandDescription
+from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import Fingers
+from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
-from manip_sim.models.files.hands import FoundHand
-from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.files.part_descriptions import OwnHandDescription
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.spec_edits import delete_elements
 

@@ -11,8 +11,8 @@ import warnings
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.files.frames import free_name
-from manip_sim.models.files.tree import BodyTree
+from manip_sim.models.files.body_tree import BodyTree
+from manip_sim.models.files.placing import free_name
 from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 

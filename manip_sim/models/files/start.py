@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Union
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.files.reading import ModelFile
+from manip_sim.models.files.model_file import ModelFile
 
 
 def start_pose(model_file: ModelFile, declared: Union[str, Mapping[str, float], None],

@@ -19,10 +19,10 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.hardware import add_hardware, Hardware
 from manip_sim.models.urdf_writer.joints import (
     actuated_joints, effort_limit, find_mimics, Mimic, velocity_limit)
-from manip_sim.models.urdf_writer.numbers import matrix_of, rpy_of, text_of
-from manip_sim.models.urdf_writer.shapes import (
+from manip_sim.models.urdf_writer.kinematic_tree import Joint, KinematicTree, Link, robot_tree
+from manip_sim.models.urdf_writer.link_shapes import (
     collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, shapes_of)
-from manip_sim.models.urdf_writer.tree import Joint, KinematicTree, Link, robot_tree
+from manip_sim.models.urdf_writer.urdf_numbers import matrix_of, rpy_of, text_of
 from manip_sim.models.world import World
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)

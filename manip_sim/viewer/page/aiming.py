@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.viewer.page.posture import Posture
-from manip_sim.viewer.page.scene import FIELD_OF_VIEW, FIRST, first_view
+from manip_sim.viewer.page.kinematics import Kinematics
+from manip_sim.viewer.page.model_scene import FIELD_OF_VIEW, FIRST, first_view
 
 #: Width of the panel, and of the widest window that has it below.
 _PANEL_PIXELS, _PHONE_PIXELS = 400, 576
@@ -42,7 +42,7 @@ class Aiming:
         self._aimed: set[int] = set()
         self._world: object = None
 
-    def begin(self, posture: Posture) -> None:
+    def begin(self, posture: Kinematics) -> None:
         """
         Set the first view of browsers that come; in another world, that of all browsers.
 
@@ -58,7 +58,7 @@ class Aiming:
         camera.fov = FIELD_OF_VIEW
         camera.position, camera.look_at = first_view(posture.model, posture.data, _ASPECT)
 
-    def update(self, posture: Posture) -> None:
+    def update(self, posture: Kinematics) -> None:
         """
         Aim the cameras that are new or at the first view, after :meth:`begin`.
 
@@ -71,7 +71,7 @@ class Aiming:
                 self._aimed.add(number)
                 _aim(client.camera, posture)
 
-    def look(self, number: int | None, view: str, posture: Posture) -> None:
+    def look(self, number: int | None, view: str, posture: Kinematics) -> None:
         """
         Aim the camera of one browser.
 
@@ -95,7 +95,7 @@ def _fixed_bodies(model: mujoco.MjModel) -> set[tuple[Any, ...]]:
             for i in range(model.nbody) if model.body_weldid[i] == 0}
 
 
-def _aim(camera: Any, posture: Posture, direction: tuple[float, float, float] = FIRST) -> None:
+def _aim(camera: Any, posture: Kinematics, direction: tuple[float, float, float] = FIRST) -> None:
     width, height = camera.image_width, max(1, camera.image_height)
     # On a phone the panel is below the picture.
     phone = width <= _PHONE_PIXELS

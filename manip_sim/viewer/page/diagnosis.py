@@ -23,7 +23,7 @@ _OUTCOMES = {
 
 
 @dataclass(frozen=True)
-class Status:
+class ShownStatus:
     """
     A status of ``/diagnostics``.
 
@@ -47,13 +47,13 @@ class Status:
         return number if math.isfinite(number) else None
 
 
-def command_fields(statuses: Iterable[Status]) -> dict[str, str]:
+def command_fields(statuses: Iterable[ShownStatus]) -> dict[str, str]:
     """Return the fields that the commands of parts use, by topic, such as ``left/arm``."""
     return {status.name: status.values['command_interface'] for status in statuses
             if status.values.get('command_interface') in FIELDS}
 
 
-def in_words(statuses: Iterable[Status]) -> list[Line]:
+def in_words(statuses: Iterable[ShownStatus]) -> list[Line]:
     """Return a line for each status, the most severe first."""
     ranked = sorted(statuses, key=lambda status: -status.level)
     lines = [Line(_words(status), title=f'{_SIGNS[min(status.level, ERROR)]}{status.name}')
@@ -61,7 +61,7 @@ def in_words(statuses: Iterable[Status]) -> list[Line]:
     return lines or [Line('No diagnostics yet.')]
 
 
-def _words(status: Status) -> str:
+def _words(status: ShownStatus) -> str:
     values = status.values
     if 'real_time_factor' in values:
         words = _simulation(status)
@@ -75,7 +75,7 @@ def _words(status: Status) -> str:
     return words if plain else '; '.join(text for text in (status.message, words) if text)
 
 
-def _simulation(status: Status) -> str:
+def _simulation(status: ShownStatus) -> str:
     values = status.values
     words = [f'{values.get("state", status.message)} at {values["real_time_factor"]} times real '
              'time', f'{values.get("missed_deadlines", "0")} deadlines missed']
@@ -87,7 +87,7 @@ def _simulation(status: Status) -> str:
     return '; '.join(words + ([] if defects == 'none' else [f'at the start: {defects}']))
 
 
-def _commands(status: Status) -> str:
+def _commands(status: ShownStatus) -> str:
     words, values, age_s = [], status.values, status.number('age')
     if 'control_mode' in values:
         words.append(f'{values["control_mode"]} mode')

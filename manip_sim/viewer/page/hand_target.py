@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.commands import Commands, Following
+from manip_sim.viewer.page.page_commands import Commands, Following
 
 _SCALE = 0.18
 #: A hand that moves less between two calls [m] is still.

@@ -10,9 +10,9 @@ import math
 import time
 from typing import Any
 
-from manip_sim.viewer.page.commands import Commands, Events, Following
+from manip_sim.viewer.page.page_commands import Commands, Events, Following
 from manip_sim.viewer.page.plain_text import plain
-from manip_sim.viewer.page.robots import Joint, Part, Robot
+from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
 
 #: Steps of a slider, and the least of them [rad or m ...].
 _STEPS, _RESOLUTION = 500, 1e-4
@@ -45,7 +45,7 @@ class JointPanel:
     :ivar field: that its commands use
     """
 
-    def __init__(self, gui: Any, robot: Robot, part: Part, field: str, commands: Commands,
+    def __init__(self, gui: Any, robot: Robot, part: ShownPart, field: str, commands: Commands,
                  events: Events, folded: bool = False, order: float = 0.0) -> None:
         self.field = field
         self._robot, self._part = robot, part
@@ -78,7 +78,7 @@ class JointPanel:
         self._events.add(lambda: self._commands.act(
             self._robot.space, self._part.name, 1.0 if value == 'Close' else -1.0))
 
-    def _add_slider(self, gui: Any, joint: Joint) -> None:
+    def _add_slider(self, gui: Any, joint: ShownJoint) -> None:
         low, high = rounded_inward(*joint.ranges[self.field])
         unit = joint.unit(self.field)
         slider = gui.add_slider(

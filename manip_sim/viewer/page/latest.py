@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.diagnosis import Status
+from manip_sim.viewer.page.diagnosis import ShownStatus
 
 _WINDOW_S = 2.0
 
@@ -62,7 +62,7 @@ class JointStates:
 
 
 @dataclass(frozen=True)
-class Pose:
+class PoseInWorld:
     """
     Where something is in ``world``.
 
@@ -92,11 +92,11 @@ class Latest:
     """
 
     joints: dict[str, JointStates] = field(default_factory=dict)
-    hands: dict[tuple[str, str], Pose] = field(default_factory=dict)
+    hands: dict[tuple[str, str], PoseInWorld] = field(default_factory=dict)
     wrenches: dict[tuple[str, str], FloatArray] = field(default_factory=dict)
-    objects: dict[str, Pose] = field(default_factory=dict)
+    objects: dict[str, PoseInWorld] = field(default_factory=dict)
     contacts: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     arrows: dict[str, FloatArray] = field(default_factory=dict)
     images: dict[str, NDArray[Any]] = field(default_factory=dict)
-    diagnostics: list[Status] = field(default_factory=list)
+    diagnostics: list[ShownStatus] = field(default_factory=list)
     joints_s: float = 0.0

@@ -12,18 +12,18 @@ import mujoco
 
 from manip_sim.quoting import one_line
 from manip_sim.viewer.page.aiming import Aiming
-from manip_sim.viewer.page.commands import Commands, Events
-from manip_sim.viewer.page.diagnosis import command_fields, in_words, Status
+from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
+from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.latest import Latest
+from manip_sim.viewer.page.model_scene import Overlays, Scene
+from manip_sim.viewer.page.page_commands import Commands, Events
 from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel, ViewPanel
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
-from manip_sim.viewer.page.poses import PosePanel, Poses
-from manip_sim.viewer.page.posture import Posture
-from manip_sim.viewer.page.robots import Part, Robot
-from manip_sim.viewer.page.scene import Overlays, Scene
+from manip_sim.viewer.page.robots import Robot, ShownPart
+from manip_sim.viewer.page.saved_poses import PosePanel, Poses
 from manip_sim.viewer.page.server import set_theme
 
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
@@ -50,7 +50,7 @@ class Page:
         self._saved_poses = poses or Poses()
         self.events = Events()
         self._dark = dark
-        self._posture: Posture | None = None
+        self._posture: Kinematics | None = None
         self._scene: Scene | None = None
         self._aiming = Aiming(server)
         self._overlays = Overlays(server.scene)
@@ -125,7 +125,7 @@ class Page:
         """
         if self._scene is not None:
             self._scene.remove()
-        self._posture = Posture(model)
+        self._posture = Kinematics(model)
         self._take(latest)
         self._scene = Scene(self._server, model, self._posture.data)
         self._view.attach(self._scene)
@@ -141,7 +141,7 @@ class Page:
             client.add_notification('Command failed', one_line(text), color='orange',
                                     auto_close_seconds=8.0)
 
-    def show_diagnostics(self, statuses: Sequence[Status]) -> None:
+    def show_diagnostics(self, statuses: Sequence[ShownStatus]) -> None:
         """Show the diagnostics, and take the fields that the sliders command from them."""
         self._health.show(in_words(statuses))
         self._fields = command_fields(statuses)
@@ -198,7 +198,7 @@ class Page:
                     panel.show(now_s, dict(zip(states.names, states.position)),
                                dict(zip(states.names, states.velocity)), paused)
 
-    def _panel(self, commands: Commands, robot: Robot, part: Part, number: int
+    def _panel(self, commands: Commands, robot: Robot, part: ShownPart, number: int
                ) -> JointPanel | None:
         """Return the panel of a part for its present commands; None if it needs none."""
         field = self._fields.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)

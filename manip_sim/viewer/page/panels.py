@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.aiming import VIEWS
-from manip_sim.viewer.page.commands import Commands, Events
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.latest import Latest
+from manip_sim.viewer.page.model_scene import Scene
+from manip_sim.viewer.page.page_commands import Commands, Events
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
-from manip_sim.viewer.page.scene import Scene
 
 _COLORS = {'running': '#2f9e44', 'paused': '#f08c00', 'waiting': '#868e96', 'gone': '#e03131',
            'trouble': '#e8590c'}

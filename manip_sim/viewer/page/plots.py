@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.latest import JointStates, Latest
-from manip_sim.viewer.page.robots import Part, Robot
+from manip_sim.viewer.page.robots import Robot, ShownPart
 
 #: How long the plots look back in simulation time [s].
 WINDOW_S = 10.0
@@ -69,7 +69,7 @@ class PlotPanel:
         self._next_s = 0.0
         self._plots: list[tuple[Any, slice]] = []
         self._history = History()
-        self._choices: dict[str, tuple[Robot, Part | str]] = {}
+        self._choices: dict[str, tuple[Robot, ShownPart | str]] = {}
         for robot in robots:
             self._choices.update({robot.titled(part.name.replace('/', ' ')): (robot, part)
                                   for part in robot.parts if part.joints})
@@ -97,22 +97,22 @@ class PlotPanel:
                 for plot, columns in self._plots:
                     plot.data = (times, *np.ascontiguousarray(rows[:, columns].T))
 
-    def _record(self, robot: Robot, what: Part | str, latest: Latest) -> None:
+    def _record(self, robot: Robot, what: ShownPart | str, latest: Latest) -> None:
         states = latest.joints.get(robot.space)
         if states is None:
             return
-        if isinstance(what, Part):
+        if isinstance(what, ShownPart):
             row = _row(states, what)
             if row is not None:
                 self._history.add(states.time_s, row)
         elif (robot.space, what) in latest.wrenches:
             self._history.add(states.time_s, latest.wrenches[robot.space, what])
 
-    def _rebuild(self, robot: Robot, what: Part | str) -> None:
+    def _rebuild(self, robot: Robot, what: ShownPart | str) -> None:
         for plot, _ in self._plots:
             plot.remove()
         self._plots = []
-        if isinstance(what, Part):
+        if isinstance(what, ShownPart):
             labels = [joint.label for joint in what.joints]
             units = {(joint.unit('position'), joint.unit('velocity'), joint.unit('effort'))
                      for joint in what.joints}
@@ -139,7 +139,7 @@ class PlotPanel:
             legend={'show': len(labels) <= len(_COLORS), 'live': False})
 
 
-def _row(states: JointStates, part: Part) -> FloatArray | None:
+def _row(states: JointStates, part: ShownPart) -> FloatArray | None:
     index = {name: i for i, name in enumerate(states.names)}
     if any(joint.name not in index for joint in part.joints):
         return None

@@ -32,7 +32,7 @@ FIELDS = ('position', 'velocity', 'effort')
 
 
 @dataclass(frozen=True)
-class Joint:
+class ShownJoint:
     """
     A joint that can be commanded.
 
@@ -55,7 +55,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Part:
+class ShownPart:
     """
     A subsystem, an arm or a gripper.
 
@@ -64,7 +64,7 @@ class Part:
     """
 
     name: str
-    joints: tuple[Joint, ...]
+    joints: tuple[ShownJoint, ...]
 
     @property
     def is_gripper(self) -> bool:
@@ -87,7 +87,7 @@ class Robot:
 
     space: str
     title: str
-    parts: tuple[Part, ...]
+    parts: tuple[ShownPart, ...]
     hands: tuple[str, ...]
     twist: tuple[float, float, float] | None = None
 
@@ -116,7 +116,7 @@ def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
 
 def commanded_joints(model: mujoco.MjModel, names: list[str],
                      limits: Mapping[str, Mapping[str, float]], gripper: bool
-                     ) -> tuple[Joint, ...]:
+                     ) -> tuple[ShownJoint, ...]:
     """
     Return those joints that have an actuator of their own.
 
@@ -135,8 +135,8 @@ def commanded_joints(model: mujoco.MjModel, names: list[str],
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if index in driven:
             slides = int(model.jnt_type[index]) == _SLIDE
-            found.append(Joint(name, plain(labels[name]), slides,
-                               _ranges(limits.get(name, {}), slides)))
+            found.append(ShownJoint(name, plain(labels[name]), slides,
+                                    _ranges(limits.get(name, {}), slides)))
     return tuple(found)
 
 

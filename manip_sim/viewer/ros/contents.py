@@ -22,8 +22,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import MessageError
 from manip_sim.quoting import counted, quoted
-from manip_sim.viewer.page.diagnosis import Status
-from manip_sim.viewer.page.latest import JointStates, Pose
+from manip_sim.viewer.page.diagnosis import ShownStatus
+from manip_sim.viewer.page.latest import JointStates, PoseInWorld
 
 #: Size of a number at most; larger ones overflow where they are multiplied or drawn.
 _LARGEST = 1e9
@@ -75,7 +75,7 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-def pose(message: PoseStamped) -> Pose:
+def pose(message: PoseStamped) -> PoseInWorld:
     """
     Return the pose of a message.
 
@@ -87,7 +87,7 @@ def pose(message: PoseStamped) -> Pose:
     norm = float(np.linalg.norm(quat))
     if norm < _LEAST_NORM:
         raise MessageError(f'orientation: the quaternion has the norm {norm:g}')
-    return Pose(position, quat / norm)
+    return PoseInWorld(position, quat / norm)
 
 
 def wrench(message: WrenchStamped) -> FloatArray:
@@ -143,7 +143,7 @@ def _points(marker: Marker) -> FloatArray:
                    'points').reshape(-1, 3)
 
 
-def statuses(message: DiagnosticArray, node: str) -> list[Status]:
+def statuses(message: DiagnosticArray, node: str) -> list[ShownStatus]:
     """
     Return the statuses of a node; none if the message is of others.
 
@@ -154,8 +154,8 @@ def statuses(message: DiagnosticArray, node: str) -> list[Status]:
     own = [status for status in message.status if status.name.startswith(begin)]
     if len(own) > _MAX_STATUSES:
         raise MessageError(f'{len(own)} statuses, and at most {_MAX_STATUSES} are shown')
-    return [Status(_level(status.level), status.name.removeprefix(begin), status.message,
-                   {pair.key: pair.value for pair in status.values}) for status in own]
+    return [ShownStatus(_level(status.level), status.name.removeprefix(begin), status.message,
+                        {pair.key: pair.value for pair in status.values}) for status in own]
 
 
 def _level(level: bytes | int) -> int:

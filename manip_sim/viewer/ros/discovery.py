@@ -19,7 +19,7 @@ from manip_sim.errors import MessageError, ModelError
 from manip_sim.models.archive import load_archive, MAX_ARCHIVE_BYTES
 from manip_sim.ros.background import begin
 from manip_sim.viewer.page.robots import (
-    commanded_joints, declared_limits, limit_of, Part, Robot)
+    commanded_joints, declared_limits, limit_of, Robot, ShownPart)
 from manip_sim.viewer.ros import contents
 from manip_sim.viewer.ros.layout import Layout, layout_of, RobotTopics
 from manip_sim.viewer.ros.readers import Readers
@@ -148,8 +148,8 @@ class Discovery:
         limits = self._limits[topics.space]
         names = {part: self._joints[topics.space + part] for part in topics.parts}
         parts = tuple(
-            Part(part, commanded_joints(self.model, names[part], limits,
-                                        part.endswith('/gripper')))
+            ShownPart(part, commanded_joints(self.model, names[part], limits,
+                                             part.endswith('/gripper')))
             for part in topics.parts)
         twist = None
         if topics.drives:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from manip_sim.startup import EndSignals
-from manip_sim.viewer.page.posture import Posture
-from manip_sim.viewer.page.scene import first_view
+from manip_sim.viewer.page.kinematics import Kinematics
+from manip_sim.viewer.page.model_scene import first_view
 from manip_sim.viewer.ros.discovery import Discovery
 from manip_sim.viewer.ros.readers import Readers
 from manip_sim.viewer.ros.states import States
@@ -50,7 +50,7 @@ def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callab
         models = _wait_for_model(discovery, run_ready, ended)
         if models is None:
             return
-        posture = Posture(discovery.model)
+        posture = Kinematics(discovery.model)
         with _open_window(posture) as window:
             with window.lock():
                 aim(window.cam, *first_view(posture.model, posture.data, _ASPECT))
@@ -77,7 +77,7 @@ def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callab
 
 
 @contextlib.contextmanager
-def _open_window(posture: Posture) -> Iterator[mujoco.viewer.Handle]:
+def _open_window(posture: Kinematics) -> Iterator[mujoco.viewer.Handle]:
     """Open a window, and close it; its thread must not outlive the interpreter."""
     others = set(threading.enumerate())
     with mujoco.viewer.launch_passive(posture.model, posture.data) as window:

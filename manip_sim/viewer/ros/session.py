@@ -13,11 +13,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from manip_sim.quoting import counted
-from manip_sim.viewer.page.diagnosis import Status, WARN
+from manip_sim.viewer.page.diagnosis import ShownStatus, WARN
 from manip_sim.viewer.page.latest import RealTimeFactor
 from manip_sim.viewer.page.page import Page
-from manip_sim.viewer.page.poses import Poses
-from manip_sim.viewer.ros.commands import CommandSender
+from manip_sim.viewer.page.saved_poses import Poses
+from manip_sim.viewer.ros.command_sender import CommandSender
 from manip_sim.viewer.ros.discovery import Discovery
 from manip_sim.viewer.ros.readers import Readers
 from manip_sim.viewer.ros.states import States
@@ -72,11 +72,11 @@ class Session:
         self._paused = paused
         self._next_tell_s = 0.0
 
-    def _diagnosed(self, statuses: list[Status]) -> None:
+    def _diagnosed(self, statuses: list[ShownStatus]) -> None:
         if self._sender is not None:
             self._sender.notice(self._discovery.base, statuses)
         rejected = self._readers.rejected
-        self._page.show_diagnostics([*statuses, *([Status(
+        self._page.show_diagnostics([*statuses, *([ShownStatus(
             WARN, 'viewer', f'{counted(rejected, "message")} rejected, see its log')]
             if rejected else [])])
         for status in statuses:

@@ -18,7 +18,7 @@ from rclpy.qos import qos_profile_sensor_data, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState
 from visualization_msgs.msg import MarkerArray
 
-from manip_sim.viewer.page.diagnosis import Status
+from manip_sim.viewer.page.diagnosis import ShownStatus
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.ros import contents
 from manip_sim.viewer.ros.layout import Layout
@@ -48,7 +48,7 @@ class States:
         self._subscriptions: dict[str, Any] = {}
         self.latest = Latest()
         self.frames: dict[tuple[str, str], str] = {}
-        self.on_statuses: Callable[[list[Status]], None] = lambda statuses: None
+        self.on_statuses: Callable[[list[ShownStatus]], None] = lambda statuses: None
         readers.subscribe(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
 
     def forget(self) -> None:

@@ -42,7 +42,7 @@ class Description(BaseModel):
     model: Name | None = None
 
 
-class Frame(BaseModel):
+class FrameDescription(BaseModel):
     """A pose in the frame of a body or site."""
 
     model_config = ConfigDict(extra='forbid')
@@ -59,7 +59,7 @@ class HandDescription(BaseModel):
     model_config = ConfigDict(extra='forbid')
 
     #: The grasp frame.
-    grasp_point: Frame | None = None
+    grasp_point: FrameDescription | None = None
     #: Opening and closing control, in that order, by actuator.
     closing: dict[Name, Range] = {}
     #: Whether an action has one number for each actuator or one for all.
@@ -85,7 +85,7 @@ class GripperDescription(Description, HandDescription):
     """A hand in a file of its own."""
 
     #: Pose of its root body in the end effector body of an arm.
-    mount: Frame | None = None
+    mount: FrameDescription | None = None
     #: A keyframe, or positions by joint [rad or m].
     start: Union[Name, dict[Name, Number], None] = None
 
@@ -96,7 +96,7 @@ class ArmDescription(BaseModel):
     model_config = ConfigDict(extra='forbid')
 
     #: The body or site that a gripper is mounted on, or a pose in it.
-    mount: Union[Name, Frame, None] = None
+    mount: Union[Name, FrameDescription, None] = None
     #: The file's own hand, or the body that carries it; ``none``: there is none.
     hand: Union[Name, OwnHandDescription, None] = None
     gripper: Name | None = None
@@ -180,7 +180,7 @@ def _is_of_union(part: Any) -> bool:
     return isinstance(part, str) and ('[' in part or part in _UNION_MEMBERS)
 
 
-_UNION_MEMBERS = {'str', 'Frame', 'OwnHandDescription', 'constrained-str'}
+_UNION_MEMBERS = {'str', 'FrameDescription', 'OwnHandDescription', 'constrained-str'}
 
 
 def _keys_at(kind: type[BaseModel], place: list[str]) -> list[str]:
@@ -188,7 +188,8 @@ def _keys_at(kind: type[BaseModel], place: list[str]) -> list[str]:
     if not place:
         return list(kind.model_fields)
     known: dict[str, type[BaseModel]] = {
-        'arms': ArmDescription, 'mount': Frame, 'grasp_point': Frame, 'hand': OwnHandDescription}
+        'arms': ArmDescription, 'mount': FrameDescription, 'grasp_point': FrameDescription,
+        'hand': OwnHandDescription}
     for name in reversed(place):
         if name in known:
             return list(known[name].model_fields)

@@ -22,7 +22,7 @@ from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros import background
 from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.page.access import Access
-from manip_sim.viewer.page.poses import Poses
+from manip_sim.viewer.page.saved_poses import Poses
 from manip_sim.viewer.page.server import close_server, open_server, page_address
 from manip_sim.viewer.ros.readers import PolledExecutor, Readers
 from manip_sim.viewer.ros.session import Session

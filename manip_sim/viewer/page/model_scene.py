@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.viewer.page.body_meshes import body_meshes, planes
 from manip_sim.viewer.page.plain_text import plain
-from manip_sim.viewer.page.shapes import body_meshes, planes
 
 _NOTHING = np.zeros((0, 3))
 _POINT = (255, 140, 0)

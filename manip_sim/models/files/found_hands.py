@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from manip_sim.models.files.tree import BodyTree, side_of, words_of
+from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
 
 #: Words that only parts of hands have, and words that a wrist with a hand may have too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}

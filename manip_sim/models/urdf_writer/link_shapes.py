@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.urdf_writer.numbers import matrix_of, text_of
+from manip_sim.models.urdf_writer.urdf_numbers import matrix_of, text_of
 from manip_sim.resources import PACKAGE, share_directory
 
 #: A sphere of radius 1 [m], for ellipsoids.

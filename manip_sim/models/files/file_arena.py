@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
-from manip_sim.models.files.description import ArenaDescription
+from manip_sim.models.files.part_descriptions import ArenaDescription
 from manip_sim.models.loading import load_spec
 from manip_sim.models.robots.robot_model import RobotModel
 

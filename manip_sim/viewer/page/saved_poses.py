@@ -14,9 +14,9 @@ from typing import Any
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import quoted
-from manip_sim.viewer.page.commands import Commands, Events
 from manip_sim.viewer.page.latest import Latest
-from manip_sim.viewer.page.robots import Joint, Part, Robot
+from manip_sim.viewer.page.page_commands import Commands, Events
+from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
 
 _NAME = re.compile(r'\w[\w -]{0,39}')
 #: Number of poses, and size of their file [bytes], at most.
@@ -141,7 +141,7 @@ class PosePanel:
     def _options(self) -> tuple[str, ...]:
         return tuple(self._poses.names) or (_NONE,)
 
-    def _parts(self) -> Iterator[tuple[Robot, Part, str]]:
+    def _parts(self) -> Iterator[tuple[Robot, ShownPart, str]]:
         """Yield robots and parts that have sliders, with the fields of their commands."""
         for robot in self._robots:
             for part in robot.parts:
@@ -193,6 +193,6 @@ class PosePanel:
         return True
 
 
-def _within(joint: Joint, position: float) -> float:
+def _within(joint: ShownJoint, position: float) -> float:
     low, high = joint.ranges[_POSITION]
     return min(max(position, low), high)

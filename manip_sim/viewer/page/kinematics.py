@@ -18,7 +18,7 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _MAX_KNOWN = 100
 
 
-class Posture:
+class Kinematics:
     """
     The kinematics of a model.
 

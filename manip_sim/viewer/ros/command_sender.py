@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.diagnosis import Status
+from manip_sim.viewer.page.diagnosis import ShownStatus
 
 _ACTION_SIZE, _MAX_ACTION_SIZE = 'action_size', 100
 _SERVICES = {'pause': SetBool, 'step': Trigger, 'reset': Trigger, 'tare_wrench': Trigger}
@@ -41,7 +41,7 @@ class CommandSender:
         self._action_sizes: dict[str, int] = {}
         self.paused: Callable[[bool], None] = lambda paused: None
 
-    def notice(self, base: str, statuses: list[Status]) -> None:
+    def notice(self, base: str, statuses: list[ShownStatus]) -> None:
         """Take from the diagnostics how many numbers the actions of grippers have."""
         sizes = {f'{base}{status.name}': status.number(_ACTION_SIZE) for status in statuses}
         self._action_sizes = {name: int(size) for name, size in sizes.items()
