@@ -4,6 +4,7 @@
 """The thread that runs the simulation: how it ends for those who ask it something."""
 
 from concurrent.futures import ThreadPoolExecutor
+import re
 from threading import Event
 import time
 
@@ -173,6 +174,23 @@ def test_each_of_two_robots_gets_its_own_commands(free):
     np.testing.assert_allclose(simulation.robots['robot1'].state().position[:6], goal, atol=1e-3)
     np.testing.assert_allclose(simulation.robots['robot0'].state().position, start['robot0'],
                                atol=1e-3)
+
+
+@pytest.mark.parametrize('begin_again', [SimulationThread.reset, SimulationThread.restore])
+def test_commands_that_wait_are_aborted_by_a_new_beginning(free, begin_again):
+    thread = free(UR5e(), paused=True)
+    robot = thread._simulation.robot
+    thread.start()
+    thread.save()
+    start = robot.state().position.copy()
+    (handle,) = thread.submit(robot.parse.joint_command(['robot0_shoulder_pan_joint'], [0.3]))
+    begin_again(thread)
+    assert handle.status is Status.ABORTED
+    assert re.fullmatch('the simulation was reset|a saved state was restored', handle.reason)
+    for _ in range(20):
+        thread.step()
+    thread.stop()
+    np.testing.assert_allclose(robot.state().position, start, atol=1e-3)
 
 
 def test_commands_are_taken_by_the_robot_that_they_were_made_for_alone(free):
