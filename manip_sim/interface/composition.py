@@ -17,8 +17,8 @@ from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
     composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
-    place_parameters, reflex_parameters, steps_per_period, stream_parameters, timeout_parameters,
-    wrench_parameters)
+    place_parameters, reflex_parameters, sensing_parameters, steps_per_period, stream_parameters,
+    timeout_parameters, wrench_parameters)
 from manip_sim.interface.topics import PartLike, Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
@@ -36,8 +36,9 @@ _SPACING_M = 1.0
 #: What a namespace, a parameter and the names of joints may all begin with.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: What else is in the node's namespace or begins names of parameters.
-_RESERVED = ('arena', 'armature', 'camera', 'control_mode', 'command_timeout', 'friction',
-             'objects', 'qos_overrides', 'stream_hold', 'stream_interval', 'torque_speed')
+_RESERVED = ('arena', 'armature', 'camera', 'command_timeout', 'control_mode', 'friction',
+             'latency', 'noise', 'objects', 'qos_overrides', 'resolution', 'sensors',
+             'stream_hold', 'stream_interval', 'torque_speed', 'truth')
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,7 @@ def declare_parts(parameters: ParameterSource,
         parameters.declare(cartesian_parameters(scope, arms))
         parameters.declare(wrench_parameters(scope, arms))
         parameters.declare(reflex_parameters(scope, commanded, arms))
+        parameters.declare(sensing_parameters(scope))
 
 
 def declare_cameras(parameters: ParameterSource, world: World, model: mujoco.MjModel

@@ -18,6 +18,7 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.initialization_noise import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
+from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
 from manip_sim.simulation.modes import default_mode, MODES
@@ -318,6 +319,13 @@ def reflex_parameters(scope: Scope, parts: Sequence[str], arms: Sequence[str]
                               f'tool exceeds this value{end}', 'N m', live=True, minimum=0.0,
                               maximum=1e5)]
     return [spec.within(scope) for spec in specs]
+
+
+def sensing_parameters(scope: Scope) -> list[ParameterSpec]:
+    """Return the parameters of what is measured of a robot: noise, resolution and latency."""
+    return [ParameterSpec(name, 0.0, f'{quantity.meaning} 0 switches it off.', quantity.unit,
+                          live=True, minimum=0.0, maximum=quantity.maximum).within(scope)
+            for name, quantity in QUANTITIES.items()]
 
 
 def steps_per_period(publish_rate: float, timestep: float) -> int:

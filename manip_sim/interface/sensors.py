@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 import inspect
 from typing import Any, ClassVar
-import zlib
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.interface.topics import PUBLISHED, Scope, Topic, topics_of
+from manip_sim.sensing.randomness import generator
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 GROUP = 'manip_sim.sensors'
@@ -83,8 +83,7 @@ class Sensor(TopicSource):
         :raises ModelError: if what was read is not a row of finite numbers
         """
         name = f'{self.topic.name} {self.robot.name} {self.of}'
-        random = np.random.default_rng(
-            (self.seed, zlib.crc32(name.encode()), simulation.time_ns))
+        random = generator(self.seed, name, simulation.step_count)
         values = np.asarray(self.add_noise(self.read(simulation), random), dtype=np.float64)
         if values.ndim != 1 or not np.isfinite(values).all():
             raise ModelError(f'must read a row of finite numbers, got {values!r:.60}')

@@ -26,6 +26,9 @@ PART, ARM, OBJECT, CAMERA, SENSOR = '<part>', '<arm>', '<name>', '<camera>', '<s
 _GRIPPER = f'{ARM}/gripper'
 #: When topics are published.
 _PERIOD, _TF_RATE, _IMAGES = 'publish_rate', 'tf_rate', 'camera.<camera>.rate'
+#: Readers of what is measured, with noise and latency where these are set.
+MEASURED = ('joints', 'wrench', 'external_wrench', 'pose', 'twist', 'odometry', 'imu', 'range',
+            'magnetic_field', 'values')
 _ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
 
 
@@ -173,7 +176,7 @@ TOPICS = (
                'object_twist'),
     _published('odom', 'nav_msgs/Odometry',
                'pose of a mobile base in the frame odom, and its velocity in its own axes',
-               'twist'),
+               'twist', 'odometry'),
     _published('/tf', 'tf2_msgs/TFMessage', 'frames that move, where tf2_msgs is installed',
                rate=_TF_RATE, depth=100),
     _published('/tf_static', 'tf2_msgs/TFMessage',
@@ -319,6 +322,16 @@ def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
     """
     return [row.filled_in(name) for name, depth in cameras.items() for row in TOPICS
             if row.per == CAMERA and (depth or row.needs != 'depth')]
+
+
+def truths(rows: Iterable[Topic]) -> list[Topic]:
+    """
+    Return the topics with exact values beside those that noise or latency may change.
+
+    :param rows: of one robot, without its namespace
+    """
+    return [replace(row, name=f'truth/{row.name}', meaning=f'exactly: {row.meaning}')
+            for row in rows if row.by in MEASURED]
 
 
 def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:

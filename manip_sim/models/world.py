@@ -46,11 +46,12 @@ class World:
     :param objects: free bodies, as for :func:`create_objects`; they come after those of the arena
     :param initialization_noise: added to the start of the robots' own joints, see
         :class:`InitializationNoise`; None for none
-    :param seed: of that noise; None draws one
+    :param seed: of that noise, for which None draws one, and of the noise of sensors
     :param cameras: in addition to those of robots and arena, as for :func:`create_camera`
     :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
+    :ivar seed: of the noise of sensors, 0 if there is no other
     """
 
     def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
@@ -72,6 +73,10 @@ class World:
         self.cameras = [create_camera(camera) for camera in cameras]
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
+        if self.noise is not None:
+            self.seed = self.noise.seed
+        else:
+            self.seed = 0 if seed is None else checked_seed(seed)
 
     @property
     def name(self) -> str:

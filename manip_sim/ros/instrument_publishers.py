@@ -50,6 +50,8 @@ class InstrumentPublishers(Publications):
         self._log = log
         self._prefix = frame_prefix
         self._topics: dict[str, tuple[ServedInstrument, Publication]] = {}
+        #: Robots whose exact values are published too.
+        self._true: frozenset[Scope] = frozenset()
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -59,7 +61,8 @@ class InstrumentPublishers(Publications):
 
         :param simulation: its instruments are published from now on
         """
-        served = {one.topic.name: one for one in served_instruments(simulation, self._robots)}
+        served = {one.topic.name: one for one in served_instruments(
+            simulation, self._robots, self._true)}
         gone = {name: publication for name, (one, publication) in self._topics.items()
                 if name not in served or not _alike(served[name], one)}
         self._topics = {name: (one, self._topics[name][1] if name in self._topics
@@ -68,6 +71,16 @@ class InstrumentPublishers(Publications):
         self.replace(tuple(publication for _, publication in self._topics.values()))
         for publication in gone.values():
             publication.output.close(self._node)
+
+    def tell_truth(self, scope: Scope, simulation: Simulation) -> None:
+        """
+        Also publish the exact values of the instruments of a robot, below ``truth/``.
+
+        :param scope: of the robot
+        :param simulation: its instruments are published from now on
+        """
+        self._true |= {scope}
+        self.follow(simulation)
 
     def _create(self, served: ServedInstrument) -> Publication:
         found, name = served.instrument, served.topic.name
@@ -82,7 +95,9 @@ class InstrumentPublishers(Publications):
         # Objects that have come or gone make another model before follow() is called.
         served, _ = self._topics[name]
         found = simulation.sensors.instrument(served.instrument.name)
-        return None if found is None else found.read(simulation.data)
+        if found is None:
+            return None
+        return found.read(simulation.data) if served.exact else simulation.measured(found)
 
 
 def _alike(one: ServedInstrument, other: ServedInstrument) -> bool:

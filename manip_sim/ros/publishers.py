@@ -18,7 +18,7 @@ from std_msgs.msg import String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, topics_of
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic, topics_of, truths
 from manip_sim.models import World
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
@@ -116,55 +116,70 @@ class StatePublishers(Publications):
     :param frame_prefix: prefix of the names of frames
     """
 
-    def __init__(self, node: Node, robot: SimulatedRobot, scope: Scope, log: RejectionLog,
+    def __init__(self, node: Any, robot: SimulatedRobot, scope: Scope, log: RejectionLog,
                  frame_prefix: str = '') -> None:
         super().__init__()
-        self.replace(tuple(
-            Publication(create_output(node, log, replace(row, name=scope.topic(row.name)),
-                                      _OTHER_TYPES.get(row.by)),
-                        *READERS[row.by](robot, row.of, frame_prefix))
-            for row in topics_of(robot.parts, twist=False) if row.direction == PUBLISHED
-            and row.by in READERS))
+        self._node, self._robot, self._scope = node, robot, scope
+        self._log, self._prefix = log, frame_prefix
+        self._rows = [row for row in topics_of(robot.parts, twist=False)
+                      if row.direction == PUBLISHED and row.by in READERS]
+        self._measured = tuple(self._create(row, robot.sensing.measured) for row in self._rows)
+        self.replace(self._measured)
+
+    def _create(self, row: Topic, read: Callable[[str], FloatArray]) -> Publication:
+        named = replace(row, name=self._scope.topic(row.name))
+        return Publication(create_output(self._node, self._log, named, _OTHER_TYPES.get(row.by)),
+                           *READERS[row.by](self._robot, row.of, self._prefix, read))
+
+    def tell_truth(self) -> None:
+        """Also publish the exact states, below ``truth/``."""
+        if self._all == self._measured:
+            rows = truths(self._rows)
+            self._node.table += [replace(row, name=self._scope.topic(row.name)) for row in rows]
+            self.replace((*self._measured, *(
+                self._create(row, self._robot.sensing.exact) for row in rows)))
 
 
-def _joints(robot: SimulatedRobot, part: str, _: str) -> Reading:
+#: Returns the numbers of a channel: measured or exact.
+Read = Callable[[str], FloatArray]
+
+
+def _joints(robot: SimulatedRobot, part: str, _: str, read: Read) -> Reading:
     names = robot.parts[part].joints if part else robot.joint_names
-    return (partial(messages.joint_state, names), lambda _: robot.measured(part or None),
+    exact = read == robot.sensing.exact
+    of_part = robot.exact if exact else robot.measured
+    return (partial(messages.joint_state, names), lambda _: of_part(part or None),
             3 * len(names))
 
 
-def _controllers(robot: SimulatedRobot, part: str, _: str) -> Reading:
+def _controllers(robot: SimulatedRobot, part: str, _: str, __: Read) -> Reading:
     names = robot.controller_state(part).names
     return (partial(controller_state, names),
             lambda _: controller_numbers(robot.controller_state(part)), ROWS * len(names))
 
 
-def _wrench(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
-    reader = robot.end_effectors[arm]
-    return (partial(messages.wrench_stamped, prefix + reader.ft_frame),
-            lambda simulation: reader.wrench(simulation.data), 6)
+def _wrench(robot: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
+    return (partial(messages.wrench_stamped, prefix + robot.end_effectors[arm].ft_frame),
+            lambda _: read(f'{arm}/wrench'), 6)
 
 
-def _external_wrench(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
-    reader = robot.end_effectors[arm]
-    return (partial(messages.wrench_stamped, prefix + reader.ft_frame),
-            lambda simulation: reader.external_wrench(simulation.data), 6)
+def _external_wrench(robot: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
+    return (partial(messages.wrench_stamped, prefix + robot.end_effectors[arm].ft_frame),
+            lambda _: read(f'{arm}/external_wrench'), 6)
 
 
-def _pose(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
-    reader = robot.end_effectors[arm]
+def _pose(_: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
     return (partial(messages.pose_stamped, prefix + messages.WORLD),
-            lambda simulation: reader.pose(simulation.data), 7)
+            lambda _: read(f'{arm}/pose'), 7)
 
 
-def _twist(robot: SimulatedRobot, arm: str, prefix: str) -> Reading:
-    reader = robot.end_effectors[arm]
+def _twist(_: SimulatedRobot, arm: str, prefix: str, read: Read) -> Reading:
     return (partial(messages.twist_stamped, prefix + messages.WORLD),
-            lambda simulation: reader.twist(simulation.data), 6)
+            lambda _: read(f'{arm}/twist'), 6)
 
 
 #: By the name in a row of the table: returns what reads a part of a robot.
-READERS: dict[str, Callable[[SimulatedRobot, str, str], Reading]] = {
+READERS: dict[str, Callable[[SimulatedRobot, str, str, Read], Reading]] = {
     'joints': _joints, 'controllers': _controllers, 'wrench': _wrench,
     'external_wrench': _external_wrench, 'pose': _pose, 'twist': _twist}
 #: Message types that depend on what is installed.

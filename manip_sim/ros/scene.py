@@ -13,12 +13,11 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 import numpy as np
-from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.interface.topics import BY_NAME, Scope, Topic, truths
 from manip_sim.quoting import quoted
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import MarkerPublisher
@@ -41,27 +40,42 @@ class OdometryPublisher(Publications):
     """
     A publisher of a base's pose in the frame of its odometry, and of its twist in its own axes.
 
-    They are exact: the covariances are zero.
+    They have no noise: the covariances are zero.
 
     :param node: the node
+    :param robot: whose base it is
+    :param simulation: what is read
     :param reader: reads the base
-    :param topic: where it is published
+    :param scope: namespace of its topic
     :param frame: name of the frame of the odometry
     :param frame_prefix: prefix of the names of frames
-    :param log: counts and logs what could not be published
     """
 
-    def __init__(self, node: Node, reader: OdometryReader, topic: str, frame: str,
-                 frame_prefix: str, log: RejectionLog) -> None:
+    def __init__(self, node: Any, robot: SimulatedRobot, simulation: Simulation,
+                 reader: OdometryReader, scope: Scope, frame: str, frame_prefix: str) -> None:
         super().__init__()
 
-        def read(simulation: Simulation) -> FloatArray:
+        def exact() -> FloatArray:
             found = reader.read(simulation.model, simulation.data)
             return np.concatenate([found.position, found.quat_xyzw, found.linear, found.angular])
 
-        make = partial(odometry, frame_prefix + frame, frame_prefix + reader.base)
-        row = replace(BY_NAME['odom'], name=topic)
-        self.replace((Publication(create_output(node, log, row), make, read, 13),))
+        self._node, self._scope, self._sensing = node, scope, robot.sensing
+        self._sensing.add('odom', exact)
+        self._make = partial(odometry, frame_prefix + frame, frame_prefix + reader.base)
+        self._measured = (self._create(BY_NAME['odom'], self._sensing.measured),)
+        self.replace(self._measured)
+
+    def _create(self, row: Topic, read: Callable[[str], FloatArray]) -> Publication:
+        output = create_output(self._node, self._node.rejections,
+                               replace(row, name=self._scope.topic(row.name)))
+        return Publication(output, self._make, lambda _: read('odom'), 13)
+
+    def tell_truth(self) -> None:
+        """Also publish the exact odometry, below ``truth/``."""
+        if self._all == self._measured:
+            (row,) = truths([BY_NAME['odom']])
+            self._node.table.append(replace(row, name=self._scope.topic(row.name)))
+            self.replace((*self._measured, self._create(row, self._sensing.exact)))
 
 
 def odometry(frame_id: str, child_frame_id: str, stamp: Time, numbers: FloatArray) -> Odometry:
@@ -114,8 +128,9 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
         if robot.twist_joints:
             frame = value(scope.parameter('prefix')) + ODOM
             readers[frame] = OdometryReader(simulation.model, robot.twist_joints)
-            odometry = OdometryPublisher(node, readers[frame], scope.topic('odom'), frame, prefix,
-                                         log)
+            odometry = OdometryPublisher(node, robot, simulation, readers[frame], scope, frame,
+                                         prefix)
+            node.tell_truth_by(scope, odometry.tell_truth)
             thread.observe(odometry.publish, look=odometry.look)
     every = _divider(node, value('publish_rate'), value('tf_rate'))
     end_effectors = {scope.topic(arm): reader for scope, robot in robots.items()

@@ -47,6 +47,7 @@ from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.runtime import SimulationThread
+from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import Command
 
@@ -125,12 +126,14 @@ class SimNode(Node):
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
                                     spawn_files(value('spawn_roots')))
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
+        self._tell_truth()
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._world = world
 
     def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
+        self._truths: list[tuple[Scope, Callable[[], None]]] = []
         self._cartesian = []
         #: What uses the value of a live parameter, by its name.
         self._uses: dict[str, Callable[[float], None]] = {}
@@ -138,6 +141,7 @@ class SimNode(Node):
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
             self.thread.observe(publishers.publish, look=publishers.look)
+            self.tell_truth_by(scope, publishers.tell_truth)
             self.commands.append(CommandSubscribers(
                 self, robot, scope, self.thread, self.rejections, self._inbox))
             self._cartesian.append(
@@ -151,6 +155,8 @@ class SimNode(Node):
         model = ModelPublisher(self, world)
         instruments = InstrumentPublishers(self, self._robots, self.rejections, frame_prefix)
         instruments.follow(self.simulation)
+        for scope in self._robots:
+            self.tell_truth_by(scope, partial(instruments.tell_truth, scope, self.simulation))
         self.thread.observe(instruments.publish, look=instruments.look)
         self._followers = [model.follow, self.objects.follow, instruments.follow, *publish_scene(
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
@@ -176,11 +182,34 @@ class SimNode(Node):
             name = scope.parameter(f'wrench_cutoff.{arm}')
             self._uses[name] = partial(robot.set_wrench_cutoff, arm)
             self._uses[name](value(name))
+        for quantity in QUANTITIES:
+            name = scope.parameter(quantity)
+            self._uses[name] = partial(robot.sensing.set, quantity)
+            if value(name):
+                self._uses[name](value(name))
         for spec in reflex_parameters(scope, commanded_parts(robot.parts), [*robot.end_effectors]):
             name, quantity = spec.name.split('.')[-2:]
             self._uses[spec.name] = partial(robot.set_reflex, name, quantity)
             if value(spec.name):
                 self._uses[spec.name](value(spec.name))
+
+    def tell_truth_by(self, scope: Scope, tell: Callable[[], None]) -> None:
+        """
+        Call a function once when noise or latency of a robot is set.
+
+        :param scope: of the robot
+        :param tell: publishes exact values beside those that are measured
+        """
+        self._truths.append((scope, tell))
+
+    def _tell_truth(self) -> None:
+        ready = [(scope, tell) for scope, tell in self._truths
+                 if self._robots[scope].sensing.settings.measures]
+        for scope, tell in ready:
+            self._truths.remove((scope, tell))
+            tell()
+        if ready:
+            self.thread.look_again()
 
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
@@ -211,6 +240,7 @@ class SimNode(Node):
                 if parameter.name in self._uses:
                     change = partial(self._uses[parameter.name], parameter.value)
                     self.thread.call(change)
+                    self._tell_truth()
                 for cartesian in self._cartesian:
                     cartesian.parameter_changed(parameter)
                 found = self._declared.of_part(parameter.name)

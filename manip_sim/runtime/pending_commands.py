@@ -111,7 +111,7 @@ class PendingCommands:
         return {name: parts for name, parts in missing.items() if parts}
 
     def _busy_parts(self, robot: str) -> frozenset[str]:
-        return self._simulation.robots[robot].joints.busy_parts.union(
+        return self._simulation.robots[robot].busy_parts.union(
             *(busy_parts(robot) for busy_parts in self._busy))
 
     def take(self) -> list[tuple[str, Command]]:

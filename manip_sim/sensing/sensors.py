@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Protocol
 
 import mujoco
@@ -30,15 +30,17 @@ class Present(Protocol):
 
 class Sensors(Mapping[str, FloatArray]):
     """
-    What the sensors of a model measure, by name, as of the last ``mj_forward``.
+    What the sensors of a model measure, by name, with the noise and latency that are set.
 
     Each value is a copy, in the units and the order of MuJoCo.
 
     :param present: holds the model and its data
+    :param measure: returns what an instrument measures
     """
 
-    def __init__(self, present: Present) -> None:
+    def __init__(self, present: Present, measure: Callable[[Instrument], FloatArray]) -> None:
         self._present = present
+        self._measure = measure
         self._model: mujoco.MjModel | None = None
 
     def _look(self) -> mujoco.MjData:
@@ -46,6 +48,8 @@ class Sensors(Mapping[str, FloatArray]):
         if model is not self._model:
             self._instruments = find_instruments(model)
             self._by_name = {found.name: found for found in self._instruments}
+            self._of_sensor = {sensor: found for found in self._instruments
+                               for sensor in found.sensors}
             self._slices = {
                 mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, n) or f'sensor_{n}':
                 slice(int(model.sensor_adr[n]), int(model.sensor_adr[n] + model.sensor_dim[n]))
@@ -68,7 +72,9 @@ class Sensors(Mapping[str, FloatArray]):
         data = self._look()
         if name not in self._slices:
             raise UnknownNameError('sensor', name, self._slices)
-        return np.array(data.sensordata[self._slices[name]])
+        found, values = self._of_sensor[name], np.empty(len(data.sensordata))
+        values[found.sources] = self._measure(found)[found.targets]
+        return values[self._slices[name]].copy()
 
     def __iter__(self) -> Iterator[str]:
         self._look()

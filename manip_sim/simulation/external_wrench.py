@@ -103,9 +103,19 @@ class ExternalWrench:
         self._mean, self._steps = None, steps
         if self._filtered is not None:
             lag = self._in_frame(data) - self._filtered
-            weight = -math.expm1(-2.0 * math.pi * self._cutoff_hz * period_s)
+            weight = self.weight(period_s)
             self._filtered = self._filtered + (
                 lag if np.abs(lag).max() < _ROUNDING else weight * lag)
+
+    def weight(self, period_s: float) -> float:
+        """
+        Return the weight of a new mean in the filter; 1 if there is none.
+
+        :param period_s: length of a control period [s]
+        """
+        if not self._cutoff_hz:
+            return 1.0
+        return -math.expm1(-2.0 * math.pi * self._cutoff_hz * period_s)
 
     def _compute_mean(self) -> FloatArray:
         if self._rows:

@@ -5,19 +5,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
+from manip_sim.sensing.channels import JointChannel, WrenchChannel
+from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
 from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, NoCommand, Status)
+from manip_sim.simulation.delayed_commands import DelayedCommands
 from manip_sim.simulation.dynamics import joint_dynamics, JointDynamics
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
@@ -27,7 +32,7 @@ from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.reflexes import Reflexes
 from manip_sim.simulation.state import ControllerState, State
-from manip_sim.simulation.wrench import EndEffectorReader
+from manip_sim.simulation.wrench import end_effector, EndEffectorReader, READINGS
 
 
 class SimulatedRobot:
@@ -46,6 +51,7 @@ class SimulatedRobot:
     :ivar joints: controller of the joints
     :ivar grippers: controllers of the grippers, by part
     :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
+    :ivar sensing: what is measured of it: noise, resolution and latency
     :ivar reflexes: what stops a part, and which parts were stopped
     :ivar parse: parser of commands
     :ivar parse_cartesian: parser of Cartesian commands
@@ -77,6 +83,8 @@ class SimulatedRobot:
         self.parse_cartesian = CartesianParser(
             robot, self.joints, find_frames(model, robot, self.end_effectors))
         self._index_joints(atomic)
+        self._late = DelayedCommands()
+        self._add_channels()
 
     def _index_joints(self, atomic: list[Part]) -> None:
         self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
@@ -88,6 +96,22 @@ class SimulatedRobot:
         #: Addresses in ``qpos`` and ``qvel`` of the joints of each part, and of all joints.
         self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
+
+    def _add_channels(self) -> None:
+        self.sensing = RobotSensing(self.name, self._clock, self._timestep_s)
+        self.sensing.add('joints', self.exact, JointChannel(
+            f'{self.name} joints', 3 * len(self.joint_names)))
+        for arm, reader in self.end_effectors.items():
+            wrench = WrenchChannel(reader.ft_frame, 6)
+            noise = {'wrench': wrench, 'external_wrench': ExternalWrenchChannel(wrench)}
+            for name in READINGS:
+                self.sensing.add(f'{arm}/{name}', partial(self._read, arm, name),
+                                 noise.get(name))
+
+    def _read(self, arm: str, name: str) -> FloatArray:
+        """Return one of the readings of a gripper, exactly."""
+        found: FloatArray = getattr(self.end_effectors[arm], name)(self._physics.data)
+        return found
 
     @property
     def name(self) -> str:
@@ -120,7 +144,7 @@ class SimulatedRobot:
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
-        return (self.joints.resting and not self.reflexes.armed
+        return (self.joints.resting and not self.reflexes.armed and not self._late
                 and not any(g.moving for g in self.grippers.values()))
 
     # ------------------------------------------------------------------ commands
@@ -137,20 +161,27 @@ class SimulatedRobot:
             self.check_own(command)
         if period_s is not None:
             self._period_s = period_s
-        clock = self._clock
         for command in commands:
-            refusal = self.refusal(command)
-            if refusal is not None:
-                command.handle.end(Status.ABORTED, refusal)
-            elif isinstance(command, NoCommand):
-                command.handle.end(Status.DONE)
-            elif isinstance(command, GripperCommand):
-                (part,) = command.parts
-                self.grippers[part].apply(command, self._physics.data)
+            if self._late or self.sensing.settings.delays_commands:
+                self._late.add(command, self._clock.control_steps
+                               + self.sensing.command_delay_steps())
             else:
-                if isinstance(command, JointTrajectory) and command.start_ns:
-                    command = replace(command, start_s=clock.since_reset_s(command.start_ns))
-                self.joints.apply(command, self._physics.data, clock.control_s, self._period_s)
+                self._apply(command)
+
+    def _apply(self, command: Command) -> None:
+        clock = self._clock
+        refusal = self.refusal(command)
+        if refusal is not None:
+            command.handle.end(Status.ABORTED, refusal)
+        elif isinstance(command, NoCommand):
+            command.handle.end(Status.DONE)
+        elif isinstance(command, GripperCommand):
+            (part,) = command.parts
+            self.grippers[part].apply(command, self._physics.data)
+        else:
+            if isinstance(command, JointTrajectory) and command.start_ns:
+                command = replace(command, start_s=clock.since_reset_s(command.start_ns))
+            self.joints.apply(command, self._physics.data, clock.control_s, self._period_s)
 
     def check_own(self, command: Command) -> None:
         """
@@ -172,6 +203,8 @@ class SimulatedRobot:
         :raises CommandError: if it was made for another robot
         """
         self.check_own(command)
+        if self._late.withdraw(command.handle, reason):
+            return
         if isinstance(command, GripperCommand):
             (part,) = command.parts
             self.grippers[part].withdraw(command.handle, self._physics.data, reason)
@@ -258,6 +291,7 @@ class SimulatedRobot:
         """Let the present external wrench of every arm read zero."""
         for reader in self.end_effectors.values():
             reader.external.tare(self._physics.data)
+        self.sensing.tare()
 
     def set_wrench_cutoff(self, arm: str, cutoff_hz: float) -> None:
         """
@@ -275,19 +309,40 @@ class SimulatedRobot:
     # ------------------------------------------------------------------ states
 
     def state(self) -> State:
-        """Return a snapshot of the present instant."""
-        position, velocity, effort = self.measured().reshape(3, -1)
+        """Return what is measured at the present instant, with noise and latency."""
+        return self._state(self.sensing.measured)
+
+    def true_state(self) -> State:
+        """Return a snapshot of the present instant, exactly."""
+        return self._state(self.sensing.exact)
+
+    def _state(self, read: Callable[[str], FloatArray]) -> State:
+        position, velocity, effort = read('joints').reshape(3, -1)
         return State(
             time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
-            end_effectors={arm: reader.read(self._physics.data)
-                           for arm, reader in self.end_effectors.items()})
+            end_effectors={arm: end_effector(partial(_of_arm, read, arm))
+                           for arm in self.end_effectors})
 
     def measured(self, part: str | None = None) -> FloatArray:
         """
         Return the positions, then the velocities, then the efforts of the joints of a part.
 
+        They are measured with noise and latency, as set.
+
         :param part: its name; None for all joints
         :returns: each in the order of the joints' names, in SI units, shape (3 n,), a copy
+        """
+        if not self.sensing.settings.measures:
+            return self.exact(part)
+        rows = self.sensing.measured('joints')
+        return rows if part is None else rows.reshape(3, -1)[:, self.indices_of[part]].ravel()
+
+    def exact(self, part: str | None = None) -> FloatArray:
+        """
+        Return the positions, then the velocities, then the efforts of the joints of a part.
+
+        :param part: its name; None for all joints
+        :returns: as :meth:`measured`, without noise and latency
         """
         qpos, dofs = self._addresses[part]
         data = self._physics.data
@@ -325,10 +380,32 @@ class SimulatedRobot:
         :param period_s: length of the control period [s]
         """
         self._period_s = period_s
+        self._apply_late()
         for part in self.reflexes.armed:
             if part not in self.reflexes.tripped:
                 self._check_reflex(part)
         self.joints.begin_period(self._physics.data, self._clock.control_s, period_s)
+
+    def _apply_late(self) -> None:
+        for command in self._late.take(self._clock.control_steps):
+            try:
+                self._apply(command)
+            except Exception as error:  # A user's gripper may raise anything.
+                command.handle.end(Status.ABORTED, str(error))
+
+    def end_period(self, period_s: float) -> None:
+        """
+        Measure what is remembered, at the end of a control period.
+
+        :param period_s: length of the control period [s]
+        """
+        self.sensing.end_period({f'{arm}/external_wrench': reader.external.weight(period_s)
+                                 for arm, reader in self.end_effectors.items()})
+
+    @property
+    def busy_parts(self) -> frozenset[str]:
+        """The atomic parts that follow a trajectory, or will."""
+        return self.joints.busy_parts | self._late.busy_parts
 
     def _check_reflex(self, part: str) -> None:
         indices, data, joints = self.joints.indices_of(part), self._physics.data, self.joints
@@ -398,6 +475,7 @@ class SimulatedRobot:
 
         :param reason: why, for the handles
         """
+        self._late.clear(reason)
         for ledger in (self.joints.commands, *(g.commands for g in self.grippers.values())):
             ledger.end(Status.ABORTED, reason)
 
@@ -405,6 +483,11 @@ class SimulatedRobot:
         """Abort all commands and hold the joints where they are; modes stay."""
         self._period_s = self._timestep_s
         self.reflexes.reset()
+        self._late.clear('the simulation was reset')
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
             gripper.reset(self._physics.data)
+
+
+def _of_arm(read: Callable[[str], FloatArray], arm: str, name: str) -> FloatArray:
+    return read(f'{arm}/{name}')

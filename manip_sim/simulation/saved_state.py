@@ -49,6 +49,7 @@ class SimulationState:
     :ivar control_steps: physics steps since the last reset
     :ivar contacts_change: whether contacts came or went in the last period
     :ivar diverged: why the physics is on hold, or None
+    :ivar sensing: of each robot, noise and what was measured and has not arrived, pickled
     """
 
     versions: str
@@ -62,6 +63,7 @@ class SimulationState:
     control_steps: int
     contacts_change: bool
     diverged: str | None
+    sensing: bytes
 
 
 def gains(model: mujoco.MjModel) -> dict[str, bytes]:

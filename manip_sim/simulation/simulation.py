@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 import functools
 import hashlib
+import pickle
 
 import mujoco
 import numpy as np
@@ -15,6 +16,10 @@ import numpy as np
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
+from manip_sim.arrays import FloatArray
+from manip_sim.sensing.channels import file_noise, InstrumentChannel
+from manip_sim.sensing.instruments import Instrument
+from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.sensing.sensors import Sensors
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
@@ -37,6 +42,8 @@ from manip_sim.simulation.velocity_laws import VelocityLaws
 _SETTLE_S = 0.5
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
+#: What the names of the channels of instruments begin with.
+_INSTRUMENTS = 'sensors/'
 
 
 class Interval:
@@ -110,10 +117,10 @@ class Simulation:
         self._steps = PhysicsSteps(self.physics, self._clock, self.efforts, [
             reader.external for robot in robots for reader in robot.end_effectors.values()],
             VelocityLaws(self.physics, laws) if laws else None)
+        self.sensors = Sensors(self.physics, self.measured)
         self.physics.on_change(self._look_at_model)
-        self.sensors = Sensors(self.physics)
         self._settle_linkages()
-        self._reset()
+        self._reset(world.seed)
         self.start_defects = check_start(
             self.model, self.data, self._roots)
 
@@ -124,6 +131,38 @@ class Simulation:
         self._control = ControlState(
             [self.efforts, *self.robots.values()],
             (Clock, Physics, CartesianParser, CommandParser))
+        self._add_instruments()
+
+    def _add_instruments(self) -> None:
+        """Let each instrument have the noise of its robot, those of the world of the first."""
+        self._sensing: dict[str, RobotSensing] = {}
+        if not self.robots:
+            return
+        owners = {name: robot for robot in self.robots.values() for name in robot.sensor_names}
+        first = next(iter(self.robots.values()))
+        for robot in self.robots.values():
+            robot.sensing.forget(_INSTRUMENTS)
+        for found in self.sensors.instruments:
+            sensing = self._sensing[found.name] = owners.get(found.sensors[0], first).sensing
+            sensing.add(_INSTRUMENTS + found.name, functools.partial(self._exact, found.name),
+                        InstrumentChannel(found, file_noise(self.model, found)))
+
+    def _exact(self, name: str) -> FloatArray:
+        found = self.sensors.instrument(name)
+        assert found is not None
+        return found.read(self.data)
+
+    def measured(self, found: Instrument) -> FloatArray:
+        """
+        Return what an instrument of the model measures, with noise and latency.
+
+        :param found: one of those of :attr:`sensors`
+        :returns: as ``Instrument.read``
+        """
+        sensing = self._sensing.get(found.name)
+        if sensing is None or not sensing.settings.measures:
+            return found.read(self.data)
+        return sensing.measured(_INSTRUMENTS + found.name)
 
     def change_objects(self, plan: Plan) -> None:
         """
@@ -215,7 +254,8 @@ class Simulation:
     @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
-        return self.diverged is None and self._steps.resumes() and self._rests()
+        return (self.diverged is None and self._steps.resumes() and self._rests()
+                and not any([robot.sensing.settings.measures for robot in self.robots.values()]))
 
     def _rests(self) -> bool:
         return not self._free_roots.is_needed and all([
@@ -258,6 +298,9 @@ class Simulation:
         if reason is None:
             for tool in physics.tools:
                 tool.end_period(self.data, steps, steps * self._timestep_s)
+            for robot in self.robots.values():
+                if robot.sensing.settings.measures:
+                    robot.end_period(steps * self._timestep_s)
         else:
             self._hold(reason)
 
@@ -325,15 +368,15 @@ class Simulation:
         control modes stay.
 
         :param seed: draws the start anew, as at construction with this seed, where the world has
-            ``initialization_noise``; None keeps the start
+            ``initialization_noise``, and the noise of sensors; None keeps both
         :raises ModelError: if the seed is no whole number from 0
         """
         if seed is not None:
             self._start = self._draw_start(seed)
             self._settle_linkages()
-        self._reset()
+        self._reset(seed)
 
-    def _reset(self) -> None:
+    def _reset(self, seed: int | None = None) -> None:
         self._to_start()
         self._clock.control_steps = 0
         for robot in self.robots.values():
@@ -345,6 +388,8 @@ class Simulation:
         self.efforts.restart()
         for tool in self._steps.tools:
             tool.reset(self.data)
+        for robot in self.robots.values():
+            robot.sensing.reset(seed)
 
     def forward(self) -> None:
         """Compute all of the present instant anew, after :attr:`data` was changed by hand."""
@@ -364,7 +409,8 @@ class Simulation:
             computed_from=self._steps.computed_from.tobytes(), gains=gains(self.model),
             control=self._control.save(), start=dict(self._start),
             step_count=self._clock.step_count, control_steps=self._clock.control_steps,
-            contacts_change=self._steps.contacts_change, diverged=self.diverged)
+            contacts_change=self._steps.contacts_change, diverged=self.diverged,
+            sensing=pickle.dumps([robot.sensing.save() for robot in self.robots.values()]))
 
     def restore(self, state: SimulationState) -> None:
         """
@@ -387,6 +433,8 @@ class Simulation:
         self._steps.compute_from(np.frombuffer(state.computed_from))
         mujoco.mj_setState(self.model, self.data, np.frombuffer(state.physics), PHYSICS)
         self._control.restore(state.control)
+        for robot, sensing in zip(self.robots.values(), pickle.loads(state.sensing)):
+            robot.sensing.restore(sensing)
 
     def check_restorable(self, state: SimulationState) -> None:
         """
@@ -417,6 +465,8 @@ class Simulation:
             digest.update(name.encode() + content)
         for content in self._control.encoded():
             digest.update(b'%d:' % len(content) + content)
+        for robot in self.robots.values():
+            digest.update(robot.sensing.encoded())
         return f'mujoco-{mujoco.mj_versionString()}:{digest.hexdigest()}'
 
     @staticmethod

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
@@ -17,6 +19,8 @@ from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector, Wrench
 
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
+#: What can be read of a gripper.
+READINGS = ('pose', 'twist', 'wrench', 'external_wrench')
 
 
 class EndEffectorReader:
@@ -52,16 +56,11 @@ class EndEffectorReader:
 
     def read(self, data: mujoco.MjData) -> EndEffector:
         """
-        Return the gripper's state at the instant of the last ``mj_forward``.
+        Return the gripper's state at the instant of the last ``mj_forward``, exactly.
 
         :param data: the ``mujoco.MjData``
         """
-        pose, twist = self.pose(data), self.twist(data)
-        wrench, external = self.wrench(data), self.external_wrench(data)
-        return EndEffector(
-            pose=Pose(pose[:3], pose[3:]), twist=Twist(twist[:3], twist[3:]),
-            wrench=Wrench(wrench[:3], wrench[3:]),
-            external_wrench=Wrench(external[:3], external[3:]))
+        return end_effector(lambda name: getattr(self, name)(data))
 
     def pose(self, data: mujoco.MjData) -> FloatArray:
         """
@@ -103,3 +102,16 @@ class EndEffectorReader:
         :returns: force [N] and torque [N m], filtered and tared, in ``ft_frame``, shape (6,)
         """
         return self.external.read(data)
+
+
+def end_effector(read: Callable[[str], FloatArray]) -> EndEffector:
+    """
+    Return the state of a gripper.
+
+    :param read: returns ``pose``, ``twist``, ``wrench`` or ``external_wrench``
+    """
+    pose, twist, wrench, external = map(read, READINGS)
+    return EndEffector(
+        pose=Pose(pose[:3], pose[3:]), twist=Twist(twist[:3], twist[3:]),
+        wrench=Wrench(wrench[:3], wrench[3:]),
+        external_wrench=Wrench(external[:3], external[3:]))

@@ -47,7 +47,8 @@ def graph():
     """Return what the node publishes, subscribes to and serves, over several robots."""
     names = {'publish': set(), 'subscribe': set(), 'reply': set(), 'execute': set()}
     for robot in ROBOTS:
-        served = Served({'robot': robot, 'arena': 'table', 'cameras': ['birdview']})
+        served = Served({'robot': robot, 'arena': 'table', 'cameras': ['birdview'],
+                         'noise.wrench_force': 1.0})
         try:
             node: Node = served.node
             for permission, entities in (
@@ -55,7 +56,7 @@ def graph():
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
                 names[permission] |= {re.sub('^/birdview/', '/*/', re.sub(
-                    '^/(objects|sensors)/.*', r'/\1/*', name))
+                    '^/(objects|sensors|truth)/.*', r'/\1/*', name))
                     for name, _ in entities('manip_sim', '/') if '/_action/' not in name}
             # With or without control_msgs in this environment.
             names['execute'] |= {f'/{action.name}' for action in actions_of(

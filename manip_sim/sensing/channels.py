@@ -1,0 +1,188 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What one sensor makes of the exact numbers that it reads: white noise, offset, drift, steps.
+
+Everything depends on the seed, the name and the count of steps since the reset only.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.sensing.instruments import (
+    ACCELEROMETER, GYRO, IMU, Instrument, ORIENTATION, RANGE, WRENCH)
+from manip_sim.sensing.randomness import NormalRows
+from manip_sim.sensing.settings import SensingSettings, TORQUE_PER_FORCE_M
+
+#: Of wrenches: factors of bias and drift, which are those of forces.
+_WRENCH_SCALE = np.repeat([1.0, TORQUE_PER_FORCE_M], 3)
+#: By type of sensor: the quantity whose standard deviation it has, for sensors that stand alone.
+_ALONE = {'jointpos': 'joint_position', 'jointvel': 'joint_velocity',
+          'jointactuatorfrc': 'joint_effort', 'force': 'wrench_force', 'torque': 'wrench_torque',
+          'framequat': '', 'ballquat': ''}
+
+
+class Channel:
+    """
+    The noise of one sensor.
+
+    :param name: of the sensor, unique in its world
+    :param width: how many numbers it reads
+    :ivar sd: standard deviation of the white noise, shape (width,), as the others are
+    :ivar bias: standard deviation of the offset
+    :ivar drift: standard deviation of the random walk after one second
+    :ivar step: to whose multiples the numbers are rounded, 0 for none; None if none is
+    """
+
+    def __init__(self, name: str, width: int) -> None:
+        self.name = name
+        self.width = width
+        self.sd: FloatArray = np.zeros(width)
+        self.bias: FloatArray = np.zeros(width)
+        self.drift: FloatArray = np.zeros(width)
+        self.step: FloatArray | None = None
+        self._draw(0)
+
+    def _draw(self, seed: int) -> None:
+        self.seed = seed
+        self._white = NormalRows(seed, self.name, self.width)
+        self._offset = NormalRows(seed, f'{self.name} bias', self.width)
+        self._walk = NormalRows(seed, f'{self.name} drift', self.width)
+
+    def set_seed(self, seed: int) -> None:
+        """Draw other numbers from now on, unless this is the seed already."""
+        if seed != self.seed:
+            self._draw(seed)
+
+    def adapt(self, settings: SensingSettings) -> None:
+        """Take over the settings of the robot; by default there are none."""
+
+    def noise(self, count: int, timestep_s: float) -> FloatArray:
+        """
+        Return white noise, offset and drift.
+
+        :param count: steps since the reset
+        :param timestep_s: length of a step [s]
+        :returns: in the units of what is read, shape (width,)
+        """
+        total = np.zeros(self.width)
+        if self.sd.any():
+            total += self.sd * self._white.row(count)
+        if self.bias.any():
+            total += self.bias * self._offset.row(0)
+        if self.drift.any():
+            total += self.drift * np.sqrt(timestep_s) * self._walk.sum(count)
+        return total
+
+    def measure(self, exact: FloatArray, count: int, timestep_s: float) -> FloatArray:
+        """
+        Return what the sensor makes of exact numbers.
+
+        :param exact: shape (width,)
+        :param count: steps from the reset to their instant
+        :param timestep_s: length of a step [s]
+        :returns: shape (width,), a copy
+        """
+        values = exact + self.noise(count, timestep_s)
+        if self.step is not None:
+            steps = np.where(self.step > 0.0, self.step, 1.0)
+            values = np.where(self.step > 0.0, np.round(values / steps) * steps, values)
+        return values
+
+
+class JointChannel(Channel):
+    """Positions, velocities and efforts of all joints of a robot, shape (3 n,)."""
+
+    def adapt(self, settings: SensingSettings) -> None:
+        """Take over the settings of the robot."""
+        count = self.width // 3
+        self.sd = np.repeat([settings[f'noise.joint_{kind}'] for kind in (
+            'position', 'velocity', 'effort')], count)
+        resolution = settings['resolution.joint_position']
+        self.step = np.repeat([resolution, 0.0, 0.0], count) if resolution else None
+
+
+class WrenchChannel(Channel):
+    """Force and torque, shape (6,)."""
+
+    def adapt(self, settings: SensingSettings) -> None:
+        """Take over the settings of the robot."""
+        self.sd = np.repeat([settings['noise.wrench_force'], settings['noise.wrench_torque']], 3)
+        self.bias = settings['noise.wrench_bias'] * _WRENCH_SCALE
+        self.drift = settings['noise.wrench_drift'] * _WRENCH_SCALE
+
+
+class InstrumentChannel(Channel):
+    """
+    What an instrument of the model reads.
+
+    :param found: the instrument
+    :param of_file: the attribute ``noise`` of its sensors, shape (length,)
+    """
+
+    def __init__(self, found: Instrument, of_file: FloatArray) -> None:
+        self._kind, self._types, self._of_file = found.kind, found.types, of_file
+        super().__init__(found.name, found.length)
+
+    def adapt(self, settings: SensingSettings) -> None:
+        """Take over the settings of the robot."""
+        self.sd = settings['noise.files'] * self._of_file
+        if self._kind == IMU:
+            for places, kind in ((GYRO, 'gyro'), (ACCELEROMETER, 'accelerometer')):
+                if kind in self._types:
+                    self.sd[places] += settings[f'noise.imu_{kind}']
+                    self.bias[places] = settings[f'noise.imu_{kind}_bias']
+                    self.drift[places] = settings[f'noise.imu_{kind}_drift']
+            if 'framequat' in self._types:
+                self.sd[ORIENTATION] += settings['noise.imu_orientation']
+        elif self._kind == WRENCH:
+            self.sd[:3] += settings['noise.wrench_force']
+            self.sd[3:] += settings['noise.wrench_torque']
+            self.bias = settings['noise.wrench_bias'] * _WRENCH_SCALE
+            self.drift = settings['noise.wrench_drift'] * _WRENCH_SCALE
+        else:
+            name = 'range' if self._kind == RANGE else _ALONE.get(self._types[0])
+            if name:
+                self.sd += settings[f'noise.{name}']
+
+    def measure(self, exact: FloatArray, count: int, timestep_s: float) -> FloatArray:
+        """Return what the instrument makes of exact numbers, as :meth:`Channel.measure`."""
+        noise = self.noise(count, timestep_s)
+        if self._kind == RANGE:  # Where there is nothing, there is no noise.
+            return np.where(exact >= 0.0, np.maximum(exact + noise, 0.0), exact)
+        values: FloatArray = exact + noise
+        if self._kind == IMU:
+            values[ORIENTATION] = _turned(exact[ORIENTATION], noise[ORIENTATION][:3])
+        elif self._types[0] in ('framequat', 'ballquat'):
+            wxyz = _turned(np.roll(exact, -1), noise[:3])
+            values = np.roll(wxyz, 1)
+        elif self._types[0] == 'touch':
+            values = np.maximum(values, 0.0)
+        return values
+
+
+def _turned(quat_xyzw: FloatArray, by: FloatArray) -> FloatArray:
+    """Return an orientation that is turned by a small rotation vector in its own axes [rad]."""
+    angle = float(np.sqrt((by**2).sum()))
+    if not angle:
+        return quat_xyzw
+    small, product = np.empty(4), np.empty(4)
+    mujoco.mju_axisAngle2Quat(small, by / angle, angle)
+    mujoco.mju_mulQuat(product, np.roll(quat_xyzw, 1), small)
+    return np.roll(product, -1)
+
+
+def file_noise(model: mujoco.MjModel, found: Instrument) -> FloatArray:
+    """
+    Return the attribute ``noise`` of the sensors of an instrument, shape (length,).
+
+    :param model: the compiled ``mujoco.MjModel``
+    """
+    values = np.zeros(found.length)
+    owner = np.repeat(model.sensor_noise, model.sensor_dim)
+    values[found.targets] = owner[found.sources]
+    return values

@@ -1,0 +1,281 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is measured of one robot: its sensors, their noise, and how old what they measure is."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.sensing.channels import Channel, WrenchChannel
+from manip_sim.sensing.randomness import NormalRows
+from manip_sim.sensing.settings import SensingSettings
+
+#: Returns exact numbers of the present instant, a copy.
+Read = Callable[[], FloatArray]
+
+
+class Steps(Protocol):
+    """Counts physics steps."""
+
+    @property
+    def control_steps(self) -> int:
+        """Steps since the last reset."""
+
+
+class ExternalWrenchChannel(Channel):
+    """
+    The external wrench of an arm, which is computed from its force/torque sensor.
+
+    The noise of the sensor comes with the turned sign, is filtered as the wrench is, and a tare
+    takes it away as it is at that moment.
+
+    :param of: the sensor
+    """
+
+    def __init__(self, of: WrenchChannel) -> None:
+        super().__init__(f'{of.name} external', 6)
+        self._of = of
+        self.weight = 1.0
+        self.filtered: FloatArray | None = None
+        self.tare: FloatArray = np.zeros(6)
+
+    def end_period(self, count: int, timestep_s: float, weight: float) -> None:
+        """
+        Filter the noise of the sensor.
+
+        :param weight: of the new value in the low-pass of first order; 1 for no filter
+        """
+        noise = self._of.noise(count, timestep_s)
+        if weight >= 1.0:
+            self.filtered = None
+        elif self.filtered is None:
+            self.filtered = noise
+        else:
+            self.filtered = self.filtered + weight * (noise - self.filtered)
+
+    def noise(self, count: int, timestep_s: float) -> FloatArray:
+        """Return the noise before the tare, shape (6,)."""
+        of_sensor = self._of.noise(count, timestep_s) if self.filtered is None else self.filtered
+        return -of_sensor
+
+    def measure(self, exact: FloatArray, count: int, timestep_s: float) -> FloatArray:
+        """Return the wrench with the noise that is left after the tare, shape (6,)."""
+        measured: FloatArray = exact + self.noise(count, timestep_s) - self.tare
+        return measured
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What was measured at an instant, and when it arrives, in steps since the reset."""
+
+    count: int
+    arrival: int
+    values: Mapping[str, FloatArray]
+
+
+class RobotSensing:
+    """
+    What is measured of a robot, by the names of channels.
+
+    With all settings at zero, what is measured is what is read. Everything depends on the seed,
+    the settings and the steps since the reset, and not on who reads what when.
+
+    :param name: of the robot, unique in its world
+    :param steps: counts the steps
+    :param timestep_s: length of a step [s]
+    :ivar settings: of noise, resolution and latency
+    :ivar seed: of noise and jitter
+    """
+
+    def __init__(self, name: str, steps: Steps, timestep_s: float) -> None:
+        self._name = name
+        self._steps = steps
+        self._timestep_s = timestep_s
+        self.settings = SensingSettings()
+        self.seed = 0
+        self._channels: dict[str, tuple[Channel | None, Read]] = {}
+        self._external: dict[str, ExternalWrenchChannel] = {}
+        self._history: deque[_Entry] = deque()
+        self._jitter: dict[str, NormalRows] = {}
+        self._draw()
+
+    def _draw(self) -> None:
+        self._jitter = {kind: NormalRows(self.seed, f'{self._name} latency.{kind}', 1)
+                        for kind in ('state', 'command')}
+        for channel, _ in self._channels.values():
+            if channel is not None:
+                channel.set_seed(self.seed)
+
+    def add(self, name: str, read: Read, channel: Channel | None = None) -> None:
+        """
+        Add what is measured.
+
+        :param name: of the channel; one of this name is replaced
+        :param read: returns the exact numbers
+        :param channel: its noise; None if it has none
+        """
+        if channel is not None:
+            channel.set_seed(self.seed)
+            channel.adapt(self.settings)
+        if isinstance(channel, ExternalWrenchChannel):
+            self._external[name] = channel
+        self._channels[name] = channel, read
+
+    def forget(self, begin: str) -> None:
+        """Remove the channels whose names begin so."""
+        self._channels = {name: found for name, found in self._channels.items()
+                          if not name.startswith(begin)}
+
+    def set(self, name: str, value: float) -> None:
+        """
+        Change a setting from now on.
+
+        :param name: one of ``manip_sim.sensing.settings.QUANTITIES``
+        :param value: from 0, which is off
+        :raises UnknownNameError: if there is no such setting
+        :raises CommandError: if the value is out of range
+        """
+        self.settings.set(name, value)
+        self._adapt()
+
+    def _adapt(self) -> None:
+        for channel, _ in self._channels.values():
+            if channel is not None:
+                channel.adapt(self.settings)
+        if not self.settings.delays:
+            self._history.clear()
+        elif not self._history:
+            self.record()
+
+    # ------------------------------------------------------------------ values
+
+    def exact(self, name: str) -> FloatArray:
+        """Return the exact numbers of the present instant, a copy."""
+        return self._channels[name][1]()
+
+    def measured(self, name: str) -> FloatArray:
+        """
+        Return what is measured at present, a copy.
+
+        :param name: of a channel
+        """
+        if not self.settings.measures:
+            return self._channels[name][1]()
+        if self.settings.delays:
+            value = self._newest().values.get(name)
+            if value is not None:
+                return value.copy()
+        return self._measure(name)
+
+    def _measure(self, name: str) -> FloatArray:
+        channel, read = self._channels[name]
+        exact = read()
+        return exact if channel is None else channel.measure(
+            exact, self._steps.control_steps, self._timestep_s)
+
+    def _newest(self) -> _Entry:
+        """Return the newest of what has arrived, or the oldest while nothing has."""
+        history, now = self._history, self._steps.control_steps
+        place = next((index for index in range(len(history) - 1, -1, -1)
+                      if history[index].arrival <= now), 0)
+        for _ in range(place):  # What is older is never wanted again.
+            history.popleft()
+        return history[0]
+
+    # ------------------------------------------------------------------ in the physics loop
+
+    def end_period(self, weights: Mapping[str, float]) -> None:
+        """
+        Measure the end of a control period, where something is to be remembered.
+
+        :param weights: of the low-passes of the external wrenches, by channel; 1 for no filter
+        """
+        for name, channel in self._external.items():
+            channel.end_period(self._steps.control_steps, self._timestep_s, weights[name])
+        if self.settings.delays:
+            self.record()
+
+    def record(self) -> None:
+        """Measure the present instant, which arrives later."""
+        count = self._steps.control_steps
+        delay_s = self._delay_s('state', count)
+        arrival = count + math.ceil(delay_s / self._timestep_s - 1e-9)
+        if not self._history:  # What is known from before.
+            arrival = count
+        while self._history and self._history[-1].count >= count:
+            arrival = self._history.pop().arrival
+        self._history.append(_Entry(
+            count, arrival, {name: self._measure(name) for name in self._channels}))
+
+    def _delay_s(self, kind: str, count: int) -> float:
+        mean, jitter = self.settings[f'latency.{kind}'], self.settings[f'latency.{kind}.jitter']
+        if jitter:
+            mean = mean + jitter * float(self._jitter[kind].row(count)[0])
+        return max(mean, 0.0)
+
+    def command_delay_steps(self) -> int:
+        """Return after how many steps a command takes effect that is taken at present."""
+        delay_s = self._delay_s('command', self._steps.control_steps)
+        return math.ceil(delay_s / self._timestep_s - 1e-9)
+
+    def tare(self) -> None:
+        """Let the noise of the external wrenches be zero at present."""
+        for channel in self._external.values():
+            channel.tare = channel.noise(self._steps.control_steps, self._timestep_s)
+
+    def reset(self, seed: int | None = None) -> None:
+        """
+        Forget what was measured, as the robot is at its start.
+
+        :param seed: of the noise from now on; None keeps it
+        """
+        if seed is not None:
+            self.seed = seed
+            self._draw()
+        for channel in self._external.values():
+            channel.filtered, channel.tare = None, np.zeros(6)
+        self._history.clear()
+        if self.settings.delays:
+            self.record()
+
+    # ------------------------------------------------------------------ saved states
+
+    def save(self) -> dict[str, Any]:
+        """Return all that the future of what is measured depends on; it can be pickled."""
+        return {'seed': self.seed, 'settings': self.settings.as_dict(),
+                'external': {name: (channel.filtered, channel.tare)
+                             for name, channel in self._external.items()},
+                'history': [(entry.count, entry.arrival, dict(entry.values))
+                            for entry in self._history]}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore what :meth:`save` has returned."""
+        self.seed = state['seed']
+        self._draw()
+        self.settings.replace(state['settings'])
+        for name, (filtered, tare) in state['external'].items():
+            self._external[name].filtered, self._external[name].tare = filtered, tare
+        self._history = deque(_Entry(*entry) for entry in state['history'])
+        self._adapt()
+
+    def encoded(self) -> bytes:
+        """Return the state as bytes for a digest; empty while all settings are zero."""
+        values = self.settings.as_dict()
+        if not values:
+            return b''
+        parts = [repr((self._name, self.seed, sorted(values.items()))).encode()]
+        for channel in self._external.values():
+            parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
+                      channel.tare.tobytes()]
+        for entry in self._history:
+            parts.append(b'%d %d' % (entry.count, entry.arrival))
+            parts += [name.encode() + value.tobytes() for name, value in entry.values.items()]
+        return b'\n'.join(parts)

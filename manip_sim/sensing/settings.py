@@ -1,0 +1,135 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What can be set about noise, resolution and latency of a robot; all is zero by default."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import math
+from types import MappingProxyType
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.quoting import shown
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """
+    Something that can be set.
+
+    :ivar meaning: what it is, a sentence
+    :ivar unit: its unit
+    :ivar maximum: greatest value; the least is 0, which is off
+    """
+
+    meaning: str
+    unit: str
+    maximum: float
+
+
+#: Torques have the bias and drift of forces times this [m]: the ratio of the repeatabilities of
+#: torque and force of the sensor in the flange of the UR5e, 0.2 N m and 3.5 N (Universal Robots,
+#: technical specifications of the e-Series).
+TORQUE_PER_FORCE_M = 0.2 / 3.5
+
+_SD = 'Standard deviation of the white noise on'
+_OFFSET = 'Standard deviation of the constant offset, drawn from the seed, of'
+_WALK = 'Standard deviation after one second of the random walk of'
+QUANTITIES: Mapping[str, Quantity] = MappingProxyType({
+    'noise.joint_position': Quantity(f'{_SD} positions of joints.', 'rad or m', 1.0),
+    'noise.joint_velocity': Quantity(f'{_SD} velocities of joints.', 'rad/s or m/s', 10.0),
+    'noise.joint_effort': Quantity(f'{_SD} efforts of joints.', 'N m or N', 1000.0),
+    'noise.wrench_force': Quantity(f'{_SD} forces.', 'N', 1000.0),
+    'noise.wrench_torque': Quantity(f'{_SD} torques.', 'N m', 1000.0),
+    'noise.wrench_bias': Quantity(
+        f'{_OFFSET} forces; that of torques is 0.057 m times this.', 'N', 1000.0),
+    'noise.wrench_drift': Quantity(
+        f'{_WALK} forces; that of torques is 0.057 m times this.', 'N/sqrt(s)', 100.0),
+    'noise.imu_orientation': Quantity(f'{_SD} each axis of orientations of IMUs.', 'rad', 1.0),
+    'noise.imu_gyro': Quantity(f'{_SD} angular velocities of IMUs.', 'rad/s', 10.0),
+    'noise.imu_gyro_bias': Quantity(f'{_OFFSET} angular velocities of IMUs.', 'rad/s', 10.0),
+    'noise.imu_gyro_drift': Quantity(
+        f'{_WALK} angular velocities of IMUs.', 'rad/s/sqrt(s)', 1.0),
+    'noise.imu_accelerometer': Quantity(f'{_SD} accelerations of IMUs.', 'm/s^2', 100.0),
+    'noise.imu_accelerometer_bias': Quantity(f'{_OFFSET} accelerations of IMUs.', 'm/s^2', 100.0),
+    'noise.imu_accelerometer_drift': Quantity(
+        f'{_WALK} accelerations of IMUs.', 'm/s^2/sqrt(s)', 10.0),
+    'noise.range': Quantity(f'{_SD} distances of rangefinders and lidars.', 'm', 10.0),
+    'noise.files': Quantity(
+        'Factor for the attribute noise, a standard deviation, that sensors have in the files; '
+        'it is added to that of their kind.', '', 1000.0),
+    'resolution.joint_position': Quantity(
+        'Step of the encoders: positions of joints are rounded to multiples of it.', 'rad or m',
+        1.0),
+    'latency.state': Quantity(
+        'Age of what is published of the robot in simulation time: states, wrenches, sensors.',
+        's', 10.0),
+    'latency.state.jitter': Quantity(
+        'Standard deviation of that age; what is newest of what has arrived is published.', 's',
+        10.0),
+    'latency.command': Quantity(
+        'Time from when a command is taken until it takes effect, in simulation time.', 's',
+        10.0),
+    'latency.command.jitter': Quantity(
+        'Standard deviation of that time; commands that arrive late do not replace newer ones.',
+        's', 10.0),
+})
+
+
+class SensingSettings:
+    """
+    The values of :data:`QUANTITIES` for one robot.
+
+    :ivar measures: whether anything that is measured differs from the truth
+    :ivar delays: whether what is measured is older than the present instant
+    :ivar delays_commands: whether commands take effect later
+    """
+
+    def __init__(self) -> None:
+        self._values = dict.fromkeys(QUANTITIES, 0.0)
+        self._look()
+
+    def _look(self) -> None:
+        of_commands = ('latency.command', 'latency.command.jitter')
+        self.measures = any(value for name, value in self._values.items()
+                            if name not in of_commands)
+        self.delays = bool(self['latency.state'] or self['latency.state.jitter'])
+        self.delays_commands = any(self._values[name] for name in of_commands)
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def set(self, name: str, value: float) -> None:
+        """
+        Change a quantity.
+
+        :param name: one of :data:`QUANTITIES`
+        :param value: from 0 to the maximum of the quantity
+        :raises UnknownNameError: if there is no such quantity
+        :raises CommandError: if the value is out of range
+        """
+        if name not in QUANTITIES:
+            raise UnknownNameError('quantity', name, QUANTITIES)
+        most = QUANTITIES[name].maximum
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not (
+                math.isfinite(value) and 0.0 <= value <= most):
+            raise CommandError(f'{name} must be a number from 0 to {most:g}, got {shown(value)}')
+        self._values[name] = float(value)
+        self._look()
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the values that are not zero, by name."""
+        return {name: value for name, value in self._values.items() if value}
+
+    def replace(self, values: Mapping[str, float]) -> None:
+        """
+        Set all quantities; those that are not named to zero.
+
+        :param values: by name, as for :meth:`set`
+        """
+        self._values = dict.fromkeys(QUANTITIES, 0.0)
+        self._look()
+        for name, value in values.items():
+            self.set(name, value)

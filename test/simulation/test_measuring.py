@@ -1,0 +1,250 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is measured of a robot beside the truth; latency of states and commands."""
+
+import numpy as np
+import pytest
+
+from manip_sim.models import compose, compose_robot, World
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.commands import Status
+from manip_sim.worlds import Worlds
+
+STEPS = 5
+PERIOD_S = 0.01
+
+
+@pytest.fixture
+def simulation():
+    return Simulation(compose('Panda'))
+
+
+def run(simulation, periods):
+    """Advance, and return what is measured and true of all joints after each period."""
+    measured, true = [], []
+    for _ in range(periods):
+        simulation.advance(STEPS)
+        measured.append(simulation.robot.measured())
+        true.append(simulation.robot.exact())
+    return np.array(measured), np.array(true)
+
+
+def action(simulation, value=0.5):
+    robot = simulation.robot
+    command = robot.parse.action('right', [value] * 7)
+    robot.apply(command)
+    return command
+
+
+def test_without_settings_what_is_measured_is_what_is_true(simulation):
+    action(simulation)
+    measured, true = run(simulation, 20)
+    np.testing.assert_array_equal(measured, true)
+    assert not simulation.robot.sensing.settings.measures
+
+
+def test_noise_changes_what_is_measured_and_not_the_motion(simulation):
+    action(simulation)
+    _, without = run(simulation, 20)
+    simulation.reset()
+    sensing = simulation.robot.sensing
+    sensing.set('noise.joint_position', 0.01)
+    sensing.set('noise.joint_velocity', 0.1)
+    action(simulation)
+    measured, true = run(simulation, 20)
+    np.testing.assert_array_equal(true, without)
+    count = len(simulation.robot.joint_names)
+    noise = (measured - true).reshape(20, 3, count)
+    assert 0.008 < noise[:, 0].std() < 0.012 and 0.08 < noise[:, 1].std() < 0.12
+    np.testing.assert_array_equal(noise[:, 2], 0.0)
+
+
+def test_a_part_has_the_noise_of_all_joints(simulation):
+    simulation.robot.sensing.set('noise.joint_effort', 1.0)
+    robot = simulation.robot
+    of_all = robot.measured().reshape(3, -1)[:, robot.indices_of['right']]
+    np.testing.assert_array_equal(robot.measured('right'), of_all.ravel())
+    np.testing.assert_array_equal(robot.state().effort, robot.measured().reshape(3, -1)[2])
+
+
+def test_the_same_seed_gives_the_same_noise_whatever_was_read_and_another_seed_another(
+        simulation):
+    simulation.robot.sensing.set('noise.joint_position', 0.01)
+    simulation.reset(3)
+    first, _ = run(simulation, 10)
+    simulation.reset(4)
+    other, _ = run(simulation, 10)
+    simulation.reset(3)
+    for _ in range(10):
+        simulation.advance(STEPS)
+    np.testing.assert_array_equal(simulation.robot.measured(), first[-1])
+    assert (other[:, :9] != first[:, :9]).all()
+
+
+def test_two_robots_have_noise_of_their_own():
+    world = World([compose_robot('Panda', idn=0), compose_robot('Panda', idn=1)])
+    simulation = Simulation(world)
+    one, other = simulation.robots.values()
+    for robot in (one, other):
+        robot.sensing.set('noise.joint_position', 0.01)
+    assert (one.measured()[:9] - one.exact()[:9] != other.measured()[:9] - other.exact()[:9]).all()
+    other.sensing.set('noise.joint_position', 0.0)
+    np.testing.assert_array_equal(other.measured(), other.exact())
+    assert (one.measured()[:9] != one.exact()[:9]).all()
+
+
+@pytest.mark.parametrize('periods', [1, 3, 7])
+def test_latency_publishes_what_was_measured_so_many_periods_ago(periods, simulation):
+    simulation.robot.sensing.set('latency.state', periods * PERIOD_S)
+    start = simulation.robot.exact()
+    action(simulation)
+    measured, true = run(simulation, 20)
+    np.testing.assert_array_equal(measured[periods:], true[:-periods])
+    # Before, nothing is known but the start.
+    np.testing.assert_array_equal(measured[:periods - 1], np.tile(start, (periods - 1, 1)))
+
+
+def test_jitter_never_goes_back_in_time_and_has_the_mean_that_was_asked_for(simulation):
+    sensing = simulation.robot.sensing
+    sensing.set('latency.state', 0.05)
+    sensing.set('latency.state.jitter', 0.02)
+    simulation.reset(1)
+    action(simulation, 1.0)
+    measured, true = run(simulation, 60)
+    ages = [next(age for age in range(n + 1) if np.array_equal(measured[n], true[n - age]))
+            for n in range(12, 60)]
+    assert len(set(ages)) > 2
+    assert all(later <= age + 1 for age, later in zip(ages, ages[1:])), 'an older one came later'
+    simulation.reset(1)
+    action(simulation, 1.0)
+    np.testing.assert_array_equal(run(simulation, 60)[0], measured)
+
+
+def test_poses_and_wrenches_are_as_old_as_the_joints(simulation):
+    simulation.robot.sensing.set('latency.state', 2 * PERIOD_S)
+    action(simulation)
+    states = []
+    for _ in range(10):
+        simulation.advance(STEPS)
+        states.append((simulation.robot.state(), simulation.robot.true_state()))
+    for (late, _), (_, true) in zip(states[2:], states):
+        for field in ('pose', 'twist', 'wrench', 'external_wrench'):
+            one, other = (getattr(s.end_effectors['right'], field) for s in (late, true))
+            for name in vars(one):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize('periods', [1, 4])
+def test_a_command_takes_effect_so_many_periods_later(periods, simulation):
+    action(simulation)
+    _, at_once = run(simulation, 20)
+    simulation.reset()
+    simulation.robot.sensing.set('latency.command', periods * PERIOD_S)
+    action(simulation)
+    assert not simulation.robot.resting
+    _, late = run(simulation, 20)
+    count = len(simulation.robot.joint_names)
+    np.testing.assert_allclose(late[periods:, :count], at_once[:-periods, :count], atol=1e-9)
+    np.testing.assert_allclose(late[:periods, :count], late[:1, :count].repeat(periods, axis=0),
+                               atol=1e-6)
+
+
+def test_delayed_commands_keep_their_order_and_end_with_a_reset(simulation):
+    sensing = simulation.robot.sensing
+    sensing.set('latency.command', 0.05)
+    sensing.set('latency.command.jitter', 0.05)
+    commands = []
+    for number in range(10):
+        commands.append(action(simulation, number / 10.0))
+        simulation.advance(STEPS)
+    ended = [command.handle.is_active for command in commands]
+    assert ended == sorted(ended), 'a newer command took effect before an older one'
+    assert any(ended)
+    simulation.reset()
+    assert not any(command.handle.is_active for command in commands)
+    assert commands[-1].handle.status is Status.ABORTED
+
+
+def test_a_delayed_command_can_be_withdrawn(simulation):
+    simulation.robot.sensing.set('latency.command', 0.02)
+    command = action(simulation)
+    simulation.robot.withdraw(command, 'no more')
+    assert command.handle.status is Status.ABORTED
+    _, true = run(simulation, 10)
+    np.testing.assert_allclose(true[-1][:9], true[0][:9], atol=1e-6)
+
+
+def test_saved_states_hold_what_has_not_arrived_yet(simulation):
+    sensing = simulation.robot.sensing
+    for name, value in (('noise.joint_position', 0.01), ('noise.wrench_drift', 1.0),
+                        ('latency.state', 0.03), ('latency.state.jitter', 0.01),
+                        ('latency.command', 0.02), ('noise.imu_gyro_bias', 0.1)):
+        sensing.set(name, value)
+    simulation.reset(5)
+    action(simulation)
+    run(simulation, 5)
+    state, digest = simulation.save(), simulation.digest()
+    first = run(simulation, 10)
+    end = simulation.digest()
+    other = Simulation(compose('Panda'))
+    other.restore(state)
+    assert other.digest() == digest
+    again = run(other, 10)
+    np.testing.assert_array_equal(again, first)
+    assert other.digest() == end
+    other.robot.sensing.set('noise.joint_position', 0.02)
+    assert other.digest() != end
+
+
+def test_a_tare_takes_the_offset_away_and_a_filter_smooths_the_noise():
+    simulation = Simulation(compose('Panda'))
+    robot = simulation.robot
+    robot.sensing.set('noise.wrench_bias', 20.0)
+
+    def external():
+        return robot.state().end_effectors['right'].external_wrench.force
+    run(simulation, 2)
+    assert np.abs(external()).max() > 1.0
+    robot.tare_wrench()
+    np.testing.assert_allclose(external(), 0.0, atol=1e-9)
+    robot.sensing.set('noise.wrench_force', 1.0)
+    spread = {}
+    for cutoff in (0.0, 2.0):
+        robot.set_wrench_cutoff('right', cutoff)
+        values = []
+        for _ in range(300):
+            simulation.advance(STEPS)
+            values.append(external())
+        spread[cutoff] = np.std(values[50:])
+    assert spread[0.0] == pytest.approx(1.0, rel=0.15)
+    # A low-pass of first order with weight w: the variance is w / (2 - w).
+    weight = -np.expm1(-2.0 * np.pi * 2.0 * PERIOD_S)
+    assert spread[2.0] == pytest.approx(np.sqrt(weight / (2.0 - weight)), rel=0.35)
+
+
+def test_sensors_by_name_have_the_noise_of_their_kind(simulation):
+    sensing = simulation.robot.sensing
+    sensing.set('noise.imu_gyro', 0.5)
+    exact = simulation.data.sensor('robot0_right_imu_gyro').data.copy()
+    assert (simulation.sensors['robot0_right_imu_gyro'] != exact).all()
+    np.testing.assert_array_equal(simulation.sensors['robot0_right_imu_accelerometer'],
+                                  simulation.data.sensor('robot0_right_imu_accelerometer').data)
+    sensing.set('noise.imu_orientation', 0.1)
+    measured = simulation.sensors['robot0_right_imu_orientation']
+    true = simulation.data.sensor('robot0_right_imu_orientation').data
+    assert np.linalg.norm(measured) == pytest.approx(1.0)
+    assert 0.01 < 2.0 * np.arccos(min(1.0, abs(measured @ true))) < 0.5
+
+
+def test_worlds_have_the_noise_of_their_seeds():
+    worlds = Worlds(compose('Panda'), 2)
+    for robot in (worlds.robot[0], worlds.robot[1]):
+        robot.sensing.set('noise.joint_position', 0.01)
+    worlds.reset([3, 4])
+    single = Simulation(compose('Panda'))
+    single.robot.sensing.set('noise.joint_position', 0.01)
+    for row, seed in enumerate((3, 4)):
+        single.reset(seed)
+        np.testing.assert_array_equal(worlds.robot.state().position[row],
+                                      single.robot.state().position)
