@@ -17,18 +17,18 @@ OBJECT = """
     <body name="probe">
       <freejoint name="probe"/>
       <geom size="0.05" mass="1"/>
-      <site name="probe_eye" pos="0 0 -0.06" euler="180 0 0"/>
-      <site name="probe_up" pos="0 0 0.06"/>
-      <site name="probe_flange"/>
+      <site name="eye" pos="0 0 -0.06" euler="180 0 0"/>
+      <site name="up" pos="0 0 0.06"/>
+      <site name="flange"/>
     </body>
   </worldbody>
   <sensor>
-    <rangefinder name="probe_down" site="probe_eye"/>
-    <rangefinder name="probe_sky" site="probe_up"/>
-    <magnetometer name="probe_compass" site="probe_eye"/>
-    <force name="probe_force" site="probe_flange"/>
-    <torque name="probe_torque" site="probe_flange"/>
-    <framelinvel name="probe_velocity" objtype="site" objname="probe_eye"/>
+    <rangefinder name="down" site="eye"/>
+    <rangefinder name="sky" site="up"/>
+    <magnetometer name="compass" site="eye"/>
+    <force name="force" site="flange"/>
+    <torque name="torque" site="flange"/>
+    <framelinvel name="velocity" objtype="site" objname="eye"/>
   </sensor>
 </mujoco>
 """
