@@ -20,10 +20,9 @@ FLOORS = (
     {'experiments': 'many seeds: rows, intervals, shards'},
     {'ros': 'how it is seen: node, topics', 'records': 'episodes in MCAP files',
      'env': 'tasks for gymnasium'},
-    {'tasks': 'starts, success, episodes'},
-    {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing',
-     'rendering': 'pictures', 'worlds': 'many copies of one'},
-    {'simulation': 'what happens: physics, control'},
+    {'interface': 'names: topics, parameters', 'runtime': 'when: threads, pacing'},
+    {'tasks': 'starts, success, episodes', 'worlds': 'many copies of one'},
+    {'simulation': 'what happens: physics, control', 'rendering': 'pictures'},
     {'models': 'what exists: robots, grippers, arenas, worlds'},
     {'sensing': 'what is measured: instruments'})
 #: Name, what it does, what it may touch.

@@ -26,6 +26,7 @@ MAY_IMPORT = {
     'rendering': ({'rendering'}, PURE),
     'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
     'tasks': ({'models', 'simulation', 'rendering', 'tasks'}, PURE),
+    'env/ros': ({'env', 'simulation', 'tasks'}, None),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
     'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},
                 PURE | {'PIL', 'av', 'h5py', 'lz4', 'mcap', 'mcap_ros2', 'pyarrow', 'zstandard'}),
@@ -40,11 +41,11 @@ MAY_IMPORT = {
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),
     'viewer': ({'viewer'}, PURE | {'viser'}),
-    'interface': ({'interface', 'models', 'sensing', 'simulation'}, PURE),
+    'interface': ({'interface', 'models', 'sensing', 'simulation', 'tasks'}, PURE),
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
-WITH_RCLPY = ('ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
+WITH_RCLPY = ('ros', 'env/ros', 'examples', 'testing', 'viewer/ros', 'records/node_recorder.py',
               f'{INTERNALS}.py')
 TOP_LEVEL = {'algebra', 'arrays', 'entry_points', 'environment', 'errors', 'patching', 'quoting',
              'resources', 'startup'}

@@ -157,7 +157,8 @@ def describe(composed: Composed) -> Row:
     topics = topics_of_world(
         [(scope, robot.parts, robot.joints.twist_indices is not None) for scope, robot in served],
         simulation.entities.free_names, {name: images.depth for name, images in cameras.items()},
-        [one.topic for one in served_instruments(simulation, dict(served))])
+        [one.topic for one in served_instruments(simulation, dict(served))],
+        composed.composition.task is not None)
     return {
         'name': world.name,
         'arena': world.arena.arena_name,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import re
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import mujoco
 
@@ -31,6 +31,9 @@ from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
 from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
 
+if TYPE_CHECKING:
+    from manip_sim.tasks import Task
+
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
 #: What a namespace, a parameter and the names of joints may all begin with.
@@ -49,11 +52,13 @@ class Composition:
     :ivar scopes: where topics and parameters of each robot are, in the order of the world's robots
     :ivar world: the world
     :ivar steps: physics steps of a control period
+    :ivar task: what is done, or None
     """
 
     scopes: list[Scope]
     world: World
     steps: int
+    task: Task | None = None
 
 
 def compose_world(parameters: ParameterSource) -> Composition:
@@ -67,6 +72,8 @@ def compose_world(parameters: ParameterSource) -> Composition:
     value = parameters.value
     declare_node(parameters)
     steps = steps_per_period(value('publish_rate'), value('timestep'))
+    if value('task'):
+        return _compose_task(parameters, steps)
     scopes = [Scope(name) for name in _robot_names(value('robots'))] or [Scope()]
     robots = []
     for scope in scopes:
@@ -89,6 +96,30 @@ def compose_world(parameters: ParameterSource) -> Composition:
                   initialization_noise=noise if noise['magnitude'] else None,
                   cameras=described_cameras(value('cameras')))
     return Composition(scopes, world, steps)
+
+
+def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
+    """Compose the world of a task for the robot that the parameters describe."""
+    from manip_sim.tasks import create_task  # It takes a while, and most nodes have none.
+    value, node = parameters.value, {spec.name: spec.default for spec in node_parameters()}
+    for name in ('robots', 'arena', 'cube', 'objects'):
+        given = value(name)
+        if (list(given) if isinstance(node[name], list) else given) != node[name]:
+            raise ParameterError(f"parameter '{name}' cannot be combined with 'task', which "
+                                 'brings arena, robots and objects')
+    parameters.declare(composition_parameters(Scope()))
+    noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
+    # A task with two robots names them itself.
+    chosen = {'idn': value('idn'), 'prefix': value('prefix'),
+              'initialization_noise': noise if noise['magnitude'] else None}
+    task = create_task(
+        value('task'), value('robot'), value('gripper'), base=value('base'),
+        timestep_s=value('timestep'), gravity_compensation=value('gravity_compensation'),
+        seed=value('seed'), cameras=described_cameras(value('cameras')),
+        **{name: found for name, found in chosen.items() if found})
+    robots = task.world.robots
+    scopes = [Scope(robot.name_in_world) for robot in robots] if len(robots) > 1 else [Scope()]
+    return Composition(scopes, task.world, steps, task)
 
 
 def _set_actuation(parameters: ParameterSource, scope: Scope, robot: RobotModel) -> None:

@@ -217,6 +217,9 @@ TOPICS = (
     _published('/diagnostics', 'diagnostic_msgs/DiagnosticArray',
                'real-time factor, missed deadlines, what became of commands',
                rate='1 Hz of wall time'),
+    _published('~/task', 'std_msgs/String',
+               'with a task: its success, reward and goal as JSON, latched', 'task', depth=1,
+               latched=True),
     _published('~/mjcf', 'std_msgs/String', 'the composed model, latched', rate=_CHANGES,
                depth=1, latched=True),
     _published('~/mjcf_archive', 'std_msgs/UInt8MultiArray',
@@ -302,7 +305,8 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] 
     for per, group in groupby(rows, lambda row: row.per):
         patterns = list(group)
         if not per:
-            found += (row for row in patterns if twist or row.needs != 'twist')
+            found += (row for row in patterns if row.needs != 'task'
+                      and (twist or row.needs != 'twist'))
         elif per in (PART, ARM):
             found += (row.filled_in(name) for name in (parts if per == PART else arms)
                       for row in patterns if _has(row, name, parts))
@@ -347,7 +351,7 @@ def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
 def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
                     objects: Iterable[str] = (),
                     cameras: Mapping[str, bool] = MappingProxyType({}),
-                    sensors: Iterable[Topic] = ()) -> list[Topic]:
+                    sensors: Iterable[Topic] = (), task: bool = False) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
@@ -355,12 +359,14 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
     :param objects: names of free bodies
     :param cameras: that are chosen, by name: whether with depth
     :param sensors: topics of instruments
+    :param task: whether there is one
     """
     # A name that is absolute or private is the world's, and found with each robot.
     return list(dict.fromkeys([
         *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
           for topic in topics_of(parts, twist)),
-        *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors]))
+        *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors,
+        *[BY_NAME['~/task']] * task]))
 
 
 def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:

@@ -29,7 +29,10 @@ def introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation,
     lines = []
     for scope, robot in robots.items():
         name = f'{scope.name}: ' if scope.name else ''
-        lines.append(f'{name}{value(scope.parameter("robot"))} in arena {value("arena")}, '
+        task = value('task')
+        where = (f'{value("robot")}, task {task}' if task else
+                 f'{value(scope.parameter("robot"))} in arena {value("arena")}')
+        lines.append(f'{name}{where}, '
                      f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
                      f'{simulation.timestep_s:g} s'
                      + (', paused until ~/pause is called' if paused else ''))

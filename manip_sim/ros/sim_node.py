@@ -46,6 +46,7 @@ from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
+from manip_sim.ros.task_publisher import TaskPublisher
 from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -115,7 +116,11 @@ class SimNode(Node):
         self.table = topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)
              for scope, robot in self._robots.items()],
-            cameras={name: images.depth for name, images in cameras.items()})
+            cameras={name: images.depth for name, images in cameras.items()},
+            task=composition.task is not None)
+        if composition.task is not None:
+            self._task = TaskPublisher(
+                self, composition.task, self.simulation, self.thread, value('seed'))
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots(frame_prefix)
         offer_sensors(self, self._robots, self.simulation, self.thread, frame_prefix)

@@ -74,6 +74,7 @@ class SimulationThread:
         self._showing = self._show_again = False
         #: For the next reset; None: the start stays.
         self._seed: int | None = None
+        self._restart: Callable[[int | None], None] = simulation.reset
         self._saved: SimulationState | None = None
         #: When to pause [ns]; 0: never.
         self._pause_at_ns = 0
@@ -234,7 +235,7 @@ class SimulationThread:
         """
         def change() -> None:
             self._commands.clear('the simulation was reset')
-            self._simulation.reset(self._seed)
+            self._restart(self._seed)
             self._seed = None
             if restart_time:
                 self._simulation.step_count = 0
@@ -247,6 +248,14 @@ class SimulationThread:
         self._simulation.step_count += self._steps
         self._pacer.restart(time.monotonic())
         self._show()
+
+    def restart_by(self, restart: Callable[[int | None], None]) -> None:
+        """
+        Let another function put the simulation back to its start at resets.
+
+        :param restart: takes the seed of the start, or None to keep the start
+        """
+        self._restart = restart
 
     def set_seed(self, seed: int) -> None:
         """

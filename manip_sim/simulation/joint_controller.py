@@ -100,7 +100,9 @@ class JointController(ControlledJoints):
         """
         for name in self.parts_of(self.indices_of(part)):
             self._timeouts.set(name, timeout_s)
-            (self._targets_end.add if ends_targets else self._targets_end.discard)(name)
+            # Without a timeout it makes no difference, and is none in saved states either.
+            ends = ends_targets or not timeout_s
+            (self._targets_end.add if ends else self._targets_end.discard)(name)
 
     def set_stream_hold(self, part: str, hold_s: float) -> None:
         """

@@ -35,7 +35,8 @@ def as_seen(name):
     {'robot': 'UR5e', 'gripper': 'WipingGripper'},
     {'robots': ['a', 'b'], 'a.robot': 'PandaOmron', 'b.robot': 'Baxter', 'arena': 'table',
      'b.gripper': '{right: PandaGripper, left: none}'},
-    {'cameras': ['birdview', 'agentview'], 'camera.agentview.depth': False}], ids=str)
+    {'cameras': ['birdview', 'agentview'], 'camera.agentview.depth': False},
+    {'task': 'pick_cube'}], ids=str)
 def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, client):
     node = serve(**parameters)
     client.state('a/joint_states' if 'robots' in parameters else 'joint_states')
@@ -48,7 +49,8 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
         [(scope, robot.parts, robot.joints.twist_indices is not None)
          for scope, robot in zip(scopes, robots)], simulation.entities.free_names,
         {name: images.depth for name, images in cameras.items()},
-        [one.topic for one in served_instruments(simulation, dict(zip(scopes, robots)))])
+        [one.topic for one in served_instruments(simulation, dict(zip(scopes, robots)))],
+        composition.task is not None)
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):

@@ -68,8 +68,9 @@ def test_topics_are_documented_with_their_types(serve, client):
     if transforms.TFMessage is not None:
         table |= frames
     assert found <= table
-    # A Panda has no mobile base, and none of these sensors.
+    # A Panda has no mobile base, and none of these sensors; this node has no task.
     assert table - found == {
+        ('~/task', 'std_msgs/String'),
         ('sensors/<sensor>/wrench', 'geometry_msgs/WrenchStamped'),
         ('sensors/<sensor>/range', 'sensor_msgs/Range'),
         ('sensors/<sensor>/magnetic_field', 'sensor_msgs/MagneticField'),

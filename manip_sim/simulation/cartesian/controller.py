@@ -98,7 +98,9 @@ class CartesianController:
         """
         if arm not in self.settings:
             raise UnknownNameError('arm with a gripper', arm, self.settings)
-        self.settings[arm] = self.settings[arm].changed(name, value)
+        changed = self.settings[arm].changed(name, value)
+        if changed != self.settings[arm]:  # Equal ones would have another digest.
+            self.settings[arm] = changed
 
     def set_stream(self, arm: str, longest_s: float | None = None, hold_s: float | None = None
                    ) -> None:

@@ -1,0 +1,238 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A task in a node as an environment: the same episodes as in this process, over topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import functools
+import json
+import time
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rcl_interfaces.srv import SetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from manip_sim.env.spaces import action_space, observation_space
+from manip_sim.env.task_env import SEEDS, TaskEnv
+from manip_sim.errors import CommandError, ManipSimError
+from manip_sim.simulation.numbers import finite_numbers
+from manip_sim.tasks.observation import Observation
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: How long the node may take for an answer, wall time [s].
+_PATIENCE_S = 60.0
+
+
+class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
+    """
+    Episodes of a task in a running node; observations, actions and digests are those of TaskEnv.
+
+    The node must have been started with ``task``, ``stepping:=lockstep``, the ``publish_rate``
+    ``control_hz``, and as ``lockstep_parts`` the arm and its gripper. Actions are ``osc_pose``.
+
+    :param task: its name, as the node has it
+    :param control_hz: actions per second of simulated time [Hz]
+    :param node: name of the node, with its namespace
+    :param domain_id: of ROS; None for that of the environment
+    :param arguments: further ones of :class:`TaskEnv`, such as ``robot``
+    :raises ManipSimError: if something cannot be used, or there is no such node
+    """
+
+    metadata: dict[str, Any] = {'render_modes': [], 'render_fps': 20}
+
+    def __init__(self, task: str, control_hz: float = 20.0, node: str = '/manip_sim',
+                 domain_id: int | None = None, **arguments: Any) -> None:
+        for name in {'latency', 'cameras', 'render_mode'} & {*arguments}:
+            raise ManipSimError(f'{name} cannot be used with a node')
+        # What is observed and how long an episode may be; it is not advanced.
+        self._like = TaskEnv(task, control_hz=control_hz, **arguments).episode
+        if self._like.kind != 'osc_pose':
+            raise ManipSimError(f'actions with a node are osc_pose, not {self._like.kind}')
+        self.action_space = action_space(self._like)
+        self.observation_space = observation_space(self._like.observation)
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self._node = rclpy.create_node('task_env', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._name = node
+        #: The newest message of each topic: its stamp [ns] and its numbers.
+        self._seen: dict[str, tuple[int, NDArray[Any]]] = {}
+        self._task: dict[str, Any] = {}
+        self._stamp_ns = self._periods = -1
+        self._connect(node.rpartition('/')[0])
+
+    def _connect(self, namespace: str) -> None:
+        robots = self._like.simulation.robots
+        self._keys: dict[str, list[str]] = {key: [] for key in (
+            'joint_states', 'eef_pose', 'eef_twist', 'external_wrench', 'object_pose')}
+        #: Publishers, their numbers of an action, and how often each is repeated.
+        self._commands: list[tuple[Any, slice, int]] = []
+        for name, robot in robots.items():
+            scope = f'{namespace}/{name}' if len(robots) > 1 else namespace
+            self._subscribe('joint_states', f'{scope}/joint_states', JointState, _joints)
+            for arm in robot.end_effectors:
+                for key, kind, numbers in (('eef_pose', PoseStamped, _pose),
+                                           ('eef_twist', TwistStamped, _twist),
+                                           ('external_wrench', WrenchStamped, _wrench)):
+                    self._subscribe(key, f'{scope}/{arm}/{key}', kind, numbers)
+        actions: Any = self._like.actions
+        for item in actions.arms:
+            scope = f'{namespace}/{item.robot.name}' if len(robots) > 1 else namespace
+            dof = item.robot.grippers[f'{item.arm}/gripper'].dof
+            for topic, part, times in ((f'{item.arm}/pose_command', item.pose, 1),
+                                       (f'{item.arm}/gripper/command', item.gripper, dof)):
+                if times:
+                    self._commands.append((self._node.create_publisher(
+                        Float64MultiArray, f'{scope}/{topic}', 10), part, times))
+        for name in self._like.simulation.entities.free_names:
+            self._subscribe('object_pose', f'{namespace}/objects/{name}/pose', PoseStamped, _pose)
+        self._node.create_subscription(String, f'{self._name}/task', self._see_task, _LATCHED)
+        self._reset = self._node.create_client(Trigger, f'{self._name}/reset')
+        self._save = self._node.create_client(Trigger, f'{self._name}/save_state')
+        self._set = self._node.create_client(SetParameters, f'{self._name}/set_parameters')
+        self._spin_until(lambda: bool(self._task) and all(
+            client.service_is_ready() for client in (self._reset, self._save, self._set))
+            and all(publisher.get_subscription_count() for publisher, *_ in self._commands),
+            f'there is no node {self._name} with a task')
+        asked = (self._like.task.name, self._like.task.robot.name)
+        found = (self._task['task'], self._task['robot'])
+        if asked != found:
+            self.close()
+            raise ManipSimError(f'{self._name} does {found[0]} with {found[1]}, not {asked[0]} '
+                                f'with {asked[1]}')
+
+    def _subscribe(self, key: str, topic: str, kind: Any, numbers: Callable[[Any], Any]) -> None:
+        self._keys[key].append(topic)
+        self._node.create_subscription(
+            kind, topic, functools.partial(self._see, topic, numbers), 10)
+
+    def _see(self, topic: str, numbers: Callable[[Any], Any], message: Any) -> None:
+        stamp = message.header.stamp
+        self._seen[topic] = stamp.sec * 10**9 + stamp.nanosec, np.array(numbers(message))
+
+    def _see_task(self, message: String) -> None:
+        self._task = json.loads(message.data)
+
+    def _spin_until(self, done: Callable[[], bool], problem: str) -> None:
+        end = time.monotonic() + _PATIENCE_S
+        while not done():
+            if time.monotonic() > end:
+                self.close()
+                raise ManipSimError(f'{problem}: nothing for {_PATIENCE_S:g} s')
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _call(self, client: Any, request: Any) -> Any:
+        future = client.call_async(request)
+        self._spin_until(future.done, f'no answer from {client.srv_name}')
+        return future.result()
+
+    def _observe(self, after_ns: int) -> Observation:
+        """Wait for an instant after another one, of which all topics have come."""
+        topics = [topic for topics in self._keys.values() for topic in topics]
+
+        def is_whole() -> bool:
+            stamps = {self._seen[topic][0] if topic in self._seen else -1 for topic in topics}
+            return stamps == {self._task['stamp_ns']} and self._task['stamp_ns'] > after_ns
+        self._spin_until(is_whole, f'{self._name} does not advance; see its lockstep_parts')
+        self._stamp_ns = self._task['stamp_ns']
+        values = {key: [self._seen[topic][1] for topic in topics]
+                  for key, topics in self._keys.items() if topics}
+        joints = np.concatenate(values.pop('joint_states'), axis=1)
+        found = dict(zip(('joint_position', 'joint_velocity', 'joint_effort'), joints.copy()))
+        found |= {key: np.stack(rows) for key, rows in values.items()}
+        if self._task['goal']:
+            found['goal'] = np.array(self._task['goal'])
+        return found
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
+              ) -> tuple[Observation, dict[str, Any]]:
+        """
+        Begin an episode, as :meth:`TaskEnv.reset`.
+
+        :param seed: whose start it has; None draws one
+        :param options: not used
+        :raises ManipSimError: if the node rejects the seed, or does not answer
+        """
+        super().reset(seed=seed)
+        own = int(self.np_random.integers(SEEDS)) if seed is None else int(seed)
+        answer = self._call(self._set, SetParameters.Request(
+            parameters=[Parameter('seed', value=own).to_parameter_msg()]))
+        if not answer.results[0].successful:
+            raise ManipSimError(f'seed {own}: {answer.results[0].reason}')
+        before = self._task['stamp_ns']
+        self._call(self._reset, Trigger.Request())
+        self._periods = 0
+        observation = self._observe(before)
+        return observation, {'seed': own, 'success': self._task['success'],
+                             'digest': self.digest()}
+
+    def step(self, action: ArrayLike
+             ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """
+        Take an action and advance by one control period, as :meth:`TaskEnv.step`.
+
+        :param action: of :attr:`action_space`
+        :raises gymnasium.error.ResetNeeded: if no episode has begun
+        :raises CommandError: if the action cannot be used; then nothing is sent
+        """
+        if self._periods < 0:
+            raise gymnasium.error.ResetNeeded('call reset() before step()')
+        numbers = finite_numbers(action, self._like.actions.size, 'an action')
+        for publisher, part, times in self._commands:
+            publisher.publish(Float64MultiArray(data=np.repeat(numbers[part], times).tolist()))
+        observation = self._observe(self._stamp_ns)
+        self._periods += 1
+        self._like.periods = self._periods
+        terminated, truncated = self._task['success'], self._like.time_is_up
+        info = {'success': terminated}
+        if terminated or truncated:
+            info['digest'] = self.digest()
+        return observation, self._task['reward'], terminated, truncated, info
+
+    def digest(self) -> str:
+        """Return the digest of the node's present state; it is saved there in passing."""
+        answer = self._call(self._save, Trigger.Request())
+        if not answer.success:
+            raise CommandError(answer.message)
+        return str(answer.message)
+
+    def close(self) -> None:
+        """End the connection; nothing happens the second time."""
+        if self._context.ok():
+            self._executor.shutdown()
+            self._node.destroy_node()
+            self._context.shutdown()
+
+
+def _joints(message: JointState) -> list[Any]:
+    return [message.position, message.velocity, message.effort]
+
+
+def _pose(message: PoseStamped) -> list[float]:
+    position, turn = message.pose.position, message.pose.orientation
+    return [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
+
+
+def _vectors(linear: Any, angular: Any) -> list[float]:
+    return [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+
+
+def _twist(message: TwistStamped) -> list[float]:
+    return _vectors(message.twist.linear, message.twist.angular)
+
+
+def _wrench(message: WrenchStamped) -> list[float]:
+    return _vectors(message.wrench.force, message.wrench.torque)

@@ -1,0 +1,61 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Serve a task: its starts at resets, and success and reward on ``~/task``."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from std_msgs.msg import String
+
+from manip_sim.interface.topics import BY_NAME
+from manip_sim.ros.outputs import create_publisher
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import Simulation
+from manip_sim.tasks import start, Task
+
+
+class TaskPublisher:
+    """
+    A latched publisher of ``~/task``: JSON, once for each instant.
+
+    Its keys are ``task``, ``robot``, ``instruction``, ``seed`` of the start, ``stamp_ns`` of the
+    instant, ``success``, ``reward``, and ``goal``, as the task has it. Resets draw the start of
+    the task from the parameter ``seed``.
+
+    :param node: the node
+    :param task: what is done
+    :param simulation: of its world
+    :param thread: runs it; has not been started
+    :param seed: of the first start
+    """
+
+    def __init__(self, node: Any, task: Task, simulation: Simulation, thread: SimulationThread,
+                 seed: int) -> None:
+        self._publisher = create_publisher(node, BY_NAME['~/task'])
+        self._task, self._simulation, self._thread = task, simulation, thread
+        self._seed = seed
+        self._seen_ns = -1
+        self._restart(None)
+        thread.restart_by(self._restart)
+        # What the task changes at the end of a period is in the states that are published.
+        thread.observe(self._end_period)
+
+    def _restart(self, seed: int | None) -> None:
+        self._seed = self._seed if seed is None else seed
+        start(self._task, self._simulation, self._seed)
+
+    def _end_period(self, simulation: Simulation) -> None:
+        if simulation.time_ns == self._seen_ns:
+            return  # A state that is repeated.
+        self._seen_ns = simulation.time_ns
+        if not (self._thread.at_start or simulation.diverged):
+            self._task.end_period(simulation)
+        self._publisher.publish(String(data=json.dumps({
+            'task': self._task.name, 'robot': self._task.robot.name,
+            'instruction': self._task.instruction, 'seed': self._seed,
+            'stamp_ns': simulation.time_ns, 'success': self._task.success(simulation),
+            'reward': self._task.reward(simulation),
+            'goal': self._task.goal(simulation).tolist()})))

@@ -1,0 +1,113 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node that does a task: starts, success and reward, and its environment over topics."""
+
+import json
+
+from harness import DOMAIN
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from manip_sim.errors import CommandError, ManipSimError, ParameterError, UnknownNameError
+from manip_sim.interface.composition import compose_world
+from manip_sim.interface.given_parameters import GivenParameters
+
+gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
+from manip_sim.env import TaskEnv  # noqa: E402
+from manip_sim.env.ros import NodeEnv  # noqa: E402
+
+LOCKSTEP = {'stepping': 'lockstep', 'publish_rate': 20.0}
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture
+def pick_cube(serve):
+    """Return an environment over topics, and one in this process."""
+    serve(task='pick_cube', lockstep_parts=['arm', 'right/gripper'], **LOCKSTEP)
+    over_topics, here = NodeEnv('pick_cube', domain_id=DOMAIN), TaskEnv('pick_cube')
+    yield over_topics, here
+    over_topics.close()
+    here.close()
+
+
+def equal(one, other):
+    assert one.keys() == other.keys()
+    for key, value in one.items():
+        np.testing.assert_array_equal(value, other[key], err_msg=key)
+
+
+def test_an_episode_in_a_node_is_that_in_this_process_to_the_last_bit(pick_cube):
+    over_topics, here = pick_cube
+    assert over_topics.observation_space == here.observation_space
+    assert over_topics.action_space == here.action_space
+    expert = here.episode.task.expert(here.episode.simulation)
+    for seed in (3, 5):
+        (seen, info), (expected, its_info) = over_topics.reset(seed=seed), here.reset(seed=seed)
+        equal(seen, expected)
+        assert info == its_info
+        expert.reset(seed)
+        ended = False
+        while not ended:
+            action = expert.act()
+            seen, *rest = over_topics.step(action)
+            expected, *its_rest = here.step(action)
+            equal(seen, expected)
+            assert rest == its_rest
+            ended = rest[1] or rest[2]
+        assert rest[1] and rest[3]['digest'] == here.digest()
+
+
+def test_bad_actions_over_topics_change_nothing(pick_cube):
+    over_topics, _ = pick_cube
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        over_topics.step(np.zeros(7))
+    over_topics.reset(seed=1)
+    before = over_topics.digest()
+    for action in (np.zeros(6), np.full(7, np.nan)):
+        with pytest.raises(CommandError, match='an action'):
+            over_topics.step(action)
+    assert over_topics.digest() == before
+    with pytest.raises(ManipSimError, match='seed 2147483648: '):
+        over_topics.reset(seed=2**31)
+    with pytest.raises(ManipSimError, match='does pick_cube with Panda0, not reach with Panda0'):
+        NodeEnv('reach', domain_id=DOMAIN)
+
+
+def test_success_and_reward_are_on_a_latched_topic(serve, client):
+    node = serve(task='reach', seed=4, start_paused=True)
+    found = []
+    client.node.create_subscription(
+        String, '/manip_sim/task', lambda message: found.append(json.loads(message.data)), LATCHED)
+    client.spin_until(lambda: bool(found))
+    simulation = node.simulation
+    assert found[0]['task'] == 'reach' and found[0]['seed'] == 4
+    assert found[0]['goal'] == simulation.data.body('goal').xpos.tolist()
+    assert found[0]['success'] is False and 0.0 < found[0]['reward'] < 1.0
+    # A point that is where the hand is has been reached.
+    node.thread.call(lambda: simulation.data.mocap_pos.__setitem__(
+        slice(None), simulation.data.site('gripper0_right_grip_site').xpos))
+    step = client.node.create_client(Trigger, '/manip_sim/step')
+    client.spin_until(step.service_is_ready)
+    done = step.call_async(Trigger.Request())
+    client.spin_until(lambda: done.done() and found[-1]['stamp_ns'] > found[0]['stamp_ns'])
+    assert found[-1]['success'] is True and found[-1]['reward'] == 1.0
+
+
+@pytest.mark.parametrize('given, error, text', [
+    ({'task': 'pick_cub'}, UnknownNameError, "did you mean 'pick_cube'"),
+    ({'task': 'pick_cube', 'arena': 'table'}, ParameterError, "'arena' cannot be combined"),
+    ({'task': 'pick_cube', 'objects': ['{name: a}']}, ParameterError, "'objects' cannot be"),
+    ({'task': 'pick_cube', 'robots': ['left', 'right']}, ParameterError, "'robots' cannot be"),
+    ({'task': 'pick_cube', 'gripper': 'none'}, ManipSimError, 'pick_cube needs 1 arm')])
+def test_what_does_not_go_with_a_task_is_said(given, error, text):
+    with pytest.raises(error, match=text):
+        compose_world(GivenParameters(given))
+
+
+def test_a_task_with_two_robots_has_a_namespace_for_each():
+    composition = compose_world(GivenParameters({'task': 'hand_over'}))
+    assert [scope.name for scope in composition.scopes] == ['robot0', 'robot1']
