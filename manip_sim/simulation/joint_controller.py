@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+import functools
 import math
 from typing import TypeVar
 
@@ -27,8 +28,12 @@ from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.profiles import Plan
 
 C = TypeVar('C', bound=Command)
+#: Setpoints that go less than this share of how far they may be ahead of their joints, in a plan,
+#: are looked at once in it.
+CALM = 0.25
 #: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
 _STAMPS_NS = 10**15
 
@@ -49,6 +54,9 @@ class JointController(ControlledJoints):
     :ivar commands: the commands that have not ended
     """
 
+    #: Computed anew in each control period.
+    not_in_digest = ('_rates', '_calm')
+
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], hands: Mapping[str, Hand] | None = None) -> None:
         super().__init__(physics, parts, atomic)
@@ -59,6 +67,9 @@ class JointController(ControlledJoints):
         self._timeouts = CommandTimeouts(atomic)
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
+        #: For a plan of the setpoints: how fast the servos follow it, and whether that is slow.
+        self._rates: FloatArray | None = None
+        self._calm = False
         #: Whether new efforts have yet to be written.
         self._efforts_due = False
         self._written = False
@@ -66,10 +77,13 @@ class JointController(ControlledJoints):
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        return bool(self._setpoints.moving or self._efforts_due or self.commands.waiting or any(
-            isinstance(c, (JointTrajectory, BaseTwist))
-            or isinstance(c, CartesianCommand) and self.cartesian.moves(c)
-            for c in self.commands.running))
+        if self._setpoints.moving or self._efforts_due or self.commands.waiting:
+            return True
+        for command in self.commands.running:
+            if isinstance(command, (JointTrajectory, BaseTwist)) or (
+                    isinstance(command, CartesianCommand) and self.cartesian.moves(command)):
+                return True
+        return False
 
     @property
     def timeouts(self) -> dict[str, int]:
@@ -290,14 +304,18 @@ class JointController(ControlledJoints):
 
     # ------------------------------------------------------------------ in the control loop
 
-    def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float) -> None:
+    def begin_period(self, data: mujoco.MjData, now_s: float, period_s: float, ends_s: FloatArray
+                     ) -> None:
         """
         Begin a control period; end position commands that are done and commands that timed out.
 
         :param now_s: simulation time since the last reset [s]
         :param period_s: length of the period [s]
+        :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
         """
         self.cartesian.period_s = period_s
+        self._setpoints.now_s = now_s
+        self._setpoints.begin_period(ends_s)
         for command in list(self.commands.running):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
@@ -335,19 +353,57 @@ class JointController(ControlledJoints):
             return
         setpoints, servos = self._setpoints, self._servos
         setpoints.now_s = now_s
-        self._start_trajectories(now_s, duration_s)
-        self._turn_twist(data)
-        for command in self.commands.running:
+        if self.commands.waiting:
+            self._start_trajectories(now_s, duration_s)
+        # Setpoints of joints go on by themselves.
+        others = [c for c in self.commands.running if type(c) is not JointSetpoint]
+        for command in others:
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
+            elif isinstance(command, BaseTwist):
+                self._turn_twist(command, data)
         if not setpoints.settled:
             setpoints.advance(duration_s)
-        self._follow_trajectories(data, now_s + duration_s)
+        for command in others:
+            if isinstance(command, JointTrajectory):
+                self._follow_trajectory(command, data, now_s + duration_s)
         if servos.follows:
             setpoints.hold_back(servos.measured(duration_s), servos.reach)
-        servos.write(data, duration_s, setpoints.position, setpoints.velocity,
-                     setpoints.acceleration, self._effort)
         self._written, self._efforts_due = True, False
+        if not self.write_plan():
+            servos.write(data, duration_s, setpoints.position, setpoints.velocity,
+                         setpoints.acceleration, self._effort)
+
+    def write_plan(self) -> bool:
+        """Write the controls of the present interval of a plan; return whether there is one."""
+        plan, row = self._setpoints.plan, self._setpoints.row
+        if plan is None or self._servos.any_gives_effort:
+            self._rates = None
+            return False
+        if row == 0 or self._rates is None:
+            # What servos need in all of its intervals is computed when it begins.
+            self._rates, self._calm = self._servos.rates(plan), self._is_calm(plan)
+        self._servos.write_rate(self._rates[row])
+        return True
+
+    @property
+    def plans(self) -> bool:
+        """Whether all intervals that follow in the control period are planned."""
+        return (self._setpoints.plan is not None and self._calm and self._rates is not None
+                and not self.commands.waiting
+                and all([type(c) is JointSetpoint for c in self.commands.running]))
+
+    def take_plan(self) -> list[Callable[[], None]]:
+        """Return what writes the controls of each of the intervals that follow in the period."""
+        assert self._rates is not None
+        rates, write = self._rates[self._setpoints.row + 1:], self._servos.write_rate
+        self._setpoints.end_plan()
+        return [functools.partial(write, rate) for rate in rates]
+
+    def _is_calm(self, plan: Plan) -> bool:
+        """Tell whether setpoints go so slowly that one look in a plan holds them back in time."""
+        way = np.abs(plan.velocities) * float(np.add.reduce(plan.durations_s)[0])
+        return not np.count_nonzero(way > CALM * self._servos.reach)
 
     def _start_trajectories(self, now_s: float, duration_s: float) -> None:
         for command in list(self.commands.waiting):
@@ -372,19 +428,17 @@ class JointController(ControlledJoints):
         self._setpoints.come_back(command.indices, command.values)
         self.commands.running.append(command)
 
-    def _follow_trajectories(self, data: mujoco.MjData, end_s: float) -> None:
-        for command in list(self.commands.running):
-            if not isinstance(command, JointTrajectory):
-                continue
-            since_s = end_s - (command.start_s or 0.0)
-            position, velocity, acceleration = (
-                values[command.columns] for values in command.trajectory.at(since_s))
-            self._setpoints.follow(command.indices, position, velocity, acceleration)
-            if since_s >= command.trajectory.end_s - 1e-9:
-                self._finish(command, data, position)
-                # Setpoints may still have a velocity there, or have been held back on the way.
-                self._setpoints.come_back(command.indices, position)
-                self._timeouts.forget(command.parts - self._commanded_parts())
+    def _follow_trajectory(self, command: JointTrajectory, data: mujoco.MjData, end_s: float
+                           ) -> None:
+        since_s = end_s - (command.start_s or 0.0)
+        position, velocity, acceleration = (
+            values[command.columns] for values in command.trajectory.at(since_s))
+        self._setpoints.follow(command.indices, position, velocity, acceleration)
+        if since_s >= command.trajectory.end_s - 1e-9:
+            self._finish(command, data, position)
+            # Setpoints may still have a velocity there, or have been held back on the way.
+            self._setpoints.come_back(command.indices, position)
+            self._timeouts.forget(command.parts - self._commanded_parts())
 
     def _target_parts(self) -> frozenset[str]:
         return frozenset().union(*(
@@ -393,12 +447,10 @@ class JointController(ControlledJoints):
     def _commanded_parts(self) -> frozenset[str]:
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
 
-    def _turn_twist(self, data: mujoco.MjData) -> None:
+    def _turn_twist(self, command: BaseTwist, data: mujoco.MjData) -> None:
         """Set joint velocities from the twist; the base's slide joints do not turn with it."""
-        for command in self.commands.running:
-            if isinstance(command, BaseTwist):
-                forward, side, turn = command.twist
-                yaw = data.qpos[self._servos.qpos[command.indices[2]]]
-                cos, sin = math.cos(yaw), math.sin(yaw)
-                velocity = np.array([cos * forward - sin * side, sin * forward + cos * side, turn])
-                self._setpoints.set_velocity(command.indices, velocity)
+        forward, side, turn = command.twist
+        yaw = data.qpos[self._servos.qpos[command.indices[2]]]
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        velocity = np.array([cos * forward - sin * side, sin * forward + cos * side, turn])
+        self._setpoints.set_velocity(command.indices, velocity)

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from manip_sim.arrays import FloatArray
@@ -32,7 +34,7 @@ def braking_velocity(distance: FloatArray, limit: FloatArray, interval_s: float)
         change + np.sqrt(change**2 + 2.0 * limit * size)))
 
 
-def ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray, interval_s: float
+def ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray, interval_s: float | FloatArray
          ) -> tuple[FloatArray, FloatArray]:
     """
     Let velocities come to others at constant accelerations.
@@ -48,6 +50,40 @@ def ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray, interval_s: flo
     change = np.copysign(slope * ramp_s, change)
     end = begin + change
     return end, np.asarray(end * interval_s - (end - begin) / 2.0 * ramp_s)
+
+
+class Plan(NamedTuple):
+    """
+    Where coordinates are at the ends of several intervals, and how they move.
+
+    :ivar durations_s: of the intervals [s], shape (k, 1 ...)
+    :ivar positions: [rad or m], shape (k, ..., n); velocities and accelerations have the same
+    :ivar velocities: [rad/s or m/s]
+    :ivar accelerations: means over the intervals [rad/s^2 or m/s^2]
+    """
+
+    durations_s: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    accelerations: FloatArray
+
+
+def plan_ramps(position: FloatArray, begin: FloatArray, goal: FloatArray, slope: FloatArray,
+               ends_s: FloatArray) -> Plan:
+    """
+    Plan how velocities come to others at constant accelerations, in several intervals.
+
+    :param position: at the beginning [rad or m], shape (..., n)
+    :param begin: velocity there; ``goal`` and ``slope`` as for :func:`ramp`, shape (..., n)
+    :param ends_s: of the intervals, since the beginning [s], shape (k, 1 ...)
+    """
+    velocities, ways = ramp(begin, goal, slope, ends_s)
+    accelerations, durations_s = velocities.copy(), ends_s.copy()
+    accelerations[0] -= begin
+    accelerations[1:] -= velocities[:-1]
+    durations_s[1:] -= ends_s[:-1]
+    accelerations /= durations_s
+    return Plan(durations_s, position + ways, velocities, accelerations)
 
 
 def way_of_ramp(begin: FloatArray, goal: FloatArray, slope: FloatArray) -> FloatArray:

@@ -139,13 +139,18 @@ class SimulatedRobot:
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""
-        return self.joints.moving or any(gripper.moving for gripper in self.grippers.values())
+        return self.joints.moving or any([gripper.moving for gripper in self.grippers.values()])
 
     @property
     def resting(self) -> bool:
         """Whether the physics loop has nothing to do for it until the next command."""
         return (self.joints.resting and not self.reflexes.armed and not self._late
-                and not any(g.moving for g in self.grippers.values()))
+                and not any([g.moving for g in self.grippers.values()]))
+
+    @property
+    def plans(self) -> bool:
+        """Whether all intervals that follow in the control period are planned."""
+        return self.joints.plans and not any([g.moving for g in self.grippers.values()])
 
     # ------------------------------------------------------------------ commands
 
@@ -373,18 +378,19 @@ class SimulatedRobot:
 
     # ------------------------------------------------------------------ in the physics loop
 
-    def begin_period(self, period_s: float) -> None:
+    def begin_period(self, period_s: float, ends_s: FloatArray) -> None:
         """
         Begin a control period; end position commands that are done and commands that timed out.
 
         :param period_s: length of the control period [s]
+        :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
         """
         self._period_s = period_s
         self._apply_late()
         for part in self.reflexes.armed:
             if part not in self.reflexes.tripped:
                 self._check_reflex(part)
-        self.joints.begin_period(self._physics.data, self._clock.control_s, period_s)
+        self.joints.begin_period(self._physics.data, self._clock.control_s, period_s, ends_s)
 
     def _apply_late(self) -> None:
         for command in self._late.take(self._clock.control_steps):

@@ -22,6 +22,7 @@ from manip_sim.errors import ModelError
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
 from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.profiles import Plan
 
 #: Position range that actions span for a joint without a range [rad or m].
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
@@ -216,6 +217,15 @@ class Servos:
         """Whether any joint follows its setpoint."""
         return self._sources < len(self._ids)
 
+    @property
+    def any_gives_effort(self) -> bool:
+        """Whether any actuator is a source of effort."""
+        return self._sources > 0
+
+    def any_gives_effort_of(self, indices: IntArray) -> bool:
+        """Tell whether any of some actuators is a source of effort."""
+        return self._sources > 0 and bool(np.count_nonzero(self._gives_effort[indices]))
+
     def gives_effort(self, indices: IntArray) -> BoolArray:
         """Return which of some actuators are sources of effort, shape of ``indices``."""
         return np.asarray(self._gives_effort[indices])
@@ -331,16 +341,34 @@ class Servos:
             activations[self._activation[sources]] = effort[sources] / self._gear[sources]
         controls[ids] = rate
 
+    def rates(self, plan: Plan) -> FloatArray:
+        """
+        Return what :meth:`write` would write in the intervals of a plan, shape (k, n).
+
+        Inertia and Coriolis forces are those of the present for all of them.
+        """
+        rates = self._goal(self._physics.data, plan.positions, plan.velocities, plan.accelerations)
+        rates[1:] -= rates[:-1].copy()
+        rates[0] -= self._physics.act[self._places[2]]
+        rates /= plan.durations_s
+        return rates
+
+    def write_rate(self, rate: FloatArray) -> None:
+        """
+        Let the setpoints of all joints, which are servos, move at a rate.
+
+        :param rate: a row of :meth:`rates`, shape (n,)
+        """
+        self._physics.ctrl[self._places[3]] = rate
+
     def _goal(self, data: mujoco.MjData, position: FloatArray, velocity: FloatArray,
               acceleration: FloatArray) -> FloatArray:
         """Return the activations of servos with the force that the motion needs."""
         physics, (_, dofs, _, _) = self._physics, self._places
         if self._sources:
             acceleration = np.where(self._gives_effort, 0.0, acceleration)
-        self._all_accelerations[dofs] = acceleration
-        mujoco.mj_mulM(physics.model, data, self._effort_force, self._all_accelerations)
         force = self._drag * velocity
-        force += self._effort_force[dofs]
+        force += self._inertial(data, acceleration)
         if self._friction.acts:
             force += self._friction.at(velocity)
         # The bias force minus the weight, which the actuators carry already.
@@ -353,6 +381,19 @@ class Servos:
         if self._geared:
             force *= self._gear
         return np.asarray(force)
+
+    def _inertial(self, data: mujoco.MjData, acceleration: FloatArray) -> FloatArray:
+        """Return the forces for accelerations, shape (..., n)."""
+        model, (_, dofs, _, _) = self._physics.model, self._places
+        if acceleration.ndim == 1:
+            self._all_accelerations[dofs] = acceleration
+            mujoco.mj_mulM(model, data, self._effort_force, self._all_accelerations)
+            return np.asarray(self._effort_force[dofs])
+        forces = np.empty((len(acceleration), model.nv))
+        for force, row in zip(forces, acceleration):
+            self._all_accelerations[dofs] = row
+            mujoco.mj_mulM(model, data, force, self._all_accelerations)
+        return np.asarray(forces[:, dofs])
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,8 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.message_clock import MessageClock
 from manip_sim.simulation.profiles import (
-    braking_velocity, low_pass, ramp, velocity_before_the_end, way_of_ramp, within)
+    braking_velocity, low_pass, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp,
+    within)
 from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoal, WaitingGoals
 
 #: Time constant of each of the two low-pass stages that smooth what is caught up [s].
@@ -61,10 +62,12 @@ class SetpointGenerator:
     :ivar limited: how often a streamed goal required more than the velocity limit, shape (n,)
     :ivar now_s: simulation time, which the caller may set [s]
     :ivar moving: whether any setpoint moves or is about to
+    :ivar plan: that they follow, where nothing moves but streams on schedule, or None
+    :ivar row: which of its intervals was the last one
     """
 
     #: Only counted, or computed from the rest.
-    not_in_digest = ('limited', '_terms', '_inside_now')
+    not_in_digest = ('limited', '_terms', '_inside_now', '_ends_s', '_begin_s', 'plan', 'row')
 
     def __init__(self, position_range: FloatArray, velocity_limit: FloatArray,
                  acceleration_limit: FloatArray) -> None:
@@ -73,6 +76,8 @@ class SetpointGenerator:
         self._velocity_limit, self._acceleration_limit = velocity_limit, acceleration_limit
         self.limited = np.zeros(count, dtype=np.int64)
         self._estimator, self._ramp_estimator = StreamEstimator(count), RampEstimator(count)
+        # When the intervals of a control period end, since it began.
+        self._ends_s: FloatArray = np.zeros((0, 1))
         # Positions between which no end of the range is near at any velocity.
         self._inside = self._away_from_ends(velocity_limit)
         self._begin()
@@ -94,7 +99,9 @@ class SetpointGenerator:
         # The terms, and the same positions for the references; None until they are needed.
         self._terms: _Terms | None = None
         self._inside_now: tuple[FloatArray, FloatArray] | None = None
-        self.now_s = 0.0
+        self.now_s = self._begin_s = 0.0
+        self.plan: Plan | None = None
+        self.row = 0
 
     def reset(self, position: FloatArray) -> None:
         """
@@ -224,7 +231,7 @@ class SetpointGenerator:
     def _start(self) -> None:
         """Move, by other goals than before."""
         self.moving = self._catches = True
-        self._inside_now = self._terms = None
+        self._inside_now = self._terms = self.plan = None
 
     def go_to(self, indices: IntArray, goal: FloatArray, period_s: float, messages: int = 1,
               stamp_s: float = 0.0) -> None:
@@ -286,6 +293,14 @@ class SetpointGenerator:
         self._seeks[indices] = self._brakes[indices] = True
         self._terms = None
 
+    def begin_period(self, ends_s: FloatArray) -> None:
+        """
+        Begin a control period.
+
+        :param ends_s: when its intervals end, since it begins now [s], shape (k, 1)
+        """
+        self._ends_s, self._begin_s, self.plan = ends_s, self.now_s, None
+
     def advance(self, duration_s: float) -> None:
         """
         Advance all setpoints.
@@ -296,11 +311,20 @@ class SetpointGenerator:
             self._take_goals()
         if self._next_end_s <= self.now_s + 1e-9:
             self._end_streams()
+        if self.plan is not None and self.row + 1 < len(self.plan.durations_s):
+            self._follow(self.plan, self.row + 1, duration_s)
+            return
+        self.plan = None
         begin, reference, position = self.velocity, self._reference, self.position
         # What is missing is computed before anything moves.
-        missing = self._missing(duration_s) if self._catches else None
+        missing = self._missing() if self._catches else None
+        near = duration_s >= AHEAD_S or self._is_near_ends(self.position, missing is not None)
+        if missing is None and not near:
+            self.plan = self._look_ahead()
+            if self.plan is not None:
+                self._follow(self.plan, 0, duration_s)
+                return
         velocity, travel = ramp(reference, self._reference_goal, self._ramp, duration_s)
-        near = duration_s >= AHEAD_S or self._is_near_ends(missing is not None)
         if missing is not None or near:
             before = self._stages[2]
             if missing is not None:
@@ -321,9 +345,33 @@ class SetpointGenerator:
         way = velocity**2 / self._acceleration_limit + AHEAD_S * velocity
         return self._low + way, self._high - way
 
-    def _is_near_ends(self, catches: bool) -> bool:
+    def _look_ahead(self) -> Plan | None:
+        """Return a plan for the rest of the period, if only references move in it."""
+        since_s = self.now_s - self._begin_s
+        first = int(np.count_nonzero(self._ends_s <= since_s + 1e-9))
+        ends_s = self._ends_s[first:] - since_s if first else self._ends_s
+        if len(ends_s) < 2 or not np.count_nonzero(self._reference_goal):
+            return None
+        if self._next_end_s <= self.now_s + float(ends_s[-2, 0]) + 1e-9:
+            return None
+        plan = plan_ramps(
+            self.position, self._reference, self._reference_goal, self._ramp, ends_s)
+        return None if self._is_near_ends(plan.positions[:-1], False) else plan
+
+    def _follow(self, plan: Plan, row: int, duration_s: float) -> None:
+        self.position, self.velocity, self.acceleration = (
+            plan.positions[row], plan.velocities[row], plan.accelerations[row])
+        self._reference, self.row = self.velocity.copy(), row
+        self.now_s += duration_s
+
+    def end_plan(self) -> None:
+        """Follow the plan through all intervals that are left in it."""
+        assert self.plan is not None
+        self._follow(self.plan, len(self.plan.durations_s) - 1, 0.0)
+
+    def _is_near_ends(self, position: FloatArray, catches: bool) -> bool:
         low, high = self._inside
-        if not np.count_nonzero((self.position < low) | (self.position > high)):
+        if not np.count_nonzero((position < low) | (position > high)):
             return False
         if catches:
             return True
@@ -331,7 +379,7 @@ class SetpointGenerator:
             self._inside_now = self._away_from_ends(
                 np.maximum(np.abs(self._reference), np.abs(self._reference_goal)))
         low, high = self._inside_now
-        return bool(np.count_nonzero((self.position < low) | (self.position > high)))
+        return bool(np.count_nonzero((position < low) | (position > high)))
 
     def _limit(self, reference: FloatArray, travel: FloatArray, before: FloatArray, near: bool,
                duration_s: float) -> tuple[FloatArray, FloatArray]:
@@ -396,7 +444,7 @@ class SetpointGenerator:
         held = np.abs(self.position - measured) > lead
         if np.count_nonzero(held):
             self.position = within(self.position, measured - lead, measured + lead)
-            self._catches = True
+            self._catches, self.plan = True, None
             self._stages[:, held] = 0.0
             for part in (self._reference, self.velocity, self.acceleration):
                 part[held] = 0.0
@@ -413,7 +461,7 @@ class SetpointGenerator:
         self._ramp[ended] = self._acceleration_limit[ended]
         self._until_s[ended] = np.inf
         self._next_end_s = float(self._until_s.min(initial=np.inf))
-        self._inside_now = self._terms = None
+        self._inside_now = self._terms = self.plan = None
 
     def _get_terms(self) -> _Terms:
         if self._terms is None:
@@ -426,7 +474,7 @@ class SetpointGenerator:
                 np.where(self._seeks, top, np.inf), -top - goal, top - goal)
         return self._terms
 
-    def _missing(self, duration_s: float) -> FloatArray | None:
+    def _missing(self) -> FloatArray | None:
         """
         Return how far setpoints will be behind where they follow, or rest, of themselves.
 
@@ -445,8 +493,7 @@ class SetpointGenerator:
             self._brakes &= reference != 0.0
             seeks = seeks & ~self._brakes
         missing = np.where(seeks, missing, 0.0)
-        if not (caught_up or brakes or np.count_nonzero(
-                np.abs(missing) >= ARRIVED * min(duration_s, 1.0))):
+        if not (caught_up or brakes or np.count_nonzero(np.abs(missing) >= ARRIVED)):
             self._catches = False
             return None
         return missing

@@ -13,10 +13,10 @@ import pickle
 import mujoco
 import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
-from manip_sim.arrays import FloatArray
 from manip_sim.sensing.channels import file_noise, InstrumentChannel
 from manip_sim.sensing.instruments import Instrument
 from manip_sim.sensing.robot_sensing import RobotSensing
@@ -105,6 +105,8 @@ class Simulation:
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self._timestep_s = float(self.model.opt.timestep)
         self._interval_steps = max(1, round(_INTERVAL_S / self._timestep_s))
+        #: When the intervals of a control period end, by its number of steps: the last one used.
+        self._ends_of: dict[int, FloatArray] = {}
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
         self._to_start()
@@ -282,8 +284,9 @@ class Simulation:
         :raises DivergenceError: as :meth:`advance`
         """
         self._check_not_diverged()
+        period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
         for robot in self.robots.values():
-            robot.begin_period(steps * self._timestep_s)
+            robot.begin_period(period_s, ends_s)
         physics = self._steps
         untouched = physics.begin() and self._rests() and physics.stays_untouched
         if untouched:
@@ -311,13 +314,39 @@ class Simulation:
         left = steps
         while left:
             awake = [robot for robot in robots if not robot.resting]
+            if left < steps and awake and all([robot.plans for robot in awake]):
+                yield Interval((), left * self._timestep_s,
+                               functools.partial(self._compute_plans, awake, left))
+                return
             chunk = left
             if any([robot.moving for robot in awake]):
-                # Divide what is left as evenly as whole steps allow.
-                chunk = -(-left // -(-left // self._interval_steps))
+                chunk = self._chunk(left)
             left -= chunk
             yield Interval(awake, chunk * self._timestep_s,
                            functools.partial(self._compute, chunk, not left))
+
+    def _compute_plans(self, robots: Sequence[SimulatedRobot], left: int) -> None:
+        """Compute the rest of a period, in whose intervals robots do what they have planned."""
+        for writes in zip(*[robot.joints.take_plan() for robot in robots]):
+            for write in writes:
+                write()
+            chunk = self._chunk(left)
+            left -= chunk
+            self._compute(chunk, not left)
+
+    def _chunk(self, left: int) -> int:
+        """Return the steps of the next interval; they divide what is left of a period evenly."""
+        return -(-left // -(-left // self._interval_steps))
+
+    def _ends_s(self, steps: int) -> FloatArray:
+        """Return when the intervals of a period end in which setpoints move [s], shape (k, 1)."""
+        if steps not in self._ends_of:
+            ends, left = [], steps
+            while left:
+                left -= self._chunk(left)
+                ends.append([(steps - left) * self._timestep_s])
+            self._ends_of = {steps: np.array(ends)}
+        return self._ends_of[steps]
 
     def _compute(self, steps: int, ends: bool) -> None:
         """Compute the physics of an interval, and all of the new instant if a period ends."""

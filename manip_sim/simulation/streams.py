@@ -129,8 +129,9 @@ class StreamEstimator:
             self.velocity[at] = velocity
         self._change[at] = size
         self.acceleration[at] = size * 2.0 / (elapsed_s + before_s) if clock.on_time else 0.0
-        for curve, present in zip(self._curves, (change, size)):
-            curve[at] += _LEARNT * (present / elapsed_s - curve[at])
+        curves = self._curves[:, at]
+        curves += _LEARNT * (np.array((change, size)) / elapsed_s - curves)
+        self._curves[:, at] = curves
         self.goal[at], self._last[at] = goal, velocity
         self.interval_s[at], self.sent_s[at] = interval_s, clock.sent_s
         self.jitter_s[at] = clock.jitter_s

@@ -66,7 +66,8 @@ class JointRows:
         Write the controls of the next interval.
 
         :param duration_s: length of the interval [s]
-        :returns: robots whose setpoints have come to rest, so their joints were given back
+        :returns: robots whose setpoints have come to rest, or follow a plan for the rest of the
+            period, so their joints were given back
         """
         setpoints, (_, _, activation, ids) = self._setpoints, self._places
         setpoints.set_time(np.array([clock.control_s for clock in self._clocks]))
@@ -78,14 +79,15 @@ class JointRows:
         for physics, own, rate in zip(self._physics, self._own, rates):
             if own:
                 physics.ctrl[ids] = rate
-        if setpoints.moves.all():
+        if setpoints.moves.all() and not setpoints.plans:
             return []
-        arrived = [row for row, (own, moves) in enumerate(zip(self._own, setpoints.moves))
-                   if own and not moves]
-        setpoints.release(arrived)
-        for row in arrived:
+        done = [row for row, (own, moves) in enumerate(zip(self._own, setpoints.moves))
+                if own and (row in setpoints.plans or not moves)]
+        setpoints.release(done)
+        for row in done:
             self._own[row] = False
-        return [self._robots[row] for row in arrived]
+            self._robots[row].joints.write_plan()
+        return [self._robots[row] for row in done]
 
     def _measured(self, duration_s: float) -> FloatArray:
         """Return where the joints are, farther on where they are too fast."""

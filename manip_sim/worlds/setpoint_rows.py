@@ -13,7 +13,8 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.simulation.profiles import (
-    braking_velocity, low_pass, ramp, velocity_before_the_end, way_of_ramp, within)
+    braking_velocity, low_pass, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp,
+    within)
 from manip_sim.simulation.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
@@ -37,6 +38,8 @@ class SetpointRows(SetpointGenerator):
 
     :param generators: whose states are taken, until :meth:`release`
     :ivar moves: whether each row moves or is about to, shape (rows,)
+    :ivar plans: for the rest of the period, by the rows that began to follow one in the last
+        interval, and have to be released
     """
 
     def __init__(self, generators: Sequence[SetpointGenerator]) -> None:
@@ -59,6 +62,10 @@ class SetpointRows(SetpointGenerator):
         self._goals_taken = False
         self._catching: BoolArray = np.array([of._catches for of in generators])
         self.moves: BoolArray = np.array([of.moving for of in generators])
+        self._ends_s = first._ends_s
+        self._begins_s = np.array([of._begin_s for of in generators])[:, None]
+        self._interval = -1
+        self.plans: dict[int, Plan] = {}
 
     def _stack_estimators(self, names: Sequence[str]) -> None:
         for name in names:
@@ -127,6 +134,7 @@ class SetpointRows(SetpointGenerator):
             of._stages, of._brakes = state[len(_NUMBERS):], braking.copy()
             of._catches, of.moving = catches[row], moves[row]
             of.now_s, of._next_end_s, of._terms = times[row], ends[row], None
+            of.plan, of.row = self.plans.get(row), 0
         if self._goals_taken:
             self._release_goals(rows)
 
@@ -151,13 +159,16 @@ class SetpointRows(SetpointGenerator):
 
         :param duration_s: length of the interval [s]
         """
+        self._interval += 1
+        self.plans = {}
         due = self._next_ends_s <= self._now_s[:, 0] + 1e-9
         if np.count_nonzero(due):
             self._end_streams_of_rows(due)
         begin = self.velocity
-        missing, catches = self._missing_of_rows(duration_s)
-        velocity, travel = ramp(self._reference, self._reference_goal, self._ramp, duration_s)
+        missing, catches = self._missing_of_rows()
         near = self._rows_near_ends(catches, duration_s)
+        self._look_ahead_in_rows(~(catches | near))
+        velocity, travel = ramp(self._reference, self._reference_goal, self._ramp, duration_s)
         limited = (catches | near)[:, None]
         reference, plain_travel = velocity, travel
         if np.count_nonzero(limited):
@@ -173,10 +184,36 @@ class SetpointRows(SetpointGenerator):
             self.position = np.where(
                 near[:, None], within(self.position, self._low, self._high), self.position)
         self.velocity, self.acceleration = velocity, (velocity - begin) / duration_s
+        for row, plan in self.plans.items():
+            self.position[row], self.velocity[row], self.acceleration[row] = (
+                plan.positions[0], plan.velocities[0], plan.accelerations[0])
+            self._reference[row] = plan.velocities[0]
         self._now_s = self._now_s + duration_s
         done = ~(self._catching | velocity.any(axis=1) | self._reference_goal.any(axis=1))
         if np.count_nonzero(done):
             self._arrive_in_rows(done)
+
+    def _look_ahead_in_rows(self, plain: BoolArray) -> None:
+        """Plan the rest of the period for rows in which only references move."""
+        at, rows = self._interval, np.flatnonzero(plain & self._reference_goal.any(axis=1))
+        ends_s = self._ends_s[at:, None]
+        if len(ends_s) < 2 or not rows.size:
+            return
+        if at:
+            ends_s = ends_s - (self._now_s - self._begins_s)[rows]
+        starts = self._next_ends_s[rows] > self._now_s[rows, 0] + ends_s[-2, :, 0] + 1e-9
+        plan = plan_ramps(self.position[rows], self._reference[rows], self._reference_goal[rows],
+                          self._ramp[rows], ends_s)
+        away = np.asarray(((plan.positions[:-1] < self._inside[0])
+                           | (plan.positions[:-1] > self._inside[1])).any(axis=(0, 2)))
+        durations_s = np.broadcast_to(plan.durations_s, (len(ends_s), len(rows), 1))
+        for number in np.flatnonzero(starts).tolist():
+            own = Plan(durations_s[:, number], *(part[:, number] for part in plan[1:]))
+            if away[number]:
+                low, high = self._inside_of(int(rows[number]))
+                if ((own.positions[:-1] < low) | (own.positions[:-1] > high)).any():
+                    continue
+            self.plans[int(rows[number])] = own
 
     def _end_streams_of_rows(self, due: BoolArray) -> None:
         ended = due[:, None] & (self._until_s <= self._now_s + 1e-9)
@@ -189,7 +226,7 @@ class SetpointRows(SetpointGenerator):
         for row in np.flatnonzero(due).tolist():
             self._generators[row]._inside_now = None
 
-    def _missing_of_rows(self, duration_s: float) -> tuple[FloatArray, BoolArray]:
+    def _missing_of_rows(self) -> tuple[FloatArray, BoolArray]:
         """Return what is missing of the ways, and which rows have something to catch up."""
         estimator, goal, reference = self._estimator, self._reference_goal, self._reference
         age_s = np.where(self._until_s < np.inf,
@@ -203,7 +240,7 @@ class SetpointRows(SetpointGenerator):
             self._brakes = self._brakes & ((reference != 0.0) | ~self._catching[:, None])
             seeks = seeks & ~self._brakes
         missing = np.where(seeks, missing, 0.0)
-        far = (np.abs(missing) >= ARRIVED * min(duration_s, 1.0)).any(axis=1)
+        far = (np.abs(missing) >= ARRIVED).any(axis=1)
         catches = self._catching & (caught_up | brakes | far)
         self._catching = catches
         return missing, catches
@@ -215,14 +252,17 @@ class SetpointRows(SetpointGenerator):
         near = np.asarray((
             (self.position < self._inside[0]) | (self.position > self._inside[1])).any(axis=1))
         for row in np.flatnonzero(near & ~catches).tolist():
-            # As of when the goals were taken.
-            of = self._generators[row]
-            if of._inside_now is None:
-                of._inside_now = self._away_from_ends(np.maximum(
-                    np.abs(self._reference[row]), np.abs(self._reference_goal[row])))
-            low, high = of._inside_now
+            low, high = self._inside_of(row)
             near[row] = ((self.position[row] < low) | (self.position[row] > high)).any()
         return near
+
+    def _inside_of(self, row: int) -> tuple[FloatArray, FloatArray]:
+        """Return positions between which no end of a range is near, as of the goals of a row."""
+        of = self._generators[row]
+        if of._inside_now is None:
+            of._inside_now = self._away_from_ends(np.maximum(
+                np.abs(self._reference[row]), np.abs(self._reference_goal[row])))
+        return of._inside_now
 
     def _catch_up_rows(self, missing: FloatArray, catches: BoolArray, duration_s: float) -> None:
         limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages
@@ -289,6 +329,8 @@ class SetpointRows(SetpointGenerator):
         if not np.count_nonzero(held):
             return
         rows = np.asarray(held.any(axis=1))
+        for row in np.flatnonzero(rows).tolist():
+            self.plans.pop(row, None)
         self.position = np.where(rows[:, None], within(
             self.position, measured - lead, measured + lead), self.position)
         self._catching = self._catching | rows
