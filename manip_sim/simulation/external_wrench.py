@@ -177,10 +177,12 @@ class ExternalWrench:
 
     def _in_frame(self, data: mujoco.MjData) -> FloatArray:
         mean = self._compute_mean() if self._mean is None else self._mean
+        if mean is _ZERO:
+            return np.zeros(6)
         force, torque = mean[:3], mean[3:]
-        moment = np.empty(3)
+        moment, wrench = np.empty(3), np.empty(6)
         mujoco.mju_cross(moment, data.site_xpos[self._site], force)
-        to_world, wrench = data.site_xmat[self._site].reshape(3, 3), np.empty(6)
+        to_world = data.site_xmat[self._site].reshape(3, 3)
         # By MuJoCo, with the same bits on every processor.
         mujoco.mju_mulMatTVec(wrench[:3], to_world, force)
         mujoco.mju_mulMatTVec(wrench[3:], to_world, torque - moment)
