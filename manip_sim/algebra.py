@@ -23,13 +23,54 @@ def product(one: FloatArray, other: FloatArray) -> FloatArray:
     :param other: shape (k, n) or (k,)
     :returns: shape (m, n) or (m,)
     """
-    one, other = np.ascontiguousarray(one), np.ascontiguousarray(other)
     if other.ndim == 1:
         result = np.empty(len(one))
         mujoco.mju_mulMatVec(result, one, other)
     else:
         result = np.empty((len(one), other.shape[1]))
         mujoco.mju_mulMatMat(result, one, other)
+    return result
+
+
+def transposed_product(one: FloatArray, other: FloatArray) -> FloatArray:
+    """
+    Return the product of a transposed matrix and another one, or a vector.
+
+    :param one: shape (k, m)
+    :param other: shape (k, n) or (k,)
+    :returns: shape (m, n) or (m,)
+    """
+    if other.ndim == 1:
+        result = np.empty(one.shape[1])
+        mujoco.mju_mulMatTVec(result, one, other)
+    else:
+        result = np.empty((one.shape[1], other.shape[1]))
+        mujoco.mju_mulMatTMat(result, one, other)
+    return result
+
+
+def factorized(matrix: FloatArray, added: float) -> FloatArray:
+    """
+    Return the Cholesky factor of a symmetric matrix with a number added to its diagonal.
+
+    :param matrix: without negative eigenvalues, shape (n, n)
+    :param added: above 0
+    """
+    factor = matrix.copy()
+    factor.reshape(-1)[::len(factor) + 1] += added
+    mujoco.mju_cholFactor(factor, 1e-18)
+    return factor
+
+
+def solved(factor: FloatArray, vector: FloatArray) -> FloatArray:
+    """
+    Return the solution of a system of equations.
+
+    :param factor: of its matrix, from :func:`factorized`, shape (n, n)
+    :param vector: shape (n,)
+    """
+    result = np.empty(len(vector))
+    mujoco.mju_cholSolve(result, factor, vector)
     return result
 
 

@@ -211,7 +211,7 @@ def test_way_and_turn_to_a_goal_are_each_limited_to_the_velocity_of_the_settings
         [b if e is None else e for b, e in zip(balance, expected)])
     motion = wanted_motion(np.eye(6), error, np.zeros(6), settings, np.full(6, 10.0))
     np.testing.assert_allclose(motion.joints, expected, atol=1e-12)
-    assert not motion.slowed and not motion.singular
+    assert not motion.slowed and not motion.found.singular
 
 
 @pytest.mark.parametrize(('smallest', 'share', 'singular'), [
@@ -221,13 +221,13 @@ def test_it_is_singular_if_most_of_the_motion_is_what_the_arm_cannot_do(smallest
     jacobian = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest])
     twist = 0.8 * np.array([np.sqrt(1.0 - share**2), 0.0, 0.0, 0.0, 0.0, share])
     motion = wanted_motion(jacobian, np.zeros(6), twist, CartesianSettings(), np.full(6, 100.0))
-    assert motion.singular == singular
+    assert motion.found.singular == singular
 
 
 def test_a_hand_that_shall_not_move_is_not_kept_from_it_by_a_singularity():
     motion = wanted_motion(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]), np.zeros(6), np.zeros(6),
                            CartesianSettings(), np.full(6, 10.0))
-    assert not motion.singular
+    assert not motion.found.singular
 
 
 def test_a_motion_that_is_too_fast_for_a_joint_is_slowed_down_as_a_whole():

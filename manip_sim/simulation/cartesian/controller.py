@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import product
+from manip_sim.algebra import product, transposed_product
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
@@ -20,9 +20,9 @@ from manip_sim.simulation.cartesian.commands import CartesianCommand, CartesianP
 from manip_sim.simulation.cartesian.goals import target_of
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.inverse_kinematics import (
-    approach, follow_twist, JointState, stop)
+    approach, follow_twist, JointState, STILL, stop)
 from manip_sim.simulation.cartesian.operational_space_controller import (
-    OperationalSpaceController)
+    EffortSolution, OperationalSpaceController)
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
 from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
@@ -177,7 +177,8 @@ class CartesianController:
             moved = product(self._hands[command.arm].tip.jacobian(self._physics.model, data, dofs),
                             velocity)
             _, axes = target.anchor.pose(data)
-            twist = np.concatenate([product(axes.T, moved[:3]), product(axes.T, moved[3:])])
+            twist = np.concatenate([transposed_product(axes, moved[:3]),
+                                    transposed_product(axes, moved[3:])])
         settings = self.settings[command.arm]
         target.stream.take(target.position, target.rotation, self.period_s, twist, np.array(
             [settings.linear_velocity, settings.angular_velocity]), command.messages,
@@ -188,7 +189,7 @@ class CartesianController:
     def moves(self, command: CartesianCommand) -> bool:
         """Return whether a command that runs has something to do in the next interval."""
         return (self._targets[command.arm].settled_in is None
-                or bool(self._servos.gives_effort(command.indices).any()))
+                or self._servos.any_gives_effort_of(command.indices))
 
     def begin_period(self, command: CartesianCommand, data: mujoco.MjData) -> None:
         """Let this control period solve anew, and check whether the arm's mount has moved."""
@@ -221,7 +222,7 @@ class CartesianController:
             target.twist = None
             target.until_s = -math.inf
             command.handle.end(Status.ABORTED, 'no fresh twist came in time')
-        if self._servos.gives_effort(command.indices).any():
+        if self._servos.any_gives_effort_of(command.indices):
             efforts[command.indices] = self._effort(command, target, data, now_s, duration_s)
         elif target.settled_in is None and now_s >= target.solve_s - 1e-9:
             parts = max(1, math.ceil(self.period_s / _LONGEST_INTERVAL_S - 1e-9))
@@ -254,18 +255,22 @@ class CartesianController:
             velocity = solution.velocity
         else:
             still = target.ends_stream(now_s)
-            _, before, _ = target.reference(scratch, now_s)
-            goal, twist, _ = target.reference(scratch, now_s + interval_s)
-            error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
+            if still:
+                before = twist = STILL
+                error = pose_error(target.goal(scratch), tip.pose(scratch))
+            else:
+                _, before, _ = target.reference(scratch, now_s)
+                goal, twist, _ = target.reference(scratch, now_s + interval_s)
+                error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
             solution = approach(jacobian, error, joints, interval_s, settings.linear_velocity,
                                 settings.angular_velocity, before, twist, target.rests)
             target.rests = solution.rests
             behind = not still and solution.slowed and bool((np.abs(error) > MISSED).any())
             self._see(command, 'the stream of poses' if behind else 'the motion to the target',
                       solution.held, solution.singular, behind)
-            near = (still and (np.abs(error) <= _REACHED).all()
-                    and solution.pace < _SLOW_PACE)
-            self._look(command, target, data, now_s, error, bool(near), solution.progress)
+            near = (still and solution.pace < _SLOW_PACE
+                    and bool((np.abs(error) <= _REACHED).all()))
+            self._look(command, target, data, now_s, error, near, solution.progress)
             velocity = solution.velocity
         self._setpoints.ramp_to(indices, velocity, interval_s)
         if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
@@ -275,8 +280,8 @@ class CartesianController:
 
     def _see(self, command: CartesianCommand, what: str, held: BoolArray, singular: bool,
              slowed: bool = False) -> None:
-        self.reports[command.arm].see_motion(
-            what, [self._names[i] for i in command.indices[held]], singular, slowed)
+        names = [self._names[i] for i in command.indices[held]] if np.count_nonzero(held) else []
+        self.reports[command.arm].see_motion(what, names, singular, slowed)
 
     def _joints(self, indices: IntArray, interval_s: float) -> JointState:
         setpoints, servos = self._setpoints, self._servos
@@ -301,13 +306,21 @@ class CartesianController:
 
     def _effort(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                 duration_s: float) -> FloatArray:
-        streams = target.twist is not None
+        twisted = target.twist is not None
         solution = self._operational.follow(
             self._hands[command.arm].tip, target, command.indices, data, now_s, duration_s,
             self.settings[command.arm])
-        self._see(command, 'the twist' if streams else 'the motion to the target', solution.held,
-                  solution.singular, streams and solution.slowed)
-        if not streams:
-            self._look(command, target, data, now_s, solution.error, solution.rests,
-                       solution.progress)
+        if target.solve_s == -math.inf:
+            # What limits the hand is reported, and whether it rests, once in a control period.
+            target.solve_s = now_s
+            self._report(command, target, solution, twisted, data, now_s)
         return solution.effort
+
+    def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,
+                twisted: bool, data: mujoco.MjData, now_s: float) -> None:
+        rests = solution.rests
+        self._see(command, 'the twist' if twisted else 'the motion to the target',
+                  solution.found.held & (not rests), solution.found.singular and not rests,
+                  twisted and solution.slowed)
+        if not twisted:
+            self._look(command, target, data, now_s, solution.error, rests, solution.progress)

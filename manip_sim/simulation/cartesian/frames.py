@@ -43,7 +43,8 @@ class Frame:
             return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
         return data.xpos[self.body].copy(), data.xmat[self.body].reshape(3, 3).copy()
 
-    def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
+    def jacobian(self, model: mujoco.MjModel, data: mujoco.MjData, dofs: slice | IntArray
+                 ) -> FloatArray:
         """
         Return the Jacobian of its position and rotation in the world, shape (6, n).
 
@@ -51,8 +52,9 @@ class Frame:
         :param dofs: addresses of the joints in ``qvel``, shape (n,)
         """
         jacobian = np.zeros((6, model.nv))
-        mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], self.pose(data)[0], self.body)
-        return jacobian[:, dofs]
+        position = data.xpos[self.body] if self.site is None else data.site_xpos[self.site]
+        mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], position, self.body)
+        return np.ascontiguousarray(jacobian[:, dofs])
 
 
 class Frames:

@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import dot, length, product
-from manip_sim.simulation.cartesian.displacements import bend, displace
+from manip_sim.simulation.cartesian.displacements import displace, rate_without_bend
 from manip_sim.simulation.profiles import braking_velocity
 
 #: A larger error is shortened to this, and braking begins as if that were all [m], [rad].
@@ -34,7 +34,8 @@ _POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
 _HORIZON_S = 0.1
 #: Less than this share of the velocity limits makes no difference.
 _LESS = 0.01
-_STILL = np.zeros(6)
+#: The velocity of a pose that rests.
+STILL = np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,8 @@ class Solution:
 
 
 def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interval_s: float,
-             linear_velocity: float, angular_velocity: float, before: FloatArray = _STILL,
-             twist: FloatArray = _STILL, rested: bool = False) -> Solution:
+             linear_velocity: float, angular_velocity: float, before: FloatArray = STILL,
+             twist: FloatArray = STILL, rested: bool = False) -> Solution:
     """
     Return the velocities that bring the end effector to a pose and let it rest there.
 
@@ -105,7 +106,7 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     :param rested: whether the hand was as near as it can come before
     """
     along, relative = np.zeros(len(joints.velocity)), joints
-    if before.any() or twist.any():
+    if before is not STILL or twist is not STILL:
         along, own = (displace(
             jacobian, _HORIZON_S * motion, *_room(joints), np.zeros(len(along))).step / _HORIZON_S
             for motion in (twist, before))
@@ -115,18 +116,16 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position,
                      rested)
     moved = product(jacobian, found.step)
-    bent = np.maximum(bend(jacobian, found.step), 1e-12)
     rate = min(_rate(found.step, relative, interval_s),
-               math.sqrt(float((joints.acceleration_limit / bent).min())),
                max(linear_velocity - length(twist[:3]), 0.0) / max(length(moved[:3]), 1e-12),
                max(angular_velocity - length(twist[3:]), 0.0) / max(length(moved[3:]), 1e-12))
+    rate = rate_without_bend(jacobian, found.step, joints.acceleration_limit, rate)
     velocity = along + rate * found.step
-    pace = float((np.abs(velocity) / joints.velocity_limit).max())
+    pace = _pace(velocity, joints)
     velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
     possible = _evenly(velocity, joints, interval_s)
-    less = np.abs(possible - velocity) / joints.velocity_limit
     return Solution(possible, pace, _progress(moved, part * error), found.held, found.singular,
-                    pace > 1.0 + 1e-6 or bool((less > _LESS).any()), found.rests)
+                    pace > 1.0 + 1e-6 or _pace(possible - velocity, joints) > _LESS, found.rests)
 
 
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float
@@ -146,12 +145,17 @@ def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, in
     found = displace(jacobian, _HORIZON_S * twist, np.maximum(low, slowest),
                      np.minimum(high, fastest), joints.posture - joints.position)
     velocity = found.step / _HORIZON_S
-    pace = float((np.abs(velocity) / joints.velocity_limit).max())
+    pace = _pace(velocity, joints)
     velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
     return Solution(_evenly(velocity, joints, interval_s), pace,
                     _progress(product(jacobian, found.step), _HORIZON_S * twist), found.held,
                     found.singular,
                     slowed=pace > 1.0 + 1e-6)
+
+
+def _pace(velocity: FloatArray, joints: JointState) -> float:
+    """Return the largest velocity as a share of its limit."""
+    return float(max((np.abs(velocity) / joints.velocity_limit).tolist()))
 
 
 def _progress(made: FloatArray, wanted: FloatArray) -> float:
@@ -179,7 +183,7 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     # Braking from v at the end of the interval takes v^2 / (2 a), and until then the mean of the
     # two velocities counts; together they make the whole displacement from the present.
     whole = 1.0 + present * interval_s
-    possible = float((joints.acceleration_limit / size).min())
+    possible = float(min((joints.acceleration_limit / size).tolist()))
     limit = _BRAKING * possible
     change = limit * interval_s / 2.0
     root = change**2 + 2.0 * limit * (whole - present * interval_s / 2.0)
@@ -187,15 +191,15 @@ def _rate(step: FloatArray, joints: JointState, interval_s: float) -> float:
     # All joints gain speed evenly, so that the path is straight from the beginning.
     return min(max(braking, 0.0), max(present, 0.0) + possible * interval_s,
                max(whole, 0.0) * min(_APPROACH / interval_s, _MAX_RATE),
-               float((joints.velocity_limit / size).min()))
+               float(min((joints.velocity_limit / size).tolist())))
 
 
 def _with_drift(velocity: FloatArray, drift: FloatArray, joints: JointState) -> FloatArray:
     """Add the motion towards the posture for which the velocity limits leave room."""
-    moving = min(float((np.abs(velocity) / joints.velocity_limit).max()) / _MOVING_PACE, 1.0)
+    moving = min(_pace(velocity, joints) / _MOVING_PACE, 1.0)
     wanted = (_POSTURE_RATE + moving * (_POSTURE_RATE_MOVING - _POSTURE_RATE)) * drift
     room = joints.velocity_limit - np.abs(velocity)
-    share = float((room / np.maximum(np.abs(wanted), 1e-12)).min())
+    share = float(min((room / np.maximum(np.abs(wanted), 1e-12)).tolist()))
     return velocity + min(max(share, 0.0), 1.0) * wanted
 
 
@@ -205,14 +209,18 @@ def _evenly(velocity: FloatArray, joints: JointState, interval_s: float) -> Floa
 
     Otherwise joints that speed up share one factor for the change, and others are clamped.
     """
+    lowest, highest = 0.0, math.inf
+    for new, old, limit in zip(velocity.tolist(), joints.velocity.tolist(),
+                               joints.acceleration_limit.tolist()):
+        change = limit * interval_s
+        if abs(new) > 1e-9:
+            middle, width = old / new, change / abs(new)
+            lowest, highest = max(lowest, middle - width), min(highest, middle + width)
+        elif abs(old) > change:
+            highest = -math.inf
+    if lowest <= highest:
+        return np.asarray(min(max(1.0, lowest), highest) * velocity)
     change = joints.acceleration_limit * interval_s
-    moves = np.abs(velocity) > 1e-9
-    if (np.abs(joints.velocity[~moves]) <= change[~moves]).all():
-        middle, width = joints.velocity[moves] / velocity[moves], change[moves] / np.abs(
-            velocity[moves])
-        lowest, highest = (middle - width).max(initial=0.0), (middle + width).min(initial=np.inf)
-        if lowest <= highest:
-            return np.asarray(min(max(1.0, lowest), highest) * velocity)
     gains = np.abs(velocity) > np.abs(joints.velocity)
     changes = np.abs(velocity - joints.velocity)[gains]
     share = float((change[gains] / np.maximum(changes, 1e-12)).min(initial=1.0))

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.algebra import length
 from manip_sim.simulation.cartesian.displacements import displace, Displacement
 from manip_sim.simulation.cartesian.settings import CartesianSettings
@@ -40,16 +40,6 @@ class WantedMotion:
     joints: FloatArray
     found: Displacement
     slowed: bool
-
-    @property
-    def singular(self) -> bool:
-        """Whether a motion is wanted in a direction in which the hand can hardly move."""
-        return self.found.singular
-
-    @property
-    def held(self) -> BoolArray:
-        """Whether the range of a joint keeps it from doing more, shape (n,)."""
-        return self.found.held
 
     def acceleration(self, velocity: FloatArray, damping: float) -> FloatArray:
         """
@@ -83,15 +73,16 @@ def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     :param away: displacements to the posture [rad], shape (n,)
     :param rested: whether the hand was as near as it can come before
     """
-    wanted = settings.stiffness / settings.damping * error
+    rate = settings.stiffness / settings.damping
+    wanted = rate * error
     for half, limit in ((wanted[:3], settings.linear_velocity),
                         (wanted[3:], settings.angular_velocity)):
         half *= min(1.0, limit / max(length(half), 1e-12))
     wanted = wanted + twist
-    while_s = min(settings.damping / settings.stiffness,
+    while_s = min(1.0 / rate,
                   _LARGEST_STEP / max(length(wanted[:3]), 1e-12),
                   _LARGEST_TURN / max(length(wanted[3:]), 1e-12))
     found = displace(jacobian, while_s * wanted, low, high, away, rested)
     joints = found.step / while_s
-    excess = max(1.0, float((np.abs(joints) / velocity_limit).max()))
+    excess = max(1.0, *(np.abs(joints) / velocity_limit).tolist())
     return WantedMotion(joints / excess, found, excess > 1.0 + 1e-6)

@@ -6,17 +6,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.arrays import as_slice, FloatArray, IntArray
 from manip_sim.algebra import dot, product
+from manip_sim.simulation.cartesian.displacements import Displacement
 from manip_sim.simulation.cartesian.frames import Frame
+from manip_sim.simulation.cartesian.inverse_kinematics import STILL
 from manip_sim.simulation.cartesian.operational_space import wanted_motion
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.profiles import within
 from manip_sim.simulation.servos import Servos
 
 #: A pose is reached within this [m, rad], by a hand that is slower than this [m/s, rad/s].
@@ -31,20 +35,45 @@ class EffortSolution:
 
     :ivar effort: [N m], shape (n,)
     :ivar error: translation [m] and rotation vector [rad] to the target, shape (6,)
-    :ivar rests: whether the hand is at the target and rests
-    :ivar progress: share of the wanted motion that the hand makes
-    :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
-    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
+    :ivar found: the displacements that are wanted
     :ivar slowed: whether joint velocity limits slow the motion down
+    :ivar still: whether the target rests
+    :ivar moved: velocity of the hand [m/s, rad/s], shape (6,)
+    :ivar goes: velocity that spring and damper want [m/s, rad/s], shape (6,)
     """
 
     effort: FloatArray
     error: FloatArray
-    rests: bool
-    progress: float
-    held: BoolArray
-    singular: bool
+    found: Displacement
     slowed: bool
+    still: bool
+    moved: FloatArray
+    goes: FloatArray
+
+    @property
+    def rests(self) -> bool:
+        """Whether the hand is at the target and rests."""
+        return self.still and bool((np.abs(self.error) <= _REACHED).all()
+                                   and (np.abs(self.moved) < _SLOW_TWIST).all())
+
+    @property
+    def progress(self) -> float:
+        """Share of the wanted motion that the hand makes."""
+        return dot(self.moved, self.goes) / max(dot(self.goes, self.goes), 1e-12)
+
+
+class _ArmJoints(NamedTuple):
+    """The joints of an arm: where they are in arrays of all of them, and their limits."""
+
+    joints: slice | IntArray
+    qpos: slice | IntArray
+    dofs: slice | IntArray
+    low: FloatArray
+    high: FloatArray
+    velocity_limit: FloatArray
+    lowest_effort: FloatArray
+    highest_effort: FloatArray
+    damping: FloatArray
 
 
 class OperationalSpaceController:
@@ -56,19 +85,30 @@ class OperationalSpaceController:
     :param posture: positions that redundant arms are drawn to [rad], shape (n,)
     """
 
-    #: Where results are written.
-    not_in_digest = ('_forces', '_accelerations')
+    #: Where results are written, and what follows from the rest.
+    not_in_digest = ('_forces', '_accelerations', '_arms')
 
     def __init__(self, physics: Physics, servos: Servos, posture: FloatArray) -> None:
         self._physics = physics
         self._servos = servos
         self._posture = posture
         self._low, self._high = servos.position_clamp().T
-        self._torque = servos.ranges['effort']
+        self._arms: dict[bytes, _ArmJoints] = {}
         physics.on_change(self._make_room)
 
     def _make_room(self) -> None:
         self._accelerations, self._forces = np.zeros((2, self._physics.model.nv))
+
+    def _arm(self, indices: IntArray) -> _ArmJoints:
+        key = indices.tobytes()
+        if key not in self._arms:
+            servos = self._servos
+            lowest, highest = servos.ranges['effort'][indices].T.copy()
+            self._arms[key] = _ArmJoints(
+                as_slice(indices), as_slice(servos.qpos[indices]), as_slice(servos.dofs[indices]),
+                self._low[indices], self._high[indices], servos.velocity_limit[indices],
+                lowest, highest, servos.passive_damping[indices])
+        return self._arms[key]
 
     def follow(self, tip: Frame, target: Target, indices: IntArray, data: mujoco.MjData,
                now_s: float, duration_s: float, settings: CartesianSettings) -> EffortSolution:
@@ -81,31 +121,31 @@ class OperationalSpaceController:
         :param now_s: simulation time [s]
         :param duration_s: length of the interval [s]
         """
-        dofs, position = self._servos.dofs[indices], data.qpos[self._servos.qpos[indices]]
-        twist = target.twist_in_world(data)
+        physics, arm = self._physics, self._arm(indices)
+        position, velocity = physics.qpos[arm.qpos], physics.qvel[arm.dofs]
+        twist, damping = STILL, settings.damping
         if target.twist is not None:
+            twist = target.twist_in_world(data)
             target.move(data, tip, twist, duration_s)
         still = target.ends_stream(now_s)
-        goal, along, acceleration = target.reference(data, now_s)
-        twist = twist + along + acceleration / settings.damping
+        if still:
+            goal = target.goal(data)
+        else:
+            goal, along, acceleration = target.reference(data, now_s)
+            twist = twist + along + acceleration / damping
         error = pose_error(goal, tip.pose(data))
-        jacobian, velocity = tip.jacobian(self._physics.model, data, dofs), data.qvel[dofs]
+        jacobian = tip.jacobian(physics.model, data, arm.dofs)
         wanted = wanted_motion(
-            jacobian, error, twist, settings, self._servos.velocity_limit[indices],
-            self._low[indices] - position, self._high[indices] - position,
-            self._posture[indices] - position, target.rests)
+            jacobian, error, twist, settings, arm.velocity_limit, arm.low - position,
+            arm.high - position, self._posture[arm.joints] - position, target.rests)
         target.rests = wanted.found.rests
-        self._accelerations[dofs] = wanted.acceleration(velocity, settings.damping)
-        mujoco.mj_mulM(self._physics.model, data, self._forces, self._accelerations)
-        self._accelerations[dofs] = 0.0
-        given = self._forces[dofs]
+        self._accelerations[arm.dofs] = wanted.acceleration(velocity, damping)
+        mujoco.mj_mulM(physics.model, data, self._forces, self._accelerations)
+        self._accelerations[arm.dofs] = 0.0
         # Gravity that is compensated needs no effort here.
-        given += data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
-        given += self._servos.passive_damping[indices] * velocity
-        moved, goes = product(jacobian, velocity), settings.stiffness / settings.damping * error
-        rests = still and bool((np.abs(error) <= _REACHED).all()
-                               and (np.abs(moved) < _SLOW_TWIST).all())
+        given = (self._forces[arm.dofs] + (physics.bias[arm.dofs] - physics.gravcomp[arm.dofs])
+                 + arm.damping * velocity)
         return EffortSolution(
-            np.clip(given, *self._torque[indices].T), error, rests,
-            dot(moved, goes) / max(dot(goes, goes), 1e-12), wanted.held & (not rests),
-            wanted.singular and not rests, wanted.slowed)
+            within(given, arm.lowest_effort, arm.highest_effort), error, wanted.found,
+            wanted.slowed, still, product(jacobian, velocity),
+            settings.stiffness / damping * error)

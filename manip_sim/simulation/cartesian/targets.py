@@ -11,7 +11,7 @@ import math
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import dot, length, product
+from manip_sim.algebra import dot, length, product, transposed_product
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
@@ -71,7 +71,7 @@ class Target:
         """
         origin, turned = self.anchor.pose(data)
         self.position, self.rotation = (
-            product(turned.T, pose[0] - origin), product(turned.T, pose[1]))
+            transposed_product(turned, pose[0] - origin), transposed_product(turned, pose[1]))
 
     def goal(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """Return position [m] and rotation matrix of the goal in the world."""
@@ -85,7 +85,7 @@ class Target:
         :param place: of the hand in the world [m], shape (3,)
         """
         origin, turned = self.anchor.pose(data)
-        here = product(turned.T, place - origin)
+        here = transposed_product(turned, place - origin)
         if self.start is None:
             self.start = here
         offset, way = here - self.start, self.position - self.start
