@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.simulation.cartesian.displacements import bend
+from manip_sim.simulation.cartesian import displacements
+from manip_sim.simulation.cartesian.displacements import bend, displace, rate_without_bend
 from manip_sim.simulation.cartesian.frames import Frames
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
@@ -186,6 +187,50 @@ def test_the_acceleration_that_keeps_a_hand_straight_is_that_of_its_centripetal_
     needed = np.abs(at.T @ directions[:, 5]) / sizes[5]**2 * np.linalg.norm(centripetal)
     # It counts in full at a singular value of 0.06.
     np.testing.assert_allclose(bend(at, step), needed * 0.06 / sizes[5], rtol=2e-3, atol=0.1)
+
+
+def test_a_rate_is_lowered_exactly_where_the_hand_would_have_to_bend_too_much():
+    draw, lowered = np.random.default_rng(0), 0
+    for _ in range(300):
+        jacobian, step = draw.normal(size=(6, 7)), draw.normal(size=7)
+        jacobian[draw.integers(6)] *= draw.uniform(0.005, 1.0)
+        jacobian[3:] /= np.linalg.norm(jacobian[3:], axis=0)
+        limit, rate = draw.uniform(1.0, 20.0, 7), draw.uniform(0.01, 5.0)
+        highest = np.sqrt((limit / bend(jacobian, step)).min())
+        found = rate_without_bend(jacobian, step, limit, rate)
+        assert found == pytest.approx(min(rate, highest), rel=1e-12)
+        lowered += highest < rate
+    assert 30 < lowered < 270
+
+
+def test_displacements_without_bounds_are_those_of_the_bounded_search(monkeypatch):
+    draw, plain = np.random.default_rng(1), displacements._unbounded
+    cases = []
+    for _ in range(200):
+        jacobian = draw.normal(size=(6, 7))
+        jacobian[0] *= draw.uniform(0.01, 1.0)
+        far = draw.uniform(0.05, 3.0)
+        cases.append((jacobian, 0.2 * draw.normal(size=6), np.full(7, -far), np.full(7, far),
+                      draw.normal(size=7)))
+    direct = [displace(*case) for case in cases]
+    taken = sum(plain(case[0], case[1], *_of(case), *case[2:]) is not None for case in cases)
+    monkeypatch.setattr(displacements, '_unbounded', lambda *_: None)
+    for case, found in zip(cases, direct):
+        searched = displace(*case)
+        np.testing.assert_allclose(found.step, searched.step, atol=1e-8)
+        np.testing.assert_allclose(found.drift, searched.drift, atol=1e-5)
+        np.testing.assert_allclose(found.slack(case[4]), searched.slack(case[4]), atol=1e-8)
+        assert found.singular == searched.singular and (found.held == searched.held).all()
+        assert found.rests == searched.rests
+    assert 20 < taken < 180
+
+
+def _of(case):
+    """Return what is computed of a Jacobian and a task beforehand."""
+    jacobian, task = case[:2]
+    square, pull = jacobian.T @ jacobian, jacobian.T @ task
+    regular = displacements.factorized(square, 1e-9)
+    return (square, np.linalg.norm(task), pull, regular, displacements.solved(regular, pull))
 
 
 def test_a_stop_brakes_with_the_limit():

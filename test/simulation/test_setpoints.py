@@ -409,3 +409,28 @@ def test_a_setpoint_that_was_dragged_away_at_rest_goes_back_when_it_is_woken():
     for _ in range(1000):
         setpoints.advance(0.002)
     assert setpoints.settled and setpoints.position[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_period_that_is_planned_at_once_goes_as_one_interval_after_the_other(seed):
+    draw = np.random.default_rng(seed)
+    planned, plain = generator(3, low=-1.5, high=1.5), generator(3, low=-1.5, high=1.5)
+    joints, ends_s = np.arange(3), np.cumsum(INTERVALS_S)[:, None]
+    size, turn, plans = draw.uniform(0.1, 0.6, 3), draw.uniform(0.5, 3.0, 3), 0
+    for period in range(400):
+        goal = size * (1.0 - np.cos(turn * period * PERIOD_S))
+        planned.begin_period(ends_s)
+        for setpoints in (planned, plain):
+            if not 320 < period < 335 and (period > 250 or period % 90 or seed % 2):
+                setpoints.go_to(joints, goal, PERIOD_S)
+            if period == 260:
+                setpoints.hold_back(setpoints.position - 0.3, np.array([0.2, 1.0, 1.0]))
+        for interval_s in INTERVALS_S:
+            planned.advance(interval_s)
+            plain.advance(interval_s)
+            plans += planned.plan is not None
+            np.testing.assert_allclose(planned.position, plain.position, rtol=0.0, atol=1e-9)
+            np.testing.assert_allclose(planned.velocity, plain.velocity, rtol=0.0, atol=1e-6)
+            np.testing.assert_allclose(
+                planned.acceleration, plain.acceleration, rtol=0.0, atol=1e-3)
+    assert 60 < plans < 1100
