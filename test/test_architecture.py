@@ -40,7 +40,7 @@ MAY_IMPORT = {
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),
-    'viewer': ({'viewer'}, PURE | {'viser'}),
+    'viewer': ({'models', 'records', 'viewer'}, PURE | {'PIL', 'viser'}),
     'interface': ({'interface', 'models', 'sensing', 'simulation', 'tasks'}, PURE),
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.

@@ -161,6 +161,9 @@ class Record:
                 yield from self._episodes(file)
         except OSError as error:
             raise RecordError(f'{self.path}: {error.strerror or error}') from error
+        except ImportError as error:
+            raise RecordError(f"records need the package {error.name}: pip install "
+                              "'manip_sim[records]'") from error
         except RecordError as error:
             raise RecordError(f'{self.path}: {error}') from error
 

@@ -41,13 +41,17 @@ def _run() -> int:
     from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
     try:
-        check_ros_environment()
         use_one_blas_thread()  # viser imports NumPy.
+        if not options.record:
+            check_ros_environment()
         if options.native:
             check_display()
         else:
             import viser  # noqa: F401
         import_mujoco()
+        if options.record:
+            from manip_sim.viewer.playback import show_records
+            return show_records(options)
         from manip_sim.viewer.ros.page_process import show
     except ModuleNotFoundError as error:
         return _fail(missing_module(error))
@@ -64,7 +68,8 @@ def _parser() -> argparse.ArgumentParser:
     from pathlib import Path
     parser = argparse.ArgumentParser(
         prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
-        description='Show a running sim_node on a page for the browser, and drive it from there.')
+        description='Show a running sim_node on a page for the browser, and drive it from there; '
+        'or show records of episodes.')
     parser.add_argument('--listen', '--host', default='127.0.0.1', metavar='ADDRESS',
                         help='where to listen, %(default)s by default: this machine alone; with '
                         '0.0.0.0, everyone on the network who knows the token can drive the robot')
@@ -82,6 +87,9 @@ def _parser() -> argparse.ArgumentParser:
                         help='keep the poses that are saved on the page in this file (JSON); '
                         'without it they are lost when sim_view ends')
     parser.add_argument('--dark', action='store_true', help='begin with a dark page')
+    parser.add_argument('--record', type=Path, nargs='+', metavar='FILE',
+                        help='show records of episodes instead of a node: files, or folders with '
+                        '*.mcap; needs no ROS')
     parser.add_argument('--native', action='store_true',
                         help="open MuJoCo's own viewer in a window instead; it only shows")
     return parser

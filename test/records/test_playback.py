@@ -1,0 +1,128 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Records in the browser: what the page shows of which period."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+for needed in ('mcap', 'mcap_ros2', 'viser'):
+    pytest.importorskip(needed, reason='needs the extras records and viewer')
+
+from manip_sim.records.frames import Frames  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
+from manip_sim.viewer.page.access import Access  # noqa: E402
+from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
+from manip_sim.viewer.playback import Entry, Player  # noqa: E402
+
+#: Runs the program as if ROS were not installed.
+WITHOUT_ROS = """
+import sys
+sys.modules['rclpy'] = None
+from manip_sim.viewer.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.fixture
+def player(recording):
+    """Return a page with the episodes of a record, of which the second one failed."""
+    server = open_server('127.0.0.1', 0, Access.of({}, ()))
+    entries = [Entry(recording, found.number, found.seed, found.success)
+               for found in Record(recording).episodes()]
+    yield Player(server, entries)
+    close_server(server)
+
+
+@pytest.fixture
+def frames(recording):
+    return [Frames(recorded) for recorded in Record(recording).episodes()]
+
+
+def hand_of(player):
+    """Return where the hand is in the scene."""
+    model, data = player._kinematics.model, player._kinematics.data
+    (site,) = (i for i in range(model.nsite) if model.site(i).name.endswith('grip_site'))
+    # Of the body, as kinematics alone is computed for the page.
+    body = model.site_bodyid[site]
+    return data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
+
+
+def test_the_scene_shows_the_period_of_the_slider(player, frames):
+    (hand,) = frames[0].hands.values()
+    for period in (0, 5, 2, len(frames[0].actions)):
+        player._slider.value = period
+        player.update(0.0)
+        np.testing.assert_allclose(hand_of(player), hand.values[period, :3], atol=1e-6)
+    assert 'period' in player._text._shown and player._slider.max == len(frames[0].actions)
+
+
+def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames):
+    player._jump('Failure')
+    player.update(0.0)
+    assert player._choice.value.endswith('#1, seed 11: FAILED')
+    assert player._slider.value == player._slider.max == len(frames[1].actions)
+    (hand,) = frames[1].hands.values()
+    np.testing.assert_allclose(hand_of(player), hand.values[-1, :3], atol=1e-6)
+    player._jump('Failure')  # There is no other one.
+    assert player._choice.value.endswith('#1, seed 11: FAILED')
+    player._jump('Previous')
+    assert player._choice.value.endswith('#0, seed 3: done') and player._slider.value == 0
+
+
+def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, frames):
+    player._quantity.value = 'joint position'
+    player._slider.value = 4
+    player.update(0.0)
+    times, *columns, now = player._plot.data
+    (joints,) = frames[0].positions.values()
+    at = np.searchsorted(times, np.arange(len(joints.values)) * 0.05 - 1e-9)
+    np.testing.assert_allclose(np.array(columns)[:, at].T, joints.values, atol=1e-6)
+    assert times[np.argmax(now)] == pytest.approx(0.2)
+    assert {'reward', 'action', 'right position', 'right external force'} <= set(
+        player._quantity.options)
+
+
+def test_playing_goes_on_to_the_end_at_its_speed(player, frames):
+    player._speed.value = '4'
+    player._play.value = True
+    player.update(100.0)
+    player._go(0)
+    player.update(100.1)
+    assert player._slider.value == 8  # 0.1 s four times as fast, in periods of 0.05 s.
+    for tenth in range(2, 60):
+        player.update(100.0 + tenth / 10.0)
+    assert player._slider.value == len(frames[0].actions) and not player._play.value
+
+
+def test_images_are_those_of_the_period(player, frames):
+    wanted = frames[0].images('front')
+    for period in (0, 3):
+        player._go(period)
+        np.testing.assert_array_equal(player._images['front'].image, wanted[period])
+
+
+def test_it_runs_without_ros_and_ends_with_a_signal(recording):
+    with subprocess.Popen(
+            [sys.executable, '-c', WITHOUT_ROS, '--record', str(recording.parent), '--port', '0'],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env={**os.environ, 'PYTHONUNBUFFERED': '1'}) as viewer:
+        line = viewer.stdout.readline()
+        assert line.startswith('sim_view: http://127.0.0.1:')
+        assert line.endswith(' shows 2 episodes, 1 of them failed\n')
+        viewer.send_signal(signal.SIGINT)
+        _, errors = viewer.communicate(timeout=300.0)
+        assert (viewer.returncode, errors) == (0, '')
+
+
+def test_a_file_that_is_no_record_is_one_line(tmp_path):
+    path = tmp_path / 'a.mcap'
+    path.write_text('no record')
+    done = subprocess.run([sys.executable, '-m', 'manip_sim.viewer', '--record', str(path)],
+                          capture_output=True, text=True, timeout=300.0)
+    assert (done.returncode, done.stderr) == (1, f'sim_view: {path}: no MCAP file\n')
