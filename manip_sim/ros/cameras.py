@@ -30,6 +30,7 @@ from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_publisher, Output
+from manip_sim.ros.point_clouds import PointCloudMaker
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.camera_thread import CameraThread, Shot, View
 from manip_sim.simulation import Simulation
@@ -108,12 +109,15 @@ class CameraPublishers:
         self._color = outputs['color/image_raw']
         self._jpeg = outputs['color/image_raw/compressed']
         self._depth = outputs.get('depth/image_raw')
+        self._points = outputs.get('depth/points')
+        self._clouds = PointCloudMaker(found)
         self._infos = [output for topic, output in outputs.items() if 'camera_info' in topic]
 
     def wanted(self) -> tuple[bool, bool, bool]:
         """Return whether colours, depth and intrinsics have subscribers."""
-        return (self._color.wanted or self._jpeg.wanted,
-                self._depth is not None and self._depth.wanted,
+        points = self._points is not None and self._points.wanted
+        return (self._color.wanted or self._jpeg.wanted or points,
+                points or self._depth is not None and self._depth.wanted,
                 any(info.wanted for info in self._infos))
 
     def publish_infos(self, time_ns: int) -> None:
@@ -134,6 +138,8 @@ class CameraPublishers:
                 self._jpeg.publish(jpeg(head, picture.rgb))
         if picture.depth is not None and self._depth is not None and self._depth.wanted:
             self._depth.publish(image(head, picture.depth))
+        if picture.depth is not None and self._points is not None and self._points.wanted:
+            self._points.publish(self._clouds.make(head, picture.depth, picture.rgb))
         self.publish_infos(shot.snapshot.time_ns)
 
 

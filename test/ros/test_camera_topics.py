@@ -14,7 +14,7 @@ import numpy as np
 from PIL.Image import open as open_image
 import pytest
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2
 from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
@@ -62,7 +62,8 @@ def pixels(message):
 
 
 def listen(client, topic):
-    kind = {'image_raw': Image, 'compressed': CompressedImage, 'camera_info': CameraInfo}
+    kind = {'image_raw': Image, 'compressed': CompressedImage, 'camera_info': CameraInfo,
+            'points': PointCloud2}
     return client.listen(kind[topic.split('/')[-1]], topic, qos_profile_sensor_data)
 
 
@@ -105,6 +106,27 @@ def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serv
     client.spin_until(lambda: ('front', True, False) in renderings)
     count = len(color)
     client.spin_until(lambda: len(color) > count)
+
+
+def test_a_point_cloud_has_the_ball_where_it_is_in_its_colour(serve_seen, client, renderings):
+    serve_seen(start_paused=True, objects=[BALL], cameras=[FRONT], **SMALL)
+    clouds = listen(client, 'front/depth/points')
+    client.spin_until(lambda: clouds != [])
+    cloud = clouds[-1]
+    assert (cloud.header.frame_id, cloud.height, cloud.width) == ('front_optical_frame', 120, 160)
+    assert [(f.name, f.offset) for f in cloud.fields] == [
+        ('x', 0), ('y', 4), ('z', 8), ('rgb', 12)]
+    assert len(cloud.data) == cloud.row_step * cloud.height == 16 * 120 * 160
+    raw = np.frombuffer(cloud.data, np.float32).reshape(120, 160, 4)
+    packed = np.frombuffer(cloud.data, np.uint32).reshape(120, 160, 4)[..., 3]
+    red, green, blue = (packed >> shift & 255 for shift in (16, 8, 0))
+    ball = (green > 60) & (red < green // 2) & (blue < green // 2)
+    assert ball.sum() > 5
+    # 2 m ahead, 0.4 m to the right, 0.2 m up; a camera sees the near side of the sphere.
+    np.testing.assert_allclose(np.nanmedian(raw[ball][:, :3], axis=0), [0.4, -0.2, 1.98],
+                               atol=0.02)
+    assert np.isnan(raw[..., :3]).any(axis=-1).sum() == np.isnan(raw[..., 2]).sum()
+    assert set(renderings) == {('front', True, True)}
 
 
 def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen, client):

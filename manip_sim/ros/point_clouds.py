@@ -1,0 +1,63 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Organised point clouds, made of depth images and their colours."""
+
+from __future__ import annotations
+
+from array import array
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+
+from manip_sim.rendering.intrinsics import Intrinsics
+
+#: x, y, z and the colour as a packed number, as in PCL's PointXYZRGB [bytes].
+_POINT_SIZE = 16
+
+
+class PointCloudMaker:
+    """
+    Makes point clouds of the images of one camera.
+
+    :param found: its intrinsics
+    """
+
+    def __init__(self, found: Intrinsics) -> None:
+        #: Where the ray of a pixel is at a depth of one, shape (w,) and (h, 1).
+        self._right = ((np.arange(found.width) - found.cx) / found.fx).astype(np.float32)
+        self._down = ((np.arange(found.height) - found.cy) / found.fy).astype(
+            np.float32)[:, np.newaxis]
+        self._points = np.empty((found.height, found.width, 4), dtype=np.float32)
+
+    def make(self, head: Header, depth: NDArray[Any], rgb: NDArray[np.uint8] | None
+             ) -> PointCloud2:
+        """
+        Return the points that a camera sees, in its optical frame, one for each pixel.
+
+        :param head: the header
+        :param depth: along the view [m], +Inf where there is nothing, shape (h, w)
+        :param rgb: shape (h, w, 3), or None for points without colours, which are white
+        """
+        points = self._points
+        points[..., 2] = np.where(np.isfinite(depth), depth, np.nan)
+        np.multiply(points[..., 2], self._right, out=points[..., 0])
+        np.multiply(points[..., 2], self._down, out=points[..., 1])
+        colours = points.view(np.uint8)[..., 12:]
+        # In memory the last byte of the number comes first: blue, green, red.
+        colours[..., :3] = 255 if rgb is None else rgb[..., ::-1]
+        colours[..., 3] = 0
+        content = array('B')
+        content.frombytes(points.data.cast('B'))
+        height, width = depth.shape
+        message = PointCloud2(
+            header=head, height=height, width=width, is_bigendian=sys.byteorder == 'big',
+            point_step=_POINT_SIZE, row_step=_POINT_SIZE * width, is_dense=False,
+            fields=[PointField(name=name, offset=4 * place, datatype=PointField.FLOAT32, count=1)
+                    for place, name in enumerate(('x', 'y', 'z', 'rgb'))])
+        message.data = content
+        return message
