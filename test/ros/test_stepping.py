@@ -38,6 +38,12 @@ def until_next_period(client, ticks, begin_s):
     return next(wall_s for wall_s, time_ns in ticks if time_ns > last) - begin_s
 
 
+def test_a_node_pauses_at_the_time_that_it_was_started_with(serve, client):
+    node = serve(stepping='free', pause_at=0.205)
+    client.spin_until(lambda: node.thread.paused)
+    assert node.simulation.time_ns == 210_000_000
+
+
 def test_time_that_passed_in_a_pause_is_not_made_up_for(serve, client):
     node = serve(publish_rate=2.0)
     ticks = listen_with_times(client)

@@ -193,6 +193,17 @@ def test_commands_that_wait_are_aborted_by_a_new_beginning(free, begin_again):
     np.testing.assert_allclose(robot.state().position, start, atol=1e-3)
 
 
+def test_a_restored_state_is_no_start(free):
+    thread = free(UR5e(), paused=True)
+    thread.start()
+    thread.save()
+    thread.reset()
+    assert thread.at_start
+    thread.restore()
+    assert not thread.at_start
+    thread.stop()
+
+
 def test_commands_are_taken_by_the_robot_that_they_were_made_for_alone(free):
     aside = Panda(idn=1)
     aside.set_base_xpos([0.0, 2.0, 0.0])
