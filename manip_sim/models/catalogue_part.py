@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 import os
 from pathlib import Path
 from typing import Any, ClassVar
@@ -45,6 +44,8 @@ class CataloguePart(MujocoXMLModel):
     #: Where its folder is: ``robots``, ``grippers`` or ``bases``, and the folder.
     _kind: ClassVar[str]
     _folder: ClassVar[str] = ''
+    #: What ``part.yaml`` says, of each class once it is read.
+    _data: ClassVar[dict[str, Any]]
     #: The MJCF file, relative to the folder; by default it is named like the folder.
     _model = FromPart('model', None)
 
@@ -65,14 +66,15 @@ class CataloguePart(MujocoXMLModel):
         :raises ModelError: if the file cannot be read
         :raises UnknownNameError: if it has a key that no attribute of the class reads
         """
-        file = asset_path(cls._kind, cls._folder).with_name('part.yaml')
-        return _read(file, frozenset(
-            attribute.key for base in cls.__mro__ for attribute in vars(base).values()
-            if isinstance(attribute, FromPart)))
+        if '_data' not in vars(cls):
+            cls._data = _read(
+                asset_path(cls._kind, cls._folder).with_name('part.yaml'),
+                {attribute.key for base in cls.__mro__ for attribute in vars(base).values()
+                 if isinstance(attribute, FromPart)})
+        return cls._data
 
 
-@cache
-def _read(file: Path, keys: frozenset[str]) -> dict[str, Any]:
+def _read(file: Path, keys: set[str]) -> dict[str, Any]:
     values = read_yaml(file) if file.is_file() else {}
     for key in values:
         if key not in keys:

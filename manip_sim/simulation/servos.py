@@ -163,7 +163,7 @@ class Servos:
             scratch.qpos[:] = data.qpos
             if pose:
                 scratch.qpos[self.qpos] = random.uniform(low, high)
-            mujoco.mj_forward(model, scratch)
+            _compute_inertia_and_weight(model, scratch)
             # All joints of a kind may accelerate at once.
             coupled = (self._inertia(scratch) * (kind[:, None] == kind)).sum(axis=1)
             weight = np.abs(scratch.qfrc_gravcomp[self.dofs])
@@ -407,3 +407,10 @@ def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray
         if not (np.isfinite(of).all() and (of > 0.0).all()):
             raise ModelError(f'the {what} of servos must be positive and finite, got {of}')
     return stiffness, damping
+
+
+def _compute_inertia_and_weight(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Compute of ``mj_forward`` only the inertia matrix and ``qfrc_gravcomp``."""
+    for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM,
+                    mujoco.mj_passive):
+        compute(model, data)

@@ -231,8 +231,11 @@ def test_a_key_that_no_attribute_reads_is_an_error(monkeypatch, tmp_path):
     folder.mkdir()
     (folder / 'part.yaml').write_text('radios: 0.5\n')
     monkeypatch.setattr(catalogue_part, 'asset_path', lambda kind, name: folder / 'panda.xml')
+
+    class Other(robots.Panda):
+        pass
     with pytest.raises(UnknownNameError, match="unknown key of .*part.yaml 'radios'.*radius"):
-        robots.Panda.data()
+        Other.data()
 
 
 def test_a_start_names_joints_of_the_model():
