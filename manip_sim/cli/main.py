@@ -34,7 +34,7 @@ def run() -> int:
     try:
         return main()
     except SystemExit as ended:  # By argparse: help, or a wrong command line.
-        return _tell() or int(ended.code or 0)
+        return _report() or int(ended.code or 0)
     except Exception as error:  # A defect of the package, or of a model from another one.
         if sys.flags.dev_mode:
             raise
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
     except OSError as error:
         return _fail(f'{error.filename or words[0]}: {error.strerror or error}')
-    return _tell(text) or int(code)
+    return _report(text) or int(code)
 
 
 def _choose_renderer(command: str) -> None:
@@ -71,7 +71,7 @@ def _choose_renderer(command: str) -> None:
         os.environ['MUJOCO_GL'] = 'disable'
 
 
-def _tell(text: str = '') -> int:
+def _report(text: str = '') -> int:
     """Print a text and flush the output; return an exit code other than zero if that fails."""
     if sys.stdout is None:
         return 0

@@ -58,7 +58,7 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         except KeyboardInterrupt:
             folder.finish()
             return f'{folder.path}: interrupted; the same command goes on', 130
-    return _told(folder.finish())
+    return _summary_text(folder.finish())
 
 
 @contextlib.contextmanager
@@ -112,7 +112,7 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
                 given[seed] = path
                 if seed in left:
                     shard.add(row)
-    return _told(target.finish())
+    return _summary_text(target.finish())
 
 
 def _description(folder: Path) -> dict[str, Any]:
@@ -121,7 +121,7 @@ def _description(folder: Path) -> dict[str, Any]:
     return read_json(folder / RUN)
 
 
-def _told(summary: dict[str, Any]) -> tuple[str, int]:
+def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
     """Return the table of a summary, and the exit code."""
     count, late = summary['episodes'], summary['latency']
     low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])

@@ -22,7 +22,7 @@ def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
     :param kind: what it is, for the message, such as ``MJCF file``
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
-    with _told(file, kind):
+    with _explained(file, kind):
         descriptor = _opened(file, max_bytes)
         with open(descriptor, 'rb') as stream:
             return stream.read(max_bytes)
@@ -35,7 +35,7 @@ def check_file(file: Path, kind: str, max_bytes: int) -> None:
     :param kind: what it is, for the message, such as ``mesh file``
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
-    with _told(file, kind):
+    with _explained(file, kind):
         os.close(_opened(file, max_bytes))
 
 
@@ -62,7 +62,7 @@ def _check_status(status: os.stat_result, max_bytes: int) -> None:
 
 
 @contextmanager
-def _told(file: Path, kind: str) -> Iterator[None]:
+def _explained(file: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
@@ -117,7 +117,7 @@ class FilesBelow(Files):
 
         :raises ModelError: if it is not below the folders, or cannot be read
         """
-        with _told(file, kind):
+        with _explained(file, kind):
             if not self._has(file):
                 raise ModelError(
                     f'{kind} {quoted(str(file), 200)} must not be read: only files below '

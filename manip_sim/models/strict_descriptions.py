@@ -60,10 +60,10 @@ def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
     except ValidationError as errors:
         # A misspelt key also makes the right one missing; the error is about what was written.
         first = min(errors.errors(), key=lambda e: e['type'] != 'extra_forbidden')
-        raise ModelError(f'{where}: {_told(first, kind.model_fields)}') from None
+        raise ModelError(f'{where}: {_explained(first, kind.model_fields)}') from None
 
 
-def _told(error: Any, keys: Iterable[str]) -> str:
+def _explained(error: Any, keys: Iterable[str]) -> str:
     place = [str(part) for part in error['loc']]
     key = place[0] if place else ''
     if error['type'] == 'extra_forbidden':

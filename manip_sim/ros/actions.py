@@ -47,10 +47,10 @@ class Actions:
                  thread: SimulationThread, log: RejectionLog) -> None:
         self._node = node
         self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
-        self._guard = node.create_guard_condition(self._tell_ends)
+        self._guard = node.create_guard_condition(self._report_ends)
         self.tracker = GoalTracker(thread, self._has_ended)
         # The timer runs while there are goals.
-        self._timer = node.create_timer(_FEEDBACK_S, self._tell_feedback,
+        self._timer = node.create_timer(_FEEDBACK_S, self._send_feedback,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._servers = [
             GoalServer(node, messages, commands, self.tracker, log, self._timer.reset)
@@ -61,16 +61,16 @@ class Actions:
         self._ended.put(goal)
         self._guard.trigger()
 
-    def _tell_ends(self) -> None:
+    def _report_ends(self) -> None:
         while not self._ended.empty():
             goal = self._ended.get()
-            any(server.tell_end(goal) for server in self._servers)
+            any(server.report_end(goal) for server in self._servers)
 
-    def _tell_feedback(self) -> None:
+    def _send_feedback(self) -> None:
         if not self.tracker.goals:
             self._timer.cancel()
         for server in self._servers:
-            server.tell_feedback()
+            server.send_feedback()
 
     def destroy(self) -> None:
         """Destroy the servers."""

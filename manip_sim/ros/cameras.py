@@ -178,14 +178,15 @@ class Cameras:
         try:
             self._renderer = CameraThread(
                 choose_gl(), VisibleWorld(self._simulation.plan),
-                [found.view for found in self._publishers.values()], self._publish, self._tell)
+                [found.view for found in self._publishers.values()], self._publish,
+                self._report_failure)
         except ManipSimError as error:
             self._unable = error
-            self._tell(error)
+            self._report_failure(error)
         else:
             self._renderer.start(_READY_S)
 
-    def _tell(self, error: ManipSimError) -> None:
+    def _report_failure(self, error: ManipSimError) -> None:
         self._node.get_logger().error(f'no images: {error}; all else works')
 
     def stop(self) -> None:

@@ -139,9 +139,9 @@ class CommandInbox(Inbox):
             wait_set.wait(0)
             for event in events:
                 if event.is_ready(wait_set):
-                    self._tell(event)
+                    self._report(event)
 
-    def _tell(self, event: Any) -> None:
+    def _report(self, event: Any) -> None:
         try:
             data = event.take_data()
             if data:

@@ -110,7 +110,7 @@ class Diagnostics:
         self._last_accepted: dict[str, int] = {}
         self._last_faults: dict[str, int] = {}
         self._last_s = time.monotonic()
-        self._told: str | None = None
+        self._reported: str | None = None
         row = BY_NAME['/diagnostics']
         self._publisher = node.create_publisher(DiagnosticArray, row.name, row.depth)
         node.create_timer(_PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -151,7 +151,7 @@ class Diagnostics:
                 f'of {thread.real_time_factor:g}; control periods are dropped')
         if self._simulation.diverged is not None:
             status.level, status.message = DiagnosticStatus.ERROR, self._simulation.diverged
-        self._tell(status)
+        self._report(status)
         return status
 
     def _images(self, name: str, elapsed_s: float) -> Iterator[DiagnosticStatus]:
@@ -171,13 +171,13 @@ class Diagnostics:
             status.level = DiagnosticStatus.WARN
         return status
 
-    def _tell(self, status: DiagnosticStatus) -> None:
+    def _report(self, status: DiagnosticStatus) -> None:
         if status.level == DiagnosticStatus.OK:
-            self._told = None
+            self._reported = None
         elif status.level == DiagnosticStatus.WARN:
             self._node.get_logger().warning(status.message, throttle_duration_sec=5.0)
-        elif status.message != self._told:
-            self._told = status.message
+        elif status.message != self._reported:
+            self._reported = status.message
             self._node.get_logger().error(f'{status.message}; call ~/reset')
 
     def _part(self, name: str, commands: CommandSubscribers, part: str, now_s: float,
@@ -216,19 +216,19 @@ class Diagnostics:
                                   'call ~/reset_reflex')
                 self._node.rejections.warn(name, 'reflex', f'{name}: {status.message}')
         if part in robot.grippers:
-            self._tell_faults(status, robot.grippers[part])
+            self._report_faults(status, robot.grippers[part])
         for report in reports:
-            self._tell_new(status.name, report)
+            self._report_new(status.name, report)
         return status
 
-    def _tell_new(self, name: str, report: CartesianReport) -> None:
+    def _report_new(self, name: str, report: CartesianReport) -> None:
         """Warn of what has kept a hand from its target since the last status."""
         for kind, count in report.counts.items():
             if count > self._last_faults.get(f'{name} {kind}', 0):
                 self._last_faults[f'{name} {kind}'] = count
                 self._node.rejections.warn(name, kind, report.texts[kind])
 
-    def _tell_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
+    def _report_faults(self, status: DiagnosticStatus, gripper: GripperController) -> None:
         """Warn if a gripper's own code has failed since the last status."""
         faults, before = gripper.faults, self._last_faults.get(status.name, 0)
         self._last_faults[status.name] = faults

@@ -48,7 +48,7 @@ class GoalServer:
         #: The last request that was accepted, with its goal, which is begun right afterwards.
         self._accepted: tuple[Any, Goal] | None = None
         self._running: dict[bytes, tuple[Goal, Any, Future]] = {}
-        self._told_ns: dict[bytes, int] = {}
+        self._sent_ns: dict[bytes, int] = {}
         self._server = ActionServer(
             node, messages.action_type, self._name, self._execute, goal_callback=self._accept,
             handle_accepted_callback=self._begin, cancel_callback=self._cancel,
@@ -87,7 +87,7 @@ class GoalServer:
         goal, _, ended = self._running[key]
         await ended
         del self._running[key]
-        self._told_ns.pop(key, None)
+        self._sent_ns.pop(key, None)
         outcome = goal.outcome
         assert outcome is not None
         if outcome.ending is Ending.SUCCEEDED:
@@ -104,7 +104,7 @@ class GoalServer:
         """Destroy the server."""
         self._server.destroy()
 
-    def tell_end(self, goal: Goal) -> bool:
+    def report_end(self, goal: Goal) -> bool:
         """
         Inform the client of a goal that has ended.
 
@@ -116,13 +116,13 @@ class GoalServer:
                 return True
         return False
 
-    def tell_feedback(self) -> None:
+    def send_feedback(self) -> None:
         """Publish feedback of each goal if simulation time has passed since the last one."""
         for key, (goal, goal_handle, _) in self._running.items():
             view = goal.view
-            if view is None or goal.outcome is not None or self._told_ns.get(key) == view.time_ns:
+            if view is None or goal.outcome is not None or self._sent_ns.get(key) == view.time_ns:
                 continue
-            self._told_ns[key] = view.time_ns
+            self._sent_ns[key] = view.time_ns
             goal_handle.publish_feedback(self._messages.feedback_of(goal))
 
 

@@ -72,7 +72,7 @@ class InstrumentPublishers(Publications):
         for publication in gone.values():
             publication.output.close(self._node)
 
-    def tell_truth(self, scope: Scope, simulation: Simulation) -> None:
+    def publish_truth(self, scope: Scope, simulation: Simulation) -> None:
         """
         Also publish the exact values of the instruments of a robot, below ``truth/``.
 

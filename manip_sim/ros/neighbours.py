@@ -43,7 +43,7 @@ class Neighbours:
         self._graph: tuple[Any, ...] = ()
         self._looks = 0
         self._found: dict[str, str] = {}
-        self._told: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
         self._own = (node.get_name(), node.get_namespace())
         self._topics = {
             '/clock': 'time goes back and forth; set publish_clock:=false in all but one',
@@ -65,17 +65,17 @@ class Neighbours:
         if self._looks:
             self._looks -= 1
             self._look(dict(topics))
-        return list(self._told.values())
+        return list(self._reported.values())
 
     def _look(self, topics: Mapping[str, Sequence[str]]) -> None:
         found = {**self._same_name(), **self._same_topics(),
                  **{text: text for text in islice(self._mismatches(topics), _MOST)}}
         confirmed = {what: text for what, text in found.items() if what in self._found}
-        for what in confirmed.keys() - self._told.keys():
+        for what in confirmed.keys() - self._reported.keys():
             self._node.get_logger().warning(confirmed[what])
         if found != self._found:
             self._looks = max(1, self._looks)
-        self._found, self._told = found, confirmed
+        self._found, self._reported = found, confirmed
 
     def _same_name(self) -> dict[str, str]:
         count = self._node.get_node_names_and_namespaces().count(self._own)

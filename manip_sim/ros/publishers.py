@@ -131,7 +131,7 @@ class StatePublishers(Publications):
         return Publication(create_output(self._node, self._log, named, _OTHER_TYPES.get(row.by)),
                            *READERS[row.by](self._robot, row.of, self._prefix, read))
 
-    def tell_truth(self) -> None:
+    def publish_truth(self) -> None:
         """Also publish the exact states, below ``truth/``."""
         if self._all == self._measured:
             rows = truths(self._rows)

@@ -70,7 +70,7 @@ class OdometryPublisher(Publications):
                                replace(row, name=self._scope.topic(row.name)))
         return Publication(output, self._make, lambda _: read('odom'), 13)
 
-    def tell_truth(self) -> None:
+    def publish_truth(self) -> None:
         """Also publish the exact odometry, below ``truth/``."""
         if self._all == self._measured:
             (row,) = truths([BY_NAME['odom']])
@@ -130,7 +130,7 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
             readers[frame] = OdometryReader(simulation.model, robot.twist_joints)
             odometry = OdometryPublisher(node, robot, simulation, readers[frame], scope, frame,
                                          prefix)
-            node.tell_truth_by(scope, odometry.tell_truth)
+            node.publish_truth_by(scope, odometry.publish_truth)
             thread.observe(odometry.publish, look=odometry.look)
     every = _divider(node, value('publish_rate'), value('tf_rate'))
     end_effectors = {scope.topic(arm): reader for scope, robot in robots.items()

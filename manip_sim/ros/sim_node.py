@@ -109,7 +109,7 @@ class SimNode(Node):
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self._robots.items()},
-            value('start_paused'), self._tell_failure, self._inbox if lockstep else None,
+            value('start_paused'), self._report_failure, self._inbox if lockstep else None,
             self.publishing.flush if self.publishing is not None else None)
         self._check_lockstep()
         self.thread.pause_at(value('pause_at'))
@@ -131,7 +131,7 @@ class SimNode(Node):
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
                                     spawn_files(value('spawn_roots')))
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
-        self._tell_truth()
+        self._publish_truth()
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._world = world
@@ -146,7 +146,7 @@ class SimNode(Node):
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
             self.thread.observe(publishers.publish, look=publishers.look)
-            self.tell_truth_by(scope, publishers.tell_truth)
+            self.publish_truth_by(scope, publishers.publish_truth)
             self.commands.append(CommandSubscribers(
                 self, robot, scope, self.thread, self.rejections, self._inbox))
             self._cartesian.append(
@@ -161,7 +161,8 @@ class SimNode(Node):
         instruments = InstrumentPublishers(self, self._robots, self.rejections, frame_prefix)
         instruments.follow(self.simulation)
         for scope in self._robots:
-            self.tell_truth_by(scope, partial(instruments.tell_truth, scope, self.simulation))
+            self.publish_truth_by(
+                scope, partial(instruments.publish_truth, scope, self.simulation))
         self.thread.observe(instruments.publish, look=instruments.look)
         self._followers = [model.follow, self.objects.follow, instruments.follow, *publish_scene(
             self, value, self._robots, self.simulation, self.thread, self.rejections)]
@@ -198,7 +199,7 @@ class SimNode(Node):
             if value(spec.name):
                 self._uses[spec.name](value(spec.name))
 
-    def tell_truth_by(self, scope: Scope, tell: Callable[[], None]) -> None:
+    def publish_truth_by(self, scope: Scope, tell: Callable[[], None]) -> None:
         """
         Call a function once when noise or latency of a robot is set.
 
@@ -207,7 +208,7 @@ class SimNode(Node):
         """
         self._truths.append((scope, tell))
 
-    def _tell_truth(self) -> None:
+    def _publish_truth(self) -> None:
         ready = [(scope, tell) for scope, tell in self._truths
                  if self._robots[scope].sensing.settings.measures]
         for scope, tell in ready:
@@ -245,7 +246,7 @@ class SimNode(Node):
                 if parameter.name in self._uses:
                     change = partial(self._uses[parameter.name], parameter.value)
                     self.thread.call(change)
-                    self._tell_truth()
+                    self._publish_truth()
                 for cartesian in self._cartesian:
                     cartesian.parameter_changed(parameter)
                 found = self._declared.of_part(parameter.name)
@@ -298,7 +299,7 @@ class SimNode(Node):
         for follow in self._followers:
             follow(simulation)
 
-    def _tell_failure(self, command: Command, error: Exception) -> None:
+    def _report_failure(self, command: Command, error: Exception) -> None:
         self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
 
     def _introduce(self) -> None:

@@ -77,19 +77,19 @@ class CameraThread:
     :param world: as it is at the start
     :param views: the cameras
     :param deliver: is called in this thread with each shot
-    :param tell_failure: is called in this thread with the error that ends the rendering
+    :param report_failure: is called in this thread with the error that ends the rendering
     :ivar left_out: how many snapshots of each camera were not rendered because newer ones came
     :ivar failed: why nothing is rendered, or None
     """
 
     def __init__(self, way: str, world: VisibleWorld, views: list[View],
                  deliver: Callable[[Shot], None],
-                 tell_failure: Callable[[ManipSimError], None]) -> None:
+                 report_failure: Callable[[ManipSimError], None]) -> None:
         self._way = way
         self._world = world
         self._size = max(view.width for view in views), max(view.height for view in views)
         self._deliver = deliver
-        self._tell_failure = tell_failure
+        self._report_failure = report_failure
         self._orders: dict[str, _Order] = {}
         self._shots: dict[str, Shot] = {}
         self._wake = threading.Condition()
@@ -148,7 +148,7 @@ class CameraThread:
         except Exception as error:  # OpenGL and MuJoCo raise many types.
             self.failed = error if isinstance(error, ManipSimError) else cannot_render(error)
             if not self._stopping:
-                self._tell_failure(self.failed)
+                self._report_failure(self.failed)
         finally:
             self._ready.set()
             self._shots.clear()

@@ -40,7 +40,7 @@ class SimulationThread:
     :param real_time_factor: for ``realtime``
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: whether to begin paused and wait for :meth:`pause` or :meth:`step`
-    :param tell_failure: is called in this thread with a command that failed and the exception
+    :param report_failure: is called in this thread with a command that failed and the exception
     :param inbox: what the thread waits for besides deadlines; may bring commands
     :param flush: waits until others have seen what observers passed on; called at the end of each
         :meth:`call` of another thread, in that thread
@@ -51,13 +51,13 @@ class SimulationThread:
     def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
-                 tell_failure: Callable[[Command, Exception], None] | None = None,
+                 report_failure: Callable[[Command, Exception], None] | None = None,
                  inbox: Inbox | None = None, flush: Callable[[], None] | None = None) -> None:
         self._simulation = simulation
         self._flush = flush
         self._steps = steps
         self._stepping = stepping
-        self._tell_failure = tell_failure
+        self._report_failure = report_failure
         self._observers = Observers()
         # A stamp of zero means no stamp, so the first instant is that after one period.
         simulation.step_count = max(simulation.step_count, steps)
@@ -380,8 +380,8 @@ class SimulationThread:
             self._simulation.robots[robot].apply(command, period_s=self.period_s)
         except Exception as error:
             command.handle.end(Status.ABORTED, str(error))
-            if self._tell_failure is not None:
-                self._tell_failure(command, error)
+            if self._report_failure is not None:
+                self._report_failure(command, error)
 
     def _show(self, number: int = 0) -> None:
         if self._showing:

@@ -80,7 +80,7 @@ def test_a_command_that_fails_is_told_and_the_simulation_goes_on():
     simulation, told = Simulation(World([Panda()])), []
     thread = SimulationThread(
         simulation, steps=5, paused=True,
-        tell_failure=lambda command, error: told.append((command, str(error))))
+        report_failure=lambda command, error: told.append((command, str(error))))
     command = simulation.robot.parse.action('arm', [0.0] * 7)
 
     def fail(*_, **__):

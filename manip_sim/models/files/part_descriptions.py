@@ -158,10 +158,10 @@ def read_description(file: Path, kind: type[DescriptionT]) -> DescriptionT:
     except ValidationError as error:
         # A union has errors of all its members; those of the best fitting one are the deepest.
         deepest = max(error.errors(), key=lambda found: len(found['loc']))
-        raise _told(file, kind, deepest) from error
+        raise _explained(file, kind, deepest) from error
 
 
-def _told(file: Path, kind: type[BaseModel], error: Any) -> ModelError:
+def _explained(file: Path, kind: type[BaseModel], error: Any) -> ModelError:
     place = [str(part) for part in error['loc'] if not _is_of_union(part)]
     if error['type'] == 'extra_forbidden':
         where = '.'.join(place[:-1])

@@ -23,7 +23,7 @@ from manip_sim.viewer.ros.readers import Readers
 from manip_sim.viewer.ros.states import States
 
 #: Time between two looks for the node, and between two reports of its state [s].
-_LOOK_S, _TELL_S = 0.5, 0.5
+_SEARCH_S, _REPORT_S = 0.5, 0.5
 #: Time without states after which the page says so [s].
 _SILENT_S = 2.0
 
@@ -60,7 +60,7 @@ class Session:
         self._paused = False
         self._level = 0
         self._real_time_factor = RealTimeFactor()
-        self._next_look_s = self._next_tell_s = 0.0
+        self._next_search_s = self._next_report_s = 0.0
 
     def _watch(self, camera: str, wanted: bool) -> None:
         (self._cameras.add if wanted else self._cameras.discard)(camera)
@@ -70,7 +70,7 @@ class Session:
 
     def _set_paused(self, paused: bool) -> None:
         self._paused = paused
-        self._next_tell_s = 0.0
+        self._next_report_s = 0.0
 
     def _diagnosed(self, statuses: list[ShownStatus]) -> None:
         if self._sender is not None:
@@ -91,18 +91,18 @@ class Session:
         :param now_s: wall time [s]
         """
         self._discovery.load_model()
-        if now_s >= self._next_look_s:
-            self._next_look_s = now_s + _LOOK_S
-            self._look()
+        if now_s >= self._next_search_s:
+            self._next_search_s = now_s + _SEARCH_S
+            self._search()
         for states in self._states.latest.joints.values():
             self._real_time_factor.add(self._states.latest.joints_s, states.time_s)
             break
         self._page.update(now_s, self._states.latest, self._paused)
-        if now_s >= self._next_tell_s:
-            self._next_tell_s = now_s + _TELL_S
+        if now_s >= self._next_report_s:
+            self._next_report_s = now_s + _REPORT_S
             self._page.show_state(*self._state(now_s))
 
-    def _look(self) -> None:
+    def _search(self) -> None:
         discovery = self._discovery
         discovery.look()
         if not discovery.is_there:
