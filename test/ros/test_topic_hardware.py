@@ -9,6 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from topic_hardware import Mimic, tag, TagJoint, TopicHardware
 
@@ -407,3 +409,30 @@ def test_the_shipped_configuration_fits_the_hardware_as_it_is(process, connect, 
     goal = shifted(hardware, ARM, 0.05) | {FINGERS[0]: 0.02, FINGERS[1]: -0.02}
     hardware.claim('position', goal)
     until(hardware, reaches(hardware, goal, FINGER_TOLERANCE))
+
+
+def test_lock_step_goes_on_with_a_hardware_that_answers_each_state_as_the_own_plugin_does(
+        serve, client):
+    node = serve(prefix='panda_', stepping='lockstep')
+    publisher = client.publisher(JointState, 'joint_command')
+    states, velocity = [], [NAN] * len(ARM)
+
+    def answer(state):
+        if states and stamp(state) <= stamp(states[-1]):
+            return
+        states.append(state)
+        # All joints, all fields; without a controller there is no number.
+        nothing = [NAN] * len(ARM)
+        command = JointState(name=ARM, position=nothing, velocity=velocity, effort=nothing)
+        command.header.stamp = state.header.stamp
+        publisher.publish(command)
+    client.node.create_subscription(JointState, 'joint_states', answer, 10)
+    client.spin_until(lambda: len(states) > 20)
+    # A controller claims velocities while the physics waits for answers.
+    result = client.call(SetParameters, 'manip_sim/set_parameters', SetParameters.Request(
+        parameters=[Parameter('control_mode.arm', value='velocity').to_parameter_msg()]))
+    assert result.results[0].successful
+    velocity[:] = [0.2, *[0.0] * 6]
+    client.spin_until(lambda: abs(states[-1].velocity[0] - 0.2) < 1e-6)
+    assert [round(stamp(state) * 100.0) for state in states] == list(range(1, len(states) + 1))
+    assert rejected(node) == 0
