@@ -386,6 +386,16 @@ class JointController(ControlledJoints):
         self._servos.write_rate(self._rates[row])
         return True
 
+    def begin_plan(self, rates: FloatArray) -> None:
+        """
+        Begin to follow the plan of the setpoints, for which something else has computed rates.
+
+        :param rates: as :meth:`Servos.rates` would return, shape (k, n)
+        """
+        assert self._setpoints.plan is not None
+        self._rates, self._calm = rates, self._is_calm(self._setpoints.plan)
+        self._servos.write_rate(rates[0])
+
     @property
     def plans(self) -> bool:
         """Whether all intervals that follow in the control period are planned."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,6 +14,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import JointSetpoint
 from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.profiles import Plan
 from manip_sim.worlds.setpoint_rows import SetpointRows
 from manip_sim.worlds.shared_goals import take_goals
 
@@ -51,10 +52,6 @@ class JointRows:
         self._servos, self._places = servos[0], servos[0]._places
         self._drag, self._stiffness, self._lead = (
             np.stack(of) for of in zip(*((s._drag, s._stiffness, s.lead) for s in servos)))
-        self._accelerations, self._forces = np.zeros((2, len(robots), len(self._physics[0].qvel)))
-        self._products = [
-            (physics.model, physics.data, force, acceleration) for physics, force, acceleration
-            in zip(self._physics, self._forces, self._accelerations)]
 
     def release(self) -> None:
         """Give the joints back to their controllers."""
@@ -73,21 +70,39 @@ class JointRows:
         setpoints.set_time(np.array([clock.control_s for clock in self._clocks]))
         setpoints.advance(duration_s)
         setpoints.hold_back(self._measured(duration_s), self._lead)
-        rates = self._goals()
-        rates -= _stacked([physics.act for physics in self._physics])[:, activation]
-        rates /= duration_s
-        for physics, own, rate in zip(self._physics, self._own, rates):
-            if own:
-                physics.ctrl[ids] = rate
-        if setpoints.moves.all() and not setpoints.plans:
+        plans = {row: plan for row, plan in setpoints.plans.items() if self._own[row]}
+        if len(plans) < sum(self._own):
+            rates = self._goals(range(len(self._own)), *(of[:, None] for of in (
+                setpoints.position, setpoints.velocity, setpoints.acceleration)))[:, 0]
+            rates -= _stacked([physics.act for physics in self._physics])[:, activation]
+            rates /= duration_s
+            for row, (physics, own, rate) in enumerate(zip(self._physics, self._own, rates)):
+                if own and row not in plans:
+                    physics.ctrl[ids] = rate
+        if setpoints.moves.all() and not plans:
             return []
         done = [row for row, (own, moves) in enumerate(zip(self._own, setpoints.moves))
-                if own and (row in setpoints.plans or not moves)]
+                if own and (row in plans or not moves)]
         setpoints.release(done)
         for row in done:
             self._own[row] = False
-            self._robots[row].joints.write_plan()
+        self._begin_plans(plans)
         return [self._robots[row] for row in done]
+
+    def _begin_plans(self, plans: Mapping[int, Plan]) -> None:
+        """Let robots follow plans, by row, which have been released; compute what servos need."""
+        # Where the period has been cut differently, they differ in their number of intervals.
+        for count in {len(plan.positions) for plan in plans.values()}:
+            rows = [row for row, plan in plans.items() if len(plan.positions) == count]
+            durations, position, velocity, acceleration = (
+                np.stack(of) for of in zip(*(plans[row] for row in rows)))
+            rates = self._goals(rows, position, velocity, acceleration)
+            rates[:, 1:] -= rates[:, :-1].copy()
+            rates[:, 0] -= _stacked([self._physics[row].act for row in rows])[
+                :, self._places[2]]
+            rates /= durations
+            for row, own in zip(rows, rates):
+                self._robots[row].joints.begin_plan(own)
 
     def _measured(self, duration_s: float) -> FloatArray:
         """Return where the joints are, farther on where they are too fast."""
@@ -101,23 +116,35 @@ class JointRows:
                 velocity - np.clip(velocity, -limit, limit)), position)
         return np.asarray(position)
 
-    def _goals(self) -> FloatArray:
-        """Return the activations of servos with the force that the motion needs."""
-        setpoints, servos, (_, dofs, _, _) = self._setpoints, self._servos, self._places
-        self._accelerations[:, dofs] = setpoints.acceleration
-        for product in self._products:
-            mujoco.mj_mulM(*product)
-        force = self._drag * setpoints.velocity
-        force += self._forces[:, dofs]
+    def _goals(self, rows: Sequence[int], position: FloatArray, velocity: FloatArray,
+               acceleration: FloatArray) -> FloatArray:
+        """
+        Return the activations of servos with the force that a motion needs.
+
+        :param rows: that move
+        :param position: at the ends of some intervals [rad or m], shape (rows, intervals, n)
+        :param velocity: there [rad/s or m/s], of that shape
+        :param acceleration: [rad/s^2 or m/s^2], of that shape
+        """
+        servos, (_, dofs, _, _) = self._servos, self._places
+        accelerations, forces = np.zeros(
+            (2, *acceleration.shape[:2], len(self._physics[0].qvel)))
+        accelerations[..., dofs] = acceleration
+        for row, results, vectors in zip(rows, forces, accelerations):
+            model, data = self._physics[row].model, self._physics[row].data
+            for result, vector in zip(results, vectors):
+                mujoco.mj_mulM(model, data, result, vector)
+        force = self._drag[rows][:, None] * velocity
+        force += forces[..., dofs]
         if servos._friction.acts:
-            force += servos._friction.at(setpoints.velocity)
-        coriolis = (_stacked([physics.bias for physics in self._physics])[:, dofs]
-                    - _stacked([physics.gravcomp for physics in self._physics])[:, dofs])
+            force += servos._friction.at(velocity)
+        coriolis = (_stacked([self._physics[row].bias for row in rows])[:, dofs]
+                    - _stacked([self._physics[row].gravcomp for row in rows])[:, dofs])
         if not servos._all_compensated:
             coriolis *= servos._compensated
-        force += coriolis
-        force /= self._stiffness
-        force += setpoints.position
+        force += coriolis[:, None]
+        force /= self._stiffness[rows][:, None]
+        force += position
         if servos._geared:
             force *= servos._gear
         return np.asarray(force)

@@ -184,10 +184,11 @@ class SetpointRows(SetpointGenerator):
             self.position = np.where(
                 near[:, None], within(self.position, self._low, self._high), self.position)
         self.velocity, self.acceleration = velocity, (velocity - begin) / duration_s
-        for row, plan in self.plans.items():
-            self.position[row], self.velocity[row], self.acceleration[row] = (
-                plan.positions[0], plan.velocities[0], plan.accelerations[0])
-            self._reference[row] = plan.velocities[0]
+        if self.plans:
+            rows, plans = list(self.plans), self.plans.values()
+            self.position[rows] = [plan.positions[0] for plan in plans]
+            self.velocity[rows] = self._reference[rows] = [plan.velocities[0] for plan in plans]
+            self.acceleration[rows] = [plan.accelerations[0] for plan in plans]
         self._now_s = self._now_s + duration_s
         done = ~(self._catching | velocity.any(axis=1) | self._reference_goal.any(axis=1))
         if np.count_nonzero(done):
