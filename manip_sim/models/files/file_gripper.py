@@ -19,10 +19,10 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import Fingers
 from manip_sim.models.files.found_hands import FoundHand
+from manip_sim.models.files.found_places import quat_wxyz_of
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.model_file import compile_alone, read_model
 from manip_sim.models.files.part_descriptions import GripperDescription
-from manip_sim.models.files.placing import quat_wxyz_of
 from manip_sim.models.files.start import start_pose
 
 #: Fingers that reach less far give no direction [m].

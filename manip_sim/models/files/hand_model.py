@@ -16,8 +16,8 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import control_range, Fingers
 from manip_sim.models.files.found_hands import FoundHand
+from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.part_descriptions import HandDescription
-from manip_sim.models.files.placing import add_body_at, find_place, free_name
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
 from manip_sim.models.quaternion import relative_quat_wxyz
 

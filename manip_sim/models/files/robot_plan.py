@@ -16,12 +16,12 @@ from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
 from manip_sim.models.files.classification import classify_joints
 from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
+from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.model_file import ModelFile, read_model
 from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
-from manip_sim.models.files.placing import add_body_at, find_place, free_name
 from manip_sim.models.files.start import start_pose
 from manip_sim.quoting import quoted_names
 

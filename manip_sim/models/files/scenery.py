@@ -12,7 +12,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.placing import free_name
+from manip_sim.models.files.found_places import free_name
 from manip_sim.models.spec_edits import delete_elements
 from manip_sim.quoting import quoted_names
 

@@ -123,14 +123,6 @@ class KinematicTree:
         self._joint_names.add(name)
         self.add_link(link, Joint(name, 'fixed', parent, link.name, position, rotation))
 
-    def parent_of(self, link: str) -> str | None:
-        """
-        Return the name of the parent of a link; None for the root.
-
-        :param link: its name
-        """
-        return next((joint.parent for joint in self.joints if joint.child == link), None)
-
 
 def robot_tree(model: mujoco.MjModel, robot: RobotModel) -> KinematicTree:
     """
