@@ -14,25 +14,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import math
 import statistics
 
 from manip_sim.errors import ModelError
+from manip_sim.experiments import wilson_interval
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode, task_names
 
 ROBOTS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3')
-#: Of the normal distribution, for 95 %.
-_Z = 1.959964
-
-
-def interval(successes: int, count: int) -> tuple[float, float]:
-    """Return the 95 % interval of Wilson's score for a share of successes."""
-    share, z2 = successes / count, _Z * _Z
-    middle = (share + z2 / (2.0 * count)) / (1.0 + z2 / count)
-    half = _Z / (1.0 + z2 / count) * math.sqrt(
-        share * (1.0 - share) / count + z2 / (4.0 * count * count))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
 def measure(name: str, robot: str, seeds: Sequence[int]) -> tuple[list[int], list[float]]:
@@ -65,7 +54,7 @@ def main() -> None:
             except ModelError as error:
                 print(f'| `{name}` | {robot} | {error} | | | |', flush=True)
                 continue
-            low, high = interval(len(times_s), options.seeds)
+            low, high = wilson_interval(len(times_s), options.seeds)
             median = f'{statistics.median(times_s):.1f} s' if times_s else '-'
             listed = ', '.join(map(str, failed[:10])) + ', ...' * (len(failed) > 10)
             print(f'| `{name}` | {robot} | {len(times_s)} of {options.seeds} | '
