@@ -102,7 +102,8 @@ def test_the_description_fits_the_files(lerobot, episodes):
         np.testing.assert_allclose(np.ravel(stats['observation.images.front'][name]),
                                    getattr(images, name)(axis=(0, 1, 2)), atol=1e-9)
     tasks = parquet.read_table(lerobot / 'meta/tasks.parquet')
-    assert tasks.to_pylist() == [{'task_index': 0, 'task': 'Move the hand to the green point.'}]
+    assert tasks.to_pylist() == [
+        {'task_index': 0, 'task': 'Move the end effector to the green point.'}]
     assert json.loads(tasks.schema.metadata[b'pandas'])['index_columns'] == ['task']
 
 
