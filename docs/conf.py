@@ -43,7 +43,7 @@ python_use_unqualified_type_names = True
 nitpicky = True
 # Types of other packages, and of the standard library, are not linked: builds need no network.
 nitpick_ignore_regex = [
-    ('py:.*', r'(mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
+    ('py:.*', r'(gymnasium|mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
     ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence)'),
     ('py:.*', 'Union'),
     ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT)'),
@@ -54,7 +54,8 @@ nitpick_ignore_regex = [
                         r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera'
                         r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hand|Hold'
-                        r'|ArmAction|Registry|Robot|Gripper|Grippers)'),
+                        r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike|Pictures'
+                        r'|VelocityLaw|Friction|TorqueSpeed|Shard)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
