@@ -216,7 +216,7 @@ class RobotSensing:
             count, arrival, {name: self._measure(name) for name in self._channels}))
 
     def _delay_s(self, kind: str, count: int) -> float:
-        mean, jitter = self.settings[f'latency.{kind}'], self.settings[f'latency.{kind}.jitter']
+        mean, jitter = self.settings[f'latency.{kind}'], self.settings[f'latency.{kind}_jitter']
         if jitter:
             mean = mean + jitter * float(self._jitter[kind].row(count)[0])
         return max(mean, 0.0)

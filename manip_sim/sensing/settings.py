@@ -66,13 +66,13 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType({
     'latency.state': Quantity(
         'Age of what is published of the robot in simulation time: states, wrenches, sensors.',
         's', 10.0),
-    'latency.state.jitter': Quantity(
+    'latency.state_jitter': Quantity(
         'Standard deviation of that age; what is newest of what has arrived is published.', 's',
         10.0),
     'latency.command': Quantity(
         'Time from when a command is taken until it takes effect, in simulation time.', 's',
         10.0),
-    'latency.command.jitter': Quantity(
+    'latency.command_jitter': Quantity(
         'Standard deviation of that time; commands that arrive late do not replace newer ones.',
         's', 10.0),
 })
@@ -92,10 +92,10 @@ class SensingSettings:
         self._look()
 
     def _look(self) -> None:
-        of_commands = ('latency.command', 'latency.command.jitter')
+        of_commands = ('latency.command', 'latency.command_jitter')
         self.measures = any(value for name, value in self._values.items()
                             if name not in of_commands)
-        self.delays = bool(self['latency.state'] or self['latency.state.jitter'])
+        self.delays = bool(self['latency.state'] or self['latency.state_jitter'])
         self.delays_commands = any(self._values[name] for name in of_commands)
 
     def __getitem__(self, name: str) -> float:

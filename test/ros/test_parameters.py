@@ -105,20 +105,25 @@ def test_every_parameter_is_described(serve, client):
             *(f'cartesian.right.{name}' for name in (
                 'stiffness', 'damping_ratio', 'linear_velocity', 'angular_velocity',
                 'twist_timeout'))}
+    measuring = ('noise.', 'resolution.', 'latency.')
+    assert any(name.startswith('noise.') for name in ours)
     for descriptor in response.descriptors:
         assert len(descriptor.description) > 10, descriptor.name
-        assert descriptor.read_only == (descriptor.name not in live), descriptor.name
+        is_live = descriptor.name in live or descriptor.name.startswith(measuring)
+        assert descriptor.read_only != is_live, descriptor.name
 
 
 @pytest.mark.parametrize(('file', 'joint'), [
     ('panda.yaml', 'robot0_joint1'), ('topic_based_ros2_control.yaml', 'panda_joint1'),
-    ('hand_over.yaml', 'left_joint1')])
+    ('hand_over.yaml', 'left_joint1'), ('noise_franka.yaml', 'robot0_joint1'),
+    ('noise_ideal.yaml', 'robot0_joint1'), ('noise_ur.yaml', 'robot0_joint1')])
 def test_the_files_of_the_folder_config_start_a_node(file, joint, process, client):
     process('--ros-args', '--params-file', str(CONFIG / file))
     topic = 'left/joint_states' if joint.startswith('left') else 'joint_states'
     assert client.state(topic).name[0] == joint
     assert {path.name for path in CONFIG.glob('*.yaml')} == {
-        'hand_over.yaml', 'panda.yaml', 'topic_based_ros2_control.yaml'}
+        'hand_over.yaml', 'noise_franka.yaml', 'noise_ideal.yaml', 'noise_ur.yaml', 'panda.yaml',
+        'topic_based_ros2_control.yaml'}
 
 
 def values_of_all_parameters(client):

@@ -108,7 +108,7 @@ def test_latency_publishes_what_was_measured_so_many_periods_ago(periods, simula
 def test_jitter_never_goes_back_in_time_and_has_the_mean_that_was_asked_for(simulation):
     sensing = simulation.robot.sensing
     sensing.set('latency.state', 0.05)
-    sensing.set('latency.state.jitter', 0.02)
+    sensing.set('latency.state_jitter', 0.02)
     simulation.reset(1)
     action(simulation, 1.0)
     measured, true = run(simulation, 60)
@@ -153,7 +153,7 @@ def test_a_command_takes_effect_so_many_periods_later(periods, simulation):
 def test_delayed_commands_keep_their_order_and_end_with_a_reset(simulation):
     sensing = simulation.robot.sensing
     sensing.set('latency.command', 0.05)
-    sensing.set('latency.command.jitter', 0.05)
+    sensing.set('latency.command_jitter', 0.05)
     commands = []
     for number in range(10):
         commands.append(action(simulation, number / 10.0))
@@ -178,7 +178,7 @@ def test_a_delayed_command_can_be_withdrawn(simulation):
 def test_saved_states_hold_what_has_not_arrived_yet(simulation):
     sensing = simulation.robot.sensing
     for name, value in (('noise.joint_position', 0.01), ('noise.wrench_drift', 1.0),
-                        ('latency.state', 0.03), ('latency.state.jitter', 0.01),
+                        ('latency.state', 0.03), ('latency.state_jitter', 0.01),
                         ('latency.command', 0.02), ('noise.imu_gyro_bias', 0.1)):
         sensing.set(name, value)
     simulation.reset(5)
