@@ -54,8 +54,8 @@ nitpick_ignore_regex = [
                         r'|RobotPlan|Subsystems|ImageSettings|CameraModel|Camera'
                         r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hand|Hold'
-                        r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike|Pictures'
-                        r'|VelocityLaw|Friction|TorqueSpeed|Shard)'),
+                        r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike'
+                        r'|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
