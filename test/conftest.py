@@ -281,13 +281,19 @@ def renderer():
 
 
 @pytest.fixture(scope='session')
-def gl(renderer):
-    """Let this thread render; other threads make contexts of their own."""
+def gl_context(renderer):
+    """Return an OpenGL context for this thread; other threads make contexts of their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('MUJOCO_GL', os.environ.get('MUJOCO_GL', 'egl'))
         context = create_context(choose_gl(), 640, 480)
-        yield
+        yield context
         context.free()
+
+
+@pytest.fixture
+def gl(gl_context):
+    """Let this thread render, whatever context another test has left current."""
+    gl_context.make_current()
 
 
 @pytest.fixture
