@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 import functools
 import pickle
+import socket
 from typing import Any
 
 from manip_sim.errors import ManipSimError
@@ -17,6 +18,8 @@ from manip_sim.quoting import one_line
 
 #: Seeds of one of Ray's tasks: seconds of work, beside which its overhead is small.
 _SEEDS_OF_TASK = 8
+#: How long a cluster may take to accept a connection [s].
+_ANSWER_S = 10.0
 
 
 def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None,
@@ -34,6 +37,8 @@ def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None
         import ray
     except ImportError as error:
         raise ManipSimError("--engine ray needs Ray: pip install 'manip_sim[ray]'") from error
+    if address is not None:
+        _check_answered(address)
     started = not ray.is_initialized()
     if started:
         try:
@@ -46,6 +51,18 @@ def run_on_ray(experiment: Experiment, seeds: Sequence[int], address: str | None
     finally:
         if started:
             ray.shutdown()
+
+
+def _check_answered(address: str) -> None:
+    """Reject an address at which nothing answers, which Ray waits minutes for."""
+    host, _, port = address.rpartition('://')[2].rpartition(':')
+    if not host or not port.isdecimal():  # Such as 'auto', which Ray looks up.
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise ManipSimError(f'no cluster of Ray answers at {one_line(address, 100)}: '
+                            f'{getattr(error, "strerror", None) or error}') from error
 
 
 def _spread(ray: Any, experiment: Experiment, seeds: Sequence[int], count: int | None

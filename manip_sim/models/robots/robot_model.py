@@ -350,7 +350,7 @@ class RobotModel(Subsystems, ABC):
             for joint, value in zip(specs, values):
                 _set(joint, attrib, value)
         self._laws.update(zip(joints, actuation.laws()))
-        for part, _ in joints:
+        for part in dict.fromkeys(part for part, _ in joints):
             part.refresh()
 
     @property
