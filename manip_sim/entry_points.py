@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
 import logging
+import os
 import re
 import sys
 from typing import Any
@@ -59,7 +60,9 @@ def offers(group: str) -> dict[str, Offer]:
     :param group: such as ``manip_sim.robots``
     """
     found: dict[str, Offer] = {}
-    for entry_group, offer in _all_offers(tuple(sys.path)):
+    # '' is the working directory, which may be on the path by its name too.
+    path = tuple(dict.fromkeys(map(os.path.abspath, sys.path)))
+    for entry_group, offer in _all_offers(path):
         if entry_group == group:
             found.setdefault(offer.name, offer)
     return found

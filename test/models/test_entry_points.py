@@ -163,7 +163,11 @@ def test_a_module_may_ask_for_names_while_it_is_imported(package):
     assert type(robots.create_robot('Asking')).__name__ == 'Asking'
 
 
-def test_a_damaged_package_is_told_and_hides_no_other(package, warnings_of):
+@pytest.mark.parametrize('more', [[], ['']], ids=['path', 'working directory too'])
+def test_a_damaged_package_is_told_and_hides_no_other(
+        package, warnings_of, monkeypatch, tmp_path, more):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, 'path', [*more, *(entry for entry in sys.path if entry)])
     package('', {'robot': {'Lost': '{}:Lost'}}, damaged='no equals sign')
     package(MODULE.format('Near'), {'robot': {'NearArm': '{}:NearArm'}})
     assert 'NearArm' in robots.robot_names()
