@@ -25,7 +25,7 @@ MAY_IMPORT = {
     'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),
     'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
-    'tasks': ({'models', 'simulation', 'rendering', 'tasks'}, PURE),
+    'tasks': ({'models', 'sensing', 'simulation', 'rendering', 'tasks'}, PURE),
     'env/ros': ({'env', 'simulation', 'tasks'}, None),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
     'records': ({'interface', 'models', 'records', 'simulation', 'tasks'},

@@ -290,6 +290,11 @@ def _add_run(commands: Any) -> None:
                         'later a command takes effect, in simulated time (default: 0)')
     parser.add_argument('--state-latency', type=_number, default=0.0, metavar='SECONDS',
                         help='how old the observed state is (default: 0)')
+    for option, what in (('--latency-jitter', '--latency'),
+                         ('--state-latency-jitter', '--state-latency')):
+        parser.add_argument(option, type=_number, default=0.0, metavar='SECONDS',
+                            help=f'standard deviation of {what}, drawn from the seed (default: '
+                            '0)')
     parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
                         'are observed, or description of another camera; may be repeated')
     parser.add_argument('--image-size', type=_size, metavar='WIDTHxHEIGHT',

@@ -38,7 +38,9 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         raise ModelError('--address is for --engine ray')
     if options.record and importlib.util.find_spec('mcap') is None:
         raise ManipSimError("--record needs mcap: pip install 'manip_sim[records]'")
-    latency = {'command': options.latency, 'state': options.state_latency}
+    latency = {'command': options.latency, 'state': options.state_latency,
+               'command_jitter': options.latency_jitter,
+               'state_jitter': options.state_latency_jitter}
     setting = Setting(
         options.task, options.robot, options.gripper, options.action, options.control_hz,
         latency, tuple(options.cameras or ()), options.image_size)
@@ -129,7 +131,10 @@ def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
     rows = [
         ('task', f'{summary["task"]}, {summary["robot"]}'), ('policy', summary['policy']),
         ('actions', f'{summary["action"]}, {summary["control_hz"]:g} Hz'),
-        ('latency', f'command {late["command_s"]:g} s, state {late["state_s"]:g} s'),
+        ('latency', ', '.join(
+            f'{kind} {late[f"{kind}_s"]:g} s' + (
+                f' +- {jitter:g} s' if (jitter := late.get(f'{kind}_jitter_s')) else '')
+            for kind in ('command', 'state'))),
         ('episodes', f'{count} of {summary["of"]}'),
         ('success', f'{summary["successes"]} of {count}: '
                     f'{100.0 * (summary["success_rate"] or 0.0):.1f} %, 95 % interval {low} to '

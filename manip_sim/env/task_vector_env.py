@@ -136,9 +136,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             raise gymnasium.error.ResetNeeded('call reset() before step()')
         acting = ~self._ended
         self._take(actions, acting)
-        periods = [episode.period() for episode, acts in zip(self._episodes, acting) if acts]
-        for steps in zip(*periods, strict=True):
-            self.worlds.advance(steps[0], where=acting)
+        self._advance(acting)
         rewards, infos = np.zeros(self.num_envs), dict[str, Any]()
         terminated, truncated = (np.zeros(self.num_envs, dtype=bool) for _ in range(2))
         for index, episode in enumerate(self._episodes):
@@ -156,6 +154,20 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                     info['digest'] = episode.digest
             infos = self._add_info(infos, info, index)
         return self._observation(), rewards, terminated, truncated, infos
+
+    def _advance(self, acting: NDArray[np.bool_]) -> None:
+        """Run a control period in some worlds; with jitter, they divide it differently."""
+        periods = {int(index): self._episodes[index].period() for index in np.flatnonzero(acting)}
+        while True:
+            alike: dict[int, NDArray[np.bool_]] = {}
+            for index, period in periods.items():
+                steps = next(period, 0)
+                if steps:
+                    alike.setdefault(steps, np.zeros_like(acting))[index] = True
+            if not alike:
+                return
+            for steps, where in alike.items():
+                self.worlds.advance(steps, where=where)
 
     def _take(self, actions: ArrayLike, acting: NDArray[np.bool_]) -> None:
         try:

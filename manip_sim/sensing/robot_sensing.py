@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-import math
 from typing import Any, Protocol
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.sensing.channels import Channel, WrenchChannel
-from manip_sim.sensing.randomness import NormalRows
+from manip_sim.sensing.delays import Delay, InTransit
 from manip_sim.sensing.settings import SensingSettings
 
 #: Returns exact numbers of the present instant, a copy.
@@ -73,11 +71,10 @@ class ExternalWrenchChannel(Channel):
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """What was measured at an instant, and when it arrives, in steps since the reset."""
+class _Measured:
+    """What was measured at an instant, in steps since the reset."""
 
     count: int
-    arrival: int
     values: Mapping[str, FloatArray]
 
 
@@ -93,6 +90,7 @@ class RobotSensing:
     :param timestep_s: length of a step [s]
     :ivar settings: of noise, resolution and latency
     :ivar seed: of noise and jitter
+    :ivar delays: of what is measured and of commands, by ``state`` and ``command``
     """
 
     def __init__(self, name: str, steps: Steps, timestep_s: float) -> None:
@@ -103,13 +101,14 @@ class RobotSensing:
         self.seed = 0
         self._channels: dict[str, tuple[Channel | None, Read]] = {}
         self._external: dict[str, ExternalWrenchChannel] = {}
-        self._history: deque[_Entry] = deque()
-        self._jitter: dict[str, NormalRows] = {}
+        self._history: InTransit[_Measured] = InTransit()
+        self.delays = {kind: Delay(f'{name} latency.{kind}', timestep_s)
+                       for kind in ('state', 'command')}
         self._draw()
 
     def _draw(self) -> None:
-        self._jitter = {kind: NormalRows(self.seed, f'{self._name} latency.{kind}', 1)
-                        for kind in ('state', 'command')}
+        for delay in self.delays.values():
+            delay.set_seed(self.seed)
         for channel, _ in self._channels.values():
             if channel is not None:
                 channel.set_seed(self.seed)
@@ -150,6 +149,9 @@ class RobotSensing:
         for channel, _ in self._channels.values():
             if channel is not None:
                 channel.adapt(self.settings)
+        for kind, delay in self.delays.items():
+            delay.mean_s = self.settings[f'latency.{kind}']
+            delay.jitter_s = self.settings[f'latency.{kind}_jitter']
         if not self.settings.delays:
             self._history.clear()
         elif not self._history:
@@ -170,7 +172,7 @@ class RobotSensing:
         if not self.settings.measures:
             return self._channels[name][1]()
         if self.settings.delays:
-            value = self._newest().values.get(name)
+            value = self._history.newest(self._steps.control_steps).values.get(name)
             if value is not None:
                 return value.copy()
         return self._measure(name)
@@ -180,15 +182,6 @@ class RobotSensing:
         exact = read()
         return exact if channel is None else channel.measure(
             exact, self._steps.control_steps, self._timestep_s)
-
-    def _newest(self) -> _Entry:
-        """Return the newest of what has arrived, or the oldest while nothing has."""
-        history, now = self._history, self._steps.control_steps
-        place = next((index for index in range(len(history) - 1, -1, -1)
-                      if history[index].arrival <= now), 0)
-        for _ in range(place):  # What is older is never wanted again.
-            history.popleft()
-        return history[0]
 
     # ------------------------------------------------------------------ in the physics loop
 
@@ -206,25 +199,13 @@ class RobotSensing:
     def record(self) -> None:
         """Measure the present instant, which arrives later."""
         count = self._steps.control_steps
-        delay_s = self._delay_s('state', count)
-        arrival = count + math.ceil(delay_s / self._timestep_s - 1e-9)
+        arrival = count + self.delays['state'].steps(count)
         if not self._history:  # What is known from before.
             arrival = count
-        while self._history and self._history[-1].count >= count:
-            arrival = self._history.pop().arrival
-        self._history.append(_Entry(
-            count, arrival, {name: self._measure(name) for name in self._channels}))
-
-    def _delay_s(self, kind: str, count: int) -> float:
-        mean, jitter = self.settings[f'latency.{kind}'], self.settings[f'latency.{kind}_jitter']
-        if jitter:
-            mean = mean + jitter * float(self._jitter[kind].row(count)[0])
-        return max(mean, 0.0)
-
-    def command_delay_steps(self) -> int:
-        """Return after how many steps a command takes effect that is taken at present."""
-        delay_s = self._delay_s('command', self._steps.control_steps)
-        return math.ceil(delay_s / self._timestep_s - 1e-9)
+        while (last := self._history.last) is not None and last.count >= count:
+            arrival = self._history.withdraw_last()
+        self._history.send(_Measured(
+            count, {name: self._measure(name) for name in self._channels}), arrival)
 
     def tare(self) -> None:
         """Let the noise of the external wrenches be zero at present."""
@@ -253,8 +234,8 @@ class RobotSensing:
         return {'seed': self.seed, 'settings': self.settings.as_dict(),
                 'external': {name: (channel.filtered, channel.tare)
                              for name, channel in self._external.items()},
-                'history': [(entry.count, entry.arrival, dict(entry.values))
-                            for entry in self._history]}
+                'history': [(entry.count, arrival, dict(entry.values))
+                            for arrival, entry in self._history]}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore what :meth:`save` has returned."""
@@ -263,7 +244,9 @@ class RobotSensing:
         self.settings.replace(state['settings'])
         for name, (filtered, tare) in state['external'].items():
             self._external[name].filtered, self._external[name].tare = filtered, tare
-        self._history = deque(_Entry(*entry) for entry in state['history'])
+        self._history.clear()
+        for count, arrival, values in state['history']:
+            self._history.send(_Measured(count, values), arrival)
         self._adapt()
 
     def encoded(self) -> bytes:
@@ -275,7 +258,7 @@ class RobotSensing:
         for channel in self._external.values():
             parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
                       channel.tare.tobytes()]
-        for entry in self._history:
-            parts.append(b'%d %d' % (entry.count, entry.arrival))
+        for arrival, entry in self._history:
+            parts.append(b'%d %d' % (entry.count, arrival))
             parts += [name.encode() + value.tobytes() for name, value in entry.values.items()]
         return b'\n'.join(parts)

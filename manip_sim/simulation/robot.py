@@ -168,8 +168,9 @@ class SimulatedRobot:
             self._period_s = period_s
         for command in commands:
             if self._late or self.sensing.settings.delays_commands:
-                self._late.add(command, self._clock.control_steps
-                               + self.sensing.command_delay_steps())
+                count = self._clock.control_steps
+                self._late.send_in_order(
+                    command, count + self.sensing.delays['command'].steps(count))
             else:
                 self._apply(command)
 
@@ -481,7 +482,7 @@ class SimulatedRobot:
 
         :param reason: why, for the handles
         """
-        self._late.clear(reason)
+        self._late.abort(reason)
         for ledger in (self.joints.commands, *(g.commands for g in self.grippers.values())):
             ledger.end(Status.ABORTED, reason)
 
@@ -489,7 +490,7 @@ class SimulatedRobot:
         """Abort all commands and hold the joints where they are; modes stay."""
         self._period_s = self._timestep_s
         self.reflexes.reset()
-        self._late.clear('the simulation was reset')
+        self._late.abort('the simulation was reset')
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
             gripper.reset(self._physics.data)

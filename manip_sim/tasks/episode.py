@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.numbers import finite_numbers
 from manip_sim.tasks.expert import Expert, Policy
@@ -55,18 +55,20 @@ class Episode:
         self._steps = whole_steps(period_s, timestep_s, 'a control period')
         if self._steps < 1:
             raise ModelError(f'a control period must be above 0 s, got {period_s:g} s')
-        # Whole periods, and steps into the next one.
-        self._command_late = divmod(
-            whole_steps(late.command_s, timestep_s, 'latency of a command'), self._steps)
-        self._state_late = divmod(
-            -whole_steps(late.state_s, timestep_s, 'latency of a state'), self._steps)
-        self._offsets = sorted({self._command_late[1], self._state_late[1], self._steps} - {0})
+        name = task.robot.name_in_world
+        self._command_delay = late.delay('command', name, timestep_s)
+        self._state_delay = late.delay('state', name, timestep_s)
+        #: Whether observations are late, and how long after the begin of a period they are made.
+        self._states_late = bool(late.state_s or late.state_jitter_s)
+        self._state_offset = -self._state_delay.mean_steps % self._steps
+        self._offsets = {self._state_offset, self._steps} - {0}
+        if not late.command_jitter_s:
+            self._offsets |= {self._command_delay.mean_steps % self._steps} - {0}
         self.actions = create_actions(action, simulation)
         self.observer = Observer(task, simulation, pictures)
         self.periods = 0
-        #: With the control period in which they take effect.
-        self._commands: deque[tuple[int, FloatArray]] = deque()
-        self._states: deque[Observation] = deque()
+        self._commands: InTransit[FloatArray] = InTransit()
+        self._states: InTransit[Observation] = InTransit()
 
     def reset(self, seed: int) -> None:
         """
@@ -76,6 +78,8 @@ class Episode:
         :raises ModelError: if it is no whole number from 0
         """
         start(self.task, self.simulation, seed)
+        for delay in (self._command_delay, self._state_delay):
+            delay.set_seed(seed)
         self.begin()
 
     def begin(self) -> None:
@@ -83,10 +87,9 @@ class Episode:
         self.periods = 0
         self._commands.clear()
         self._states.clear()
-        if self._state_late != (0, 0):
+        if self._states_late:
             # A state that is older than the episode is that of its start.
-            whole, rest = self._state_late
-            self._states.extend([self.observer.read()] * (-whole if rest else 1 - whole))
+            self._states.send(self.observer.read(), 0)
 
     def step(self, action: ArrayLike) -> None:
         """
@@ -107,7 +110,8 @@ class Episode:
         :raises CommandError: if it cannot be used; then nothing changes
         """
         numbers = finite_numbers(action, self.actions.size, 'an action')
-        self._commands.append((self.periods + self._command_late[0], numbers))
+        count = self.periods * self._steps
+        self._commands.send_in_order(numbers, count + self._command_delay.steps(count))
 
     def advance(self) -> None:
         """
@@ -123,35 +127,38 @@ class Episode:
         Run one control period as :meth:`advance`, but leave the physics to the caller.
 
         :returns: numbers of physics steps, each to be advanced before the next is asked for; they
-            are the same in every period of all episodes with the same latency
+            are the same in every period of all episodes with the same latency without jitter
         """
-        done = 0
-        for offset in self._offsets:
-            self._do_what_is_due(done)
-            yield offset - done
-            done = offset
+        begin, done = self.periods * self._steps, 0
+        while done < self._steps:
+            for action in self._commands.take(begin + done):
+                self.actions.apply(action, self.period_s)
+            if done and done == self._state_offset:
+                self._observe(begin + done)
+            stops = [offset for offset in self._offsets if offset > done]
+            arrival = self._commands.first_arrival
+            if arrival is not None:
+                stops.append(arrival - begin)
+            yield min(stops) - done
+            done = min(stops)
         self.periods += 1
         self.task.end_period(self.simulation)
-        if self._states:
-            if not self._state_late[1]:
-                self._states.append(self.observer.read())
-            if len(self._states) > 1:
-                self._states.popleft()
+        if self._states_late:
+            if not self._state_offset:
+                self._observe(begin + done)
+            self._states.newest(begin + done)  # It forgets what is older.
 
-    def _do_what_is_due(self, offset: int) -> None:
-        """Apply commands and keep states, some physics steps after the begin of a period."""
-        if offset == self._command_late[1]:
-            while self._commands and self._commands[0][0] <= self.periods:
-                self.actions.apply(self._commands.popleft()[1], self.period_s)
-        if self._states and offset and offset == self._state_late[1]:
-            self._states.append(self.observer.read())
+    def _observe(self, count: int) -> None:
+        """Observe the present instant, some steps after the begin of the episode, for later."""
+        self._states.send(self.observer.read(), count + self._state_delay.steps(count))
 
     @property
     def observation(self) -> Observation:
         """What a policy observes at present, of an earlier instant where states have a latency."""
         if not self._states:
             return self.observer.read()
-        return {key: value.copy() for key, value in self._states[0].items()}
+        seen = self._states.newest(self.periods * self._steps)
+        return {key: value.copy() for key, value in seen.items()}
 
     def run(self, policy: Policy, seed: int) -> bool:
         """

@@ -12,12 +12,11 @@ from typing import Union
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import shown
+from manip_sim.sensing.delays import Delay, ROUNDING
 
 #: Longest latency [s]; a longer one is a mistake in the unit.
 LONGEST_S = 10.0
-#: Share of a timestep by which a duration may miss a whole number of them.
-_ROUNDING = 1e-6
-_KEYS = ('command', 'state')
+_KEYS = ('command', 'state', 'command_jitter', 'state_jitter')
 
 
 @dataclass(frozen=True)
@@ -27,18 +26,22 @@ class Latency:
 
     :ivar command_s: from an observation's arrival at the policy to the effect of its action [s]
     :ivar state_s: from the instant of a state to its arrival at the policy [s]
+    :ivar command_jitter_s: standard deviation of the former, drawn from the seed [s]
+    :ivar state_jitter_s: that of the latter [s]
     """
 
     command_s: float = 0.0
     state_s: float = 0.0
+    command_jitter_s: float = 0.0
+    state_jitter_s: float = 0.0
 
     @classmethod
     def of(cls, given: LatencyLike) -> Latency:
         """
         Return a latency from what a user gives.
 
-        :param given: a latency, that of commands [s], or a mapping with ``command`` and
-            ``state`` [s]
+        :param given: a latency, that of commands [s], or a mapping with ``command``,
+            ``state``, ``command_jitter`` and ``state_jitter`` [s]
         :raises UnknownNameError: if a key of the mapping is another one
         :raises ModelError: if a number is not finite, negative or above 10 s
         """
@@ -50,9 +53,29 @@ class Latency:
                 raise UnknownNameError('key of latency', key, _KEYS)
             if (isinstance(value, bool) or not isinstance(value, (int, float))
                     or not 0.0 <= value <= LONGEST_S):  # NaN is not either.
-                raise ModelError(f'latency of a {key} must be from 0 to {LONGEST_S:g} s, got '
+                what = key.replace('_', ', ')
+                raise ModelError(f'latency of a {what} must be from 0 to {LONGEST_S:g} s, got '
                                  f'{shown(value)}')
-        return cls(float(values.get('command', 0.0)), float(values.get('state', 0.0)))
+        return cls(*(float(values.get(key, 0.0)) for key in _KEYS))
+
+    def as_mapping(self) -> dict[str, float]:
+        """Return what :meth:`of` takes."""
+        return {key: getattr(self, f'{key}_s') for key in _KEYS}
+
+    def delay(self, kind: str, robot: str, timestep_s: float) -> Delay:
+        """
+        Return the delays of a robot's commands or states, as its ``sensing`` has them.
+
+        :param kind: ``command`` or ``state``
+        :param robot: its name in the world
+        :param timestep_s: of the physics [s]
+        :raises ModelError: if the mean is no whole number of timesteps
+        """
+        delay = Delay(f'{robot} latency.{kind}', timestep_s)
+        delay.mean_s, delay.jitter_s = (
+            getattr(self, f'{kind}_s'), getattr(self, f'{kind}_jitter_s'))
+        whole_steps(delay.mean_s, timestep_s, f'latency of a {kind}')
+        return delay
 
 
 NO_LATENCY = Latency()
@@ -69,7 +92,7 @@ def whole_steps(duration_s: float, timestep_s: float, what: str) -> int:
     :raises ModelError: if it is no whole number of timesteps
     """
     steps = duration_s / timestep_s
-    if not math.isfinite(steps) or abs(steps - round(steps)) > _ROUNDING:
+    if not math.isfinite(steps) or abs(steps - round(steps)) > ROUNDING:
         raise ModelError(f'{what} must be a whole number of timesteps of {timestep_s:g} s, got '
                          f'{duration_s:g} s')
     return round(steps)

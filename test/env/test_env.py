@@ -183,6 +183,7 @@ def test_an_episode_whose_physics_diverges_is_truncated(reach):
 
 @pytest.mark.parametrize('task, arguments', [
     ('Reach', {'latency': {'command': 0.03, 'state': 0.04}}),
+    ('Reach', {'latency': {'command': 0.05, 'command_jitter': 0.03, 'state_jitter': 0.02}}),
     ('PickCube', {'robot': 'UR5e', 'action': 'joint_velocity'})])
 def test_a_vector_environment_equals_as_many_environments(task, arguments):
     vector, single = (gymnasium.make_vec(f'manip_sim/{task}-v0', 3, vectorization_mode=mode,

@@ -177,7 +177,8 @@ def test_latency_is_a_part_of_the_run(whole, tmp_path):
     assert run(tmp_path / 'late', '--latency', '0.2', worlds='1', seeds='0:2') == 0
     assert [row['digest'] for row in rows(tmp_path / 'late')] != [
         row['digest'] for row in rows(whole)[:2]]
-    assert summary(tmp_path / 'late')['latency'] == {'command_s': 0.2, 'state_s': 0.0}
+    assert summary(tmp_path / 'late')['latency'] == {
+        'command_s': 0.2, 'state_s': 0.0, 'command_jitter_s': 0.0, 'state_jitter_s': 0.0}
 
 
 @pytest.mark.parametrize('more, text', [

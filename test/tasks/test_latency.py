@@ -112,3 +112,34 @@ def test_success_falls_with_latency():
         expert = episode.task.expert(episode.simulation)
         successes.append(sum(episode.run(expert, seed) for seed in range(4)))
     assert successes[0] == 4 and successes[1] < 4
+
+
+def test_jitter_is_drawn_from_the_seed_and_kept_in_order():
+    late = {'command': 0.06, 'command_jitter': 0.03, 'state': 0.05, 'state_jitter': 0.03}
+
+    def observed(episode):
+        return episode.observation['joint_position'][:7]
+    first, again, other = (positions(late, actions(20), observed, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, positions({**late, 'command_jitter': 0.0}, actions(20),
+                                               observed))
+    assert not np.array_equal(first, other)
+
+
+def test_jitter_delays_actions_as_the_sensing_of_the_robot_draws_it():
+    late = {'command': 0.06, 'command_jitter': 0.03}
+    episode = Episode(TASK, Simulation(TASK.world), latency=late)
+    robot = Simulation(TASK.world).robot
+    for name, value in late.items():
+        robot.sensing.set(f'latency.{name}', value)
+    robot.sensing.reset(5)
+    delays = [robot.sensing.delays['command'].steps(25 * period) for period in range(30)]
+    assert abs(np.mean(delays) - 30) < 10 and np.std(delays) > 5  # Steps of 2 ms.
+    expected = np.maximum.accumulate([25 * n + delay for n, delay in enumerate(delays)])
+    effects = []
+    episode.actions.apply = lambda action, period_s: effects.append(
+        episode.simulation._clock.control_steps)
+    episode.reset(5)
+    for _ in range(30):
+        episode.step(np.zeros(7))
+    assert effects == [due for due in expected.tolist() if due < 750]

@@ -1,0 +1,132 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""How long something is on its way in simulated time, and what is on its way."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+import math
+from typing import Generic, TypeVar
+
+from manip_sim.sensing.randomness import NormalRows
+
+#: Share of a timestep by which a duration may miss a whole number of them.
+ROUNDING = 1e-6
+
+Sent = TypeVar('Sent')
+
+
+class Delay:
+    """
+    The single delays of one way; they depend on the seed, the name and the step only.
+
+    :param name: of the way, unique in its world
+    :param timestep_s: length of a physics step [s]
+    :ivar mean_s: mean of the delays before those below zero become zero [s]
+    :ivar jitter_s: their standard deviation [s]
+    """
+
+    def __init__(self, name: str, timestep_s: float) -> None:
+        self._name = name
+        self._timestep_s = timestep_s
+        self.mean_s = self.jitter_s = 0.0
+        self.set_seed(0)
+
+    def set_seed(self, seed: int) -> None:
+        """
+        Draw from a seed from now on.
+
+        :param seed: a whole number from 0
+        """
+        self._rows = NormalRows(seed, self._name, 1)
+
+    @property
+    def mean_steps(self) -> int:
+        """The mean in whole steps."""
+        return self._in_steps(self.mean_s)
+
+    def steps(self, count: int) -> int:
+        """
+        Return the delay of what is sent after some steps, in whole steps, from 0.
+
+        :param count: steps since the reset
+        """
+        delay_s = self.mean_s
+        if self.jitter_s:
+            delay_s = delay_s + self.jitter_s * float(self._rows.row(count)[0])
+        return self._in_steps(delay_s)
+
+    def _in_steps(self, delay_s: float) -> int:
+        return math.ceil(max(delay_s, 0.0) / self._timestep_s - ROUNDING)
+
+
+class InTransit(Generic[Sent]):
+    """What has been sent, by when it arrives in steps since the reset."""
+
+    def __init__(self) -> None:
+        self._queue: deque[tuple[int, Sent]] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._queue)
+
+    def __iter__(self) -> Iterator[tuple[int, Sent]]:
+        return iter(self._queue)
+
+    def send(self, value: Sent, arrival: int) -> None:
+        """
+        Add something, which may overtake what was sent before.
+
+        :param arrival: in steps since the reset
+        """
+        self._queue.append((arrival, value))
+
+    def send_in_order(self, value: Sent, arrival: int) -> None:
+        """
+        Add something that does not arrive before what was sent before.
+
+        :param arrival: the earliest one, in steps since the reset
+        """
+        self.send(value, max(arrival, self._queue[-1][0]) if self._queue else arrival)
+
+    @property
+    def first_arrival(self) -> int | None:
+        """When what was sent first arrives; None if nothing is on its way."""
+        return self._queue[0][0] if self._queue else None
+
+    @property
+    def last(self) -> Sent | None:
+        """What was sent last."""
+        return self._queue[-1][1] if self._queue else None
+
+    def withdraw_last(self) -> int:
+        """Forget what was sent last, and return when it would have arrived."""
+        return self._queue.pop()[0]
+
+    def take(self, count: int) -> Iterator[Sent]:
+        """
+        Yield and forget what has arrived, in the order in which it was sent.
+
+        :param count: steps since the reset
+        """
+        while self._queue and self._queue[0][0] <= count:
+            yield self._queue.popleft()[1]
+
+    def newest(self, count: int) -> Sent:
+        """
+        Return the newest of what has arrived, or the oldest of all while nothing has.
+
+        What is older is forgotten.
+
+        :param count: steps since the reset
+        """
+        place = next((index for index in range(len(self._queue) - 1, -1, -1)
+                      if self._queue[index][0] <= count), 0)
+        for _ in range(place):
+            self._queue.popleft()
+        return self._queue[0][1]
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._queue.clear()
