@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Render what cameras of a model see: colour and metric depth from one rendering."""
+"""Render what cameras of a model see: colour and metric depth from one rendering, and labels."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ from manip_sim.rendering.intrinsics import fixed_camera
 _Flag = mujoco.mjtRndFlag
 #: Effects that take most of the time where there is no graphics card.
 _LEFT_OUT = (_Flag.mjRND_SHADOW, _Flag.mjRND_REFLECTION, _Flag.mjRND_HAZE)
+#: The label of what is no body.
+BACKGROUND = -1
+#: What lets colours be the numbers of shapes in the scene.
+_SEGMENTS = (_Flag.mjRND_SEGMENT, _Flag.mjRND_IDCOLOR)
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 #: Room in a scene for what MuJoCo adds to the shapes of a model, such as skins.
 _MORE_SHAPES = 1000
 
@@ -28,10 +33,13 @@ class Picture:
     :ivar rgb: shape (height, width, 3), or None
     :ivar depth: along the view [m], +Inf where there is nothing or it is too far, shape (height,
         width), or None
+    :ivar labels: ids of the bodies, :data:`BACKGROUND` where there is none, shape (height, width),
+        or None
     """
 
     rgb: NDArray[np.uint8] | None
     depth: NDArray[np.float32] | None
+    labels: NDArray[np.int32] | None = None
 
 
 class OffscreenRenderer:
@@ -63,7 +71,7 @@ class OffscreenRenderer:
         self._slope, self._offset = np.float32(1.0 / near - 1.0 / far), np.float32(1.0 / far)
 
     def render(self, data: mujoco.MjData, camera: str, width: int, height: int, rgb: bool = True,
-               depth: bool = True) -> Picture:
+               depth: bool = True, labels: bool = False) -> Picture:
         """
         Render what a camera sees.
 
@@ -72,6 +80,7 @@ class OffscreenRenderer:
         :param width: of the image [pixels], as ``height``, at most those of this renderer
         :param rgb: with colours
         :param depth: with depth
+        :param labels: with the ids of bodies
         """
         area = mujoco.MjrRect(0, 0, width, height)
         colours = np.empty((height, width, 3), np.uint8) if rgb else None
@@ -79,11 +88,30 @@ class OffscreenRenderer:
         mujoco.mjv_updateScene(
             self._model, data, self._shown, None, fixed_camera(self._model, camera),
             int(mujoco.mjtCatBit.mjCAT_ALL), self._scene)
-        mujoco.mjr_render(area, self._scene, self._context)
-        mujoco.mjr_readPixels(colours, stored, area, self._context)
+        if rgb or depth:
+            mujoco.mjr_render(area, self._scene, self._context)
+            mujoco.mjr_readPixels(colours, stored, area, self._context)
         # OpenGL's rows go from the bottom to the top.
         return Picture(None if colours is None else np.ascontiguousarray(colours[::-1]),
-                       None if stored is None else self._metres(stored[::-1]))
+                       None if stored is None else self._metres(stored[::-1]),
+                       self._labels(area) if labels else None)
+
+    def _labels(self, area: mujoco.MjrRect) -> NDArray[np.int32]:
+        """Render the scene once more, with the ids of bodies as colours."""
+        for flag in _SEGMENTS:
+            self._scene.flags[int(flag)] = 1
+        mujoco.mjr_render(area, self._scene, self._context)
+        for flag in _SEGMENTS:
+            self._scene.flags[int(flag)] = 0
+        colours = np.empty((area.height, area.width, 3), np.uint8)
+        mujoco.mjr_readPixels(colours, None, area, self._context)
+        bodies = np.full(self._scene.ngeom + 1, BACKGROUND, np.int32)
+        for shape in self._scene.geoms[:self._scene.ngeom]:
+            if shape.segid >= 0 and shape.objtype == _GEOM:
+                bodies[shape.segid + 1] = self._model.geom_bodyid[shape.objid]
+        # Black is the background, and the colour of a shape is its number plus one.
+        numbers = colours[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        return bodies[numbers]
 
     def _metres(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
         metres = stored * self._slope

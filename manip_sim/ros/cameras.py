@@ -9,16 +9,18 @@ from array import array
 from collections import Counter
 from collections.abc import Mapping
 import io
+import json
 import sys
 import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
@@ -27,6 +29,7 @@ from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
+from manip_sim.rendering.offscreen import BACKGROUND
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_publisher, Output
@@ -39,6 +42,8 @@ from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 #: Of JPEG, the default of image_transport_plugins.
 _QUALITY = 95
 _PLUMB_BOB = 'plumb_bob'
+#: Of images, by the kind of their numbers.
+_ENCODINGS = {'u': 'rgb8', 'f': '32FC1', 'i': '32SC1'}
 #: How long the start waits for OpenGL [s].
 _READY_S = 10.0
 
@@ -50,12 +55,12 @@ def header(stamp: Time, frame_id: str) -> Header:
 
 def image(head: Header, pixels: NDArray[Any]) -> Image:
     """
-    Return an image: ``rgb8`` of bytes with shape (h, w, 3), ``32FC1`` of floats with shape (h, w).
+    Return an image: ``rgb8`` of bytes with shape (h, w, 3), ``32FC1`` or ``32SC1`` of (h, w).
 
     :param pixels: contiguous, the top row first
     """
     message = Image(header=head, height=pixels.shape[0], width=pixels.shape[1],
-                    encoding='rgb8' if pixels.ndim == 3 else '32FC1',
+                    encoding=_ENCODINGS[pixels.dtype.kind],
                     is_bigendian=sys.byteorder == 'big', step=pixels.strides[0])
     # rclpy takes an array.array as it is, and checks anything else byte by byte.
     content = array('B')
@@ -87,6 +92,12 @@ def camera_info(found: Intrinsics) -> CameraInfo:
         p=[found.fx, 0.0, found.cx, 0.0, 0.0, found.fy, found.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
+def body_names(model: mujoco.MjModel) -> str:
+    """Return the names of all bodies and the background by their labels, as JSON."""
+    return json.dumps({BACKGROUND: 'background',
+                       **{body: model.body(body).name for body in range(model.nbody)}})
+
+
 class CameraPublishers:
     """
     The topics of one camera.
@@ -110,15 +121,20 @@ class CameraPublishers:
         self._jpeg = outputs['color/image_raw/compressed']
         self._depth = outputs.get('depth/image_raw')
         self._points = outputs.get('depth/points')
+        self._labels, self._names = outputs['labels/image_raw'], outputs['labels/names']
         self._clouds = PointCloudMaker(found)
         self._infos = [output for topic, output in outputs.items() if 'camera_info' in topic]
 
-    def wanted(self) -> tuple[bool, bool, bool]:
-        """Return whether colours, depth and intrinsics have subscribers."""
+    def wanted(self) -> tuple[bool, bool, bool, bool]:
+        """Return whether colours, depth, labels and intrinsics have subscribers."""
         points = self._points is not None and self._points.wanted
         return (self._color.wanted or self._jpeg.wanted or points,
-                points or self._depth is not None and self._depth.wanted,
+                points or self._depth is not None and self._depth.wanted, self._labels.wanted,
                 any(info.wanted for info in self._infos))
+
+    def publish_names(self, names: str) -> None:
+        """Publish the names of the labels, as :func:`body_names` returns them."""
+        self._names.publish(String(data=names))
 
     def publish_infos(self, time_ns: int) -> None:
         """Publish the intrinsics for an instant."""
@@ -140,6 +156,8 @@ class CameraPublishers:
             self._depth.publish(image(head, picture.depth))
         if picture.depth is not None and self._points is not None and self._points.wanted:
             self._points.publish(self._clouds.make(head, picture.depth, picture.rgb))
+        if picture.labels is not None and self._labels.wanted:
+            self._labels.publish(image(head, picture.labels))
         self.publish_infos(shot.snapshot.time_ns)
 
 
@@ -186,6 +204,12 @@ class Cameras:
         else:
             self._renderer.start(_READY_S)
 
+    def follow(self, simulation: Simulation) -> None:
+        """Publish the names of the labels that a simulation has now."""
+        names = body_names(simulation.model) if self._publishers else ''
+        for publishers in self._publishers.values():
+            publishers.publish_names(names)
+
     def _report_failure(self, error: ManipSimError) -> None:
         self._node.get_logger().error(f'no images: {error}; all else works')
 
@@ -212,9 +236,10 @@ class Cameras:
         self._thread.observe(observe, every, lambda: any(publishers.wanted()))
 
     def _order(self, publishers: CameraPublishers, simulation: Simulation) -> None:
-        rgb, depth, infos = publishers.wanted()
-        if (rgb or depth) and self._renderer is not None and self._renderer.failed is None:
-            self._renderer.order(publishers.view, take_snapshot(simulation), rgb, depth)
+        rgb, depth, labels, infos = publishers.wanted()
+        renderer = self._renderer
+        if (rgb or depth or labels) and renderer is not None and renderer.failed is None:
+            renderer.order(publishers.view, take_snapshot(simulation), rgb, depth, labels)
         elif infos:
             publishers.publish_infos(simulation.time_ns)
 
@@ -260,6 +285,7 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Si
             intrinsics_of(simulation.model, name, images.width, images.height), images.depth,
             f'{frame_prefix}{name}{OPTICAL}') for name, images in chosen.items()]
     cameras = Cameras(node, publishers, simulation, thread)
+    cameras.follow(simulation)
     publish_rate = 1.0 / thread.period_s
     for name, images in chosen.items():
         every = periods_per_image(publish_rate, images.rate_hz, f'camera.{name}.rate')

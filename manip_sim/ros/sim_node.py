@@ -126,6 +126,7 @@ class SimNode(Node):
         offer_sensors(self, self._robots, self.simulation, self.thread, frame_prefix)
         self._show_world(world, frame_prefix)
         self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
+        self._followers.append(self.cameras.follow)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.simulation, self.thread, self._take_commands)
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,

@@ -43,7 +43,7 @@ class Shot:
 
     :ivar view: the camera
     :ivar snapshot: of the instant
-    :ivar picture: colours or depth or both, at least what was requested
+    :ivar picture: colours, depth, labels: at least what was requested
     :ivar took_s: wall time of the rendering [s]; 0 if an earlier picture is used again
     """
 
@@ -59,11 +59,13 @@ class _Order:
     snapshot: Snapshot
     rgb: bool
     depth: bool
+    labels: bool
 
     def is_met_by(self, shot: Shot | None) -> bool:
         return (shot is not None and self.snapshot.shows_the_same_as(shot.snapshot)
                 and (shot.picture.rgb is not None or not self.rgb)
-                and (shot.picture.depth is not None or not self.depth))
+                and (shot.picture.depth is not None or not self.depth)
+                and (shot.picture.labels is not None or not self.labels))
 
 
 class CameraThread:
@@ -109,19 +111,21 @@ class CameraThread:
         self._thread.start()
         self._ready.wait(timeout_s)
 
-    def order(self, view: View, snapshot: Snapshot, rgb: bool, depth: bool) -> None:
+    def order(self, view: View, snapshot: Snapshot, rgb: bool, depth: bool,
+              labels: bool = False) -> None:
         """
         Request a shot of a view, and return at once.
 
         :param rgb: whether colours are needed
         :param depth: whether depth is needed
+        :param labels: whether the ids of bodies are needed
         """
         if self.failed is not None:
             return
         with self._wake:
             if view.camera in self._orders:
                 self.left_out[view.camera] += 1
-            self._orders[view.camera] = _Order(view, snapshot, rgb, depth)
+            self._orders[view.camera] = _Order(view, snapshot, rgb, depth, labels)
             self._wake.notify()
 
     def stop(self, timeout_s: float = _LAST_S) -> bool:
@@ -190,7 +194,7 @@ class CameraThread:
         begin_s, view = time.perf_counter(), order.view
         self._world.show(order.snapshot)
         picture = renderer.render(self._world.data, view.camera, view.width, view.height,
-                                  order.rgb, order.depth)
+                                  order.rgb, order.depth, order.labels)
         shot = Shot(view, order.snapshot, picture, time.perf_counter() - begin_s)
         self._shots[view.camera] = shot
         self._deliver(shot)

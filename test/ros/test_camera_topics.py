@@ -4,27 +4,32 @@
 """Images over topics: what they show, when they come, and what cannot be asked for."""
 
 import io
+import json
 import os
 import signal
 import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
+import mujoco
 import numpy as np
 from PIL.Image import open as open_image
 import pytest
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
 from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.simulation.spawning import plan_without
 
 #: It looks along x, so that in its optical frame z is x, x is -y and y is -z.
 FRONT = '{name: front, position: [-0.5, 1.0, 1.2], fovy: 50}'
 #: 2 m ahead, 0.4 m to the right and 0.2 m above the camera.
 BALL = ('{name: ball, shape: sphere, size: 0.03, mass: 0.1, position: [1.5, 0.6, 1.4], '
         'rgba: [0.0, 1.0, 0.0]}')
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 SMALL = {'camera__front__width': 160, 'camera__front__height': 120}
 
 
@@ -37,12 +42,12 @@ def serve_seen(serve, renderer, monkeypatch):
 
 @pytest.fixture
 def renderings(monkeypatch):
-    """Return a list of what is rendered: camera, colours and depth."""
+    """Return a list of what is rendered: camera, colours, depth and labels."""
     found, render = [], OffscreenRenderer.render
 
-    def count(self, data, camera, width, height, rgb=True, depth=True):
-        found.append((camera, rgb, depth))
-        return render(self, data, camera, width, height, rgb, depth)
+    def count(self, data, camera, width, height, rgb=True, depth=True, labels=False):
+        found.append((camera, rgb, depth, labels))
+        return render(self, data, camera, width, height, rgb, depth, labels)
     monkeypatch.setattr(OffscreenRenderer, 'render', count)
     return found
 
@@ -57,8 +62,9 @@ def pixels(message):
     if message.encoding == 'rgb8':
         assert message.step == 3 * message.width
         return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
-    assert (message.encoding, message.step) == ('32FC1', 4 * message.width)
-    return np.frombuffer(message.data, np.float32).reshape(message.height, message.width)
+    kind = {'32FC1': np.float32, '32SC1': np.int32}[message.encoding]
+    assert message.step == 4 * message.width
+    return np.frombuffer(message.data, kind).reshape(message.height, message.width)
 
 
 def listen(client, topic):
@@ -100,10 +106,10 @@ def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serv
     subscription = client.node.create_subscription(Image, 'front/depth/image_raw', lambda _: None,
                                                    qos_profile_sensor_data)
     client.spin_until(lambda: len(renderings) > 3)
-    assert set(renderings) == {('front', False, True)}
+    assert set(renderings) == {('front', False, True, False)}
     client.node.destroy_subscription(subscription)
     color = listen(client, 'front/color/image_raw')
-    client.spin_until(lambda: ('front', True, False) in renderings)
+    client.spin_until(lambda: ('front', True, False, False) in renderings)
     count = len(color)
     client.spin_until(lambda: len(color) > count)
 
@@ -126,7 +132,37 @@ def test_a_point_cloud_has_the_ball_where_it_is_in_its_colour(serve_seen, client
     np.testing.assert_allclose(np.nanmedian(raw[ball][:, :3], axis=0), [0.4, -0.2, 1.98],
                                atol=0.02)
     assert np.isnan(raw[..., :3]).any(axis=-1).sum() == np.isnan(raw[..., 2]).sum()
-    assert set(renderings) == {('front', True, True)}
+    assert set(renderings) == {('front', True, True, False)}
+
+
+def test_labels_are_the_bodies_of_the_model_that_is_published_beside_their_names(
+        serve_seen, client, renderings):
+    node = serve_seen(start_paused=True, objects=[BALL], cameras=[FRONT], **SMALL)
+    labels = listen(client, 'front/labels/image_raw')
+    depth = listen(client, 'front/depth/image_raw')
+    names = client.listen(String, 'front/labels/names', LATCHED)
+    models = client.listen(String, 'manip_sim/mjcf', LATCHED)
+    client.spin_until(lambda: labels and depth and names and models)
+    seen, by_id = pixels(labels[-1]), json.loads(names[-1].data)
+    model = mujoco.MjModel.from_xml_string(models[-1].data)
+    assert by_id == {'-1': 'background', **{
+        str(body): model.body(body).name for body in range(model.nbody)}}
+    ball = next(int(body) for body, name in by_id.items() if name == 'ball')
+    rows, columns = np.nonzero(seen == ball)
+    # 0.4 m to the right and 0.2 m up at 2 m, in an image of 160 x 120 pixels.
+    focal = 60.0 / np.tan(np.radians(25.0))
+    assert [columns.mean(), rows.mean()] == pytest.approx(
+        [79.5 + 0.2 * focal, 59.5 - 0.1 * focal], abs=0.5)
+    assert np.abs(pixels(depth[-1])[rows, columns] - 1.98).max() < 0.035
+    assert (seen[-1] == 0).all()  # The floor is the world's.
+    assert (np.isinf(pixels(depth[-1])) <= (seen == -1)).all()
+    assert ('front', False, False, True) in renderings or (
+        'front', False, True, True) in renderings
+    plan = plan_without(node.simulation.plan, 'ball')
+    node.thread.call(lambda: node.simulation.change_objects(plan))
+    node._objects_changed(node.simulation)
+    client.spin_until(lambda: 'ball' not in names[-1].data)
+    client.spin_until(lambda: ball not in pixels(labels[-1]))
 
 
 def test_images_come_at_their_rate_of_simulation_time_with_one_stamp(serve_seen, client):

@@ -33,7 +33,7 @@ def general(name):
         name = name.lstrip('/')
     name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
     name = re.sub(r'^sensors/\w+/', 'sensors/<sensor>/', name)
-    name = re.sub(r'^\w+/(color|depth)/', r'<camera>/\1/', name)
+    name = re.sub(r'^\w+/(color|depth|labels)/', r'<camera>/\1/', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
     if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
         return re.sub(r'^\w+/', '<part>/', name)
