@@ -158,7 +158,8 @@ def describe(composed: Composed) -> Row:
         [(scope, robot.parts, robot.joints.twist_indices is not None) for scope, robot in served],
         simulation.entities.free_names, {name: images.depth for name, images in cameras.items()},
         [one.topic for one in served_instruments(simulation, dict(served))],
-        composed.composition.task is not None)
+        composed.composition.task is not None,
+        {lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
     return {
         'name': world.name,
         'arena': world.arena.arena_name,

@@ -29,7 +29,8 @@ from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
-from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
+from manip_sim.simulation.camera_choice import (
+    chosen_cameras, described_cameras, described_lidars)
 
 if TYPE_CHECKING:
     from manip_sim.tasks import Task
@@ -94,7 +95,9 @@ def compose_world(parameters: ParameterSource) -> Composition:
                   gravity_compensation=value('gravity_compensation'),
                   objects=_objects(value('objects')), seed=value('seed'),
                   initialization_noise=noise if noise['magnitude'] else None,
-                  cameras=described_cameras(value('cameras')))
+                  cameras=described_cameras(value('cameras')),
+                  lidars=described_lidars(value('lidars')))
+    _check_rates(world, value('publish_rate'))
     return Composition(scopes, world, steps)
 
 
@@ -116,10 +119,17 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
         value('task'), value('robot'), value('gripper'), base=value('base'),
         timestep_s=value('timestep'), gravity_compensation=value('gravity_compensation'),
         seed=value('seed'), cameras=described_cameras(value('cameras')),
+        **({'lidars': lidars} if (lidars := described_lidars(value('lidars'))) else {}),
         **{name: found for name, found in chosen.items() if found})
+    _check_rates(task.world, value('publish_rate'))
     robots = task.world.robots
     scopes = [Scope(robot.name_in_world) for robot in robots] if len(robots) > 1 else [Scope()]
     return Composition(scopes, task.world, steps, task)
+
+
+def _check_rates(world: World, publish_rate: float) -> None:
+    for lidar in world.lidars:
+        periods_per_image(publish_rate, lidar.rate_hz, f'lidars: {lidar.name}')
 
 
 def _set_actuation(parameters: ParameterSource, scope: Scope, robot: RobotModel) -> None:

@@ -54,6 +54,8 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('cameras', [''], "Cameras whose images are published: names of the model's "
                       'cameras, such as birdview, or descriptions such as {name: front, '
                       'position: [1.5, 0.0, 1.5], look_at: [0.0, 0.0, 0.8], fovy: 45}.'),
+        ParameterSpec('lidars', [''], 'Lidars: descriptions such as {name: scan, position: '
+                      '[0.5, 0.0, 0.2], samples: 720, rings: 1, range_max: 10.0, rate: 10.0}.'),
         ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of the noise on "
                       "the start positions of the robots' own joints.", choices=TYPES),
         ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation (gaussian) '

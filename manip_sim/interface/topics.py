@@ -9,7 +9,8 @@ further topic is a row and the function of ``manip_sim.ros`` that the row names.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
 has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` for each object,
-``<camera>`` for each camera that is chosen and ``<sensor>`` for each instrument of the model;
+``<camera>`` for each camera that is chosen, ``<lidar>`` for each lidar, and ``<sensor>`` for each
+instrument of the model;
 :func:`topics_of_world` fills in all of them.
 """
 
@@ -22,13 +23,15 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
-PART, ARM, OBJECT, CAMERA, SENSOR = '<part>', '<arm>', '<name>', '<camera>', '<sensor>'
+PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR = (
+    '<part>', '<arm>', '<name>', '<camera>', '<sensor>', '<lidar>')
 _GRIPPER = f'{ARM}/gripper'
 #: When topics are published.
-_PERIOD, _TF_RATE, _IMAGES = 'publish_rate', 'tf_rate', 'camera.<camera>.rate'
+_PERIOD, _TF_RATE, _IMAGES, _SCANS = (
+    'publish_rate', 'tf_rate', 'camera.<camera>.rate', 'rate of the lidar')
 #: Readers of what is measured, with noise and latency where these are set.
 MEASURED = ('joints', 'wrench', 'external_wrench', 'pose', 'twist', 'odometry', 'imu', 'range',
-            'magnetic_field', 'values')
+            'magnetic_field', 'values', 'scan', 'points')
 _ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
 
 
@@ -102,7 +105,7 @@ class Topic:
     def per(self) -> str:
         """Return the placeholder that the name holds; that of a gripper counts as a part."""
         return PART if _GRIPPER in self.name else next(
-            (per for per in (PART, ARM, OBJECT, CAMERA, SENSOR) if per in self.name), '')
+            (per for per in (PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR) if per in self.name), '')
 
     def filled_in(self, of: str) -> Topic:
         """Return the topic of a part, an arm, an object or a camera."""
@@ -222,6 +225,12 @@ TOPICS = (
     _published('<camera>/labels/names', 'std_msgs/String',
                'names of the bodies by their ids as JSON, latched', 'camera', rate=_CHANGES,
                depth=1, latched=True),
+    _published('<lidar>/scan', 'sensor_msgs/LaserScan',
+               'distances that a planar lidar measures in its frame [m], +Inf beyond its range',
+               'lidar', 'scan', _SCANS),
+    _published('<lidar>/points', 'sensor_msgs/PointCloud2',
+               'points that a lidar with several rings measures in its frame [m]', 'lidar',
+               'points', _SCANS),
     _published('/clock', 'rosgraph_msgs/Clock', 'simulation time', depth=1),
     _published('/diagnostics', 'diagnostic_msgs/DiagnosticArray',
                'real-time factor, missed deadlines, what became of commands',
@@ -337,6 +346,16 @@ def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
             if row.per == CAMERA and (depth or row.needs != 'depth')]
 
 
+def topics_of_lidars(lidars: Mapping[str, bool]) -> list[Topic]:
+    """
+    Return the topics that the node has for lidars.
+
+    :param lidars: by name: whether with several rings
+    """
+    return [BY_NAME[f'{LIDAR}/points' if rings else f'{LIDAR}/scan'].filled_in(name)
+            for name, rings in lidars.items()]
+
+
 def truths(rows: Iterable[Topic]) -> list[Topic]:
     """
     Return the topics with exact values beside those that noise or latency may change.
@@ -360,7 +379,8 @@ def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
 def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
                     objects: Iterable[str] = (),
                     cameras: Mapping[str, bool] = MappingProxyType({}),
-                    sensors: Iterable[Topic] = (), task: bool = False) -> list[Topic]:
+                    sensors: Iterable[Topic] = (), task: bool = False,
+                    lidars: Mapping[str, bool] = MappingProxyType({})) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
@@ -369,12 +389,14 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
     :param cameras: that are chosen, by name: whether with depth
     :param sensors: topics of instruments
     :param task: whether there is one
+    :param lidars: by name: whether with several rings
     """
     # A name that is absolute or private is the world's, and found with each robot.
     return list(dict.fromkeys([
         *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
           for topic in topics_of(parts, twist)),
         *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors,
+        *topics_of_lidars(lidars),
         *[BY_NAME['~/task']] * task]))
 
 

@@ -15,6 +15,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.bases import create_base, RobotBaseModel
 from manip_sim.models.cameras import Camera
+from manip_sim.models.lidars import LidarLike
 from manip_sim.models.grippers import create_gripper, GripperModel
 from manip_sim.models.objects import Description
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
@@ -113,7 +114,8 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             orientation: ArrayLike | None = None, timestep_s: float = 0.002,
             gravity_compensation: bool = True, objects: Iterable[Description] = (),
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
-            cameras: Iterable[Camera] = (), **arena_parameters: Any) -> World:
+            cameras: Iterable[Camera] = (), lidars: Iterable[LidarLike] = (),
+            **arena_parameters: Any) -> World:
     """
     Return a world with one robot.
 
@@ -133,6 +135,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param initialization_noise: noise of the start positions, see :class:`World`
     :param seed: of the noise; None draws one
     :param cameras: in addition to those of robot and arena, see :class:`World`
+    :param lidars: of the world, see :class:`World`
     :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
@@ -148,4 +151,5 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
         raise ModelError('parameters are for an arena that is given by name, '
                          f'got {", ".join(arena_parameters)}')
     return World([whole], arena, timestep_s, gravity_compensation, objects=objects,
-                 initialization_noise=initialization_noise, seed=seed, cameras=cameras)
+                 initialization_noise=initialization_noise, seed=seed, cameras=cameras,
+                 lidars=lidars)

@@ -15,6 +15,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.cameras import Camera, create_camera
+from manip_sim.models.lidars import create_lidar, LidarLike
 from manip_sim.models.initialization_noise import checked_seed, InitializationNoise
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -48,6 +49,8 @@ class World:
         :class:`InitializationNoise`; None for none
     :param seed: of that noise, for which None draws one, and of the noise of sensors
     :param cameras: in addition to those of robots and arena, as for :func:`create_camera`
+    :param lidars: as for :func:`create_lidar`
+    :ivar lidars: as :class:`LidarModel`
     :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
@@ -58,7 +61,8 @@ class World:
                  timestep_s: float = 0.002, gravity_compensation: bool = True, *,
                  objects: Iterable[Description] = (),
                  initialization_noise: Mapping[str, Any] | None = None,
-                 seed: int | None = None, cameras: Iterable[Camera] = ()) -> None:
+                 seed: int | None = None, cameras: Iterable[Camera] = (),
+                 lidars: Iterable[LidarLike] = ()) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = whole_nanoseconds(timestep_s)
@@ -71,6 +75,7 @@ class World:
         self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
         check_object_names(self.objects)
         self.cameras = [create_camera(camera) for camera in cameras]
+        self.lidars = [create_lidar(lidar) for lidar in lidars]
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
         if self.noise is not None:
@@ -99,7 +104,8 @@ class World:
         :param visual: with the shapes that cannot collide; without them, which needs MuJoCo 3.17,
             a step takes less time and gives the same states
         :param objects: with :attr:`objects`
-        :raises ModelError: if two parts have a name in common, or a camera cannot be added
+        :raises ModelError: if two parts have a name in common, or a camera or lidar cannot be
+            added
         """
         spec = self.arena.empty_spec()
         spec.modelname = '_'.join([self.arena.arena_name, *(r.name for r in self.robots)])
@@ -117,6 +123,8 @@ class World:
             self._compensate_gravity(spec)
         for camera in self.cameras:
             camera.attach(spec)
+        for lidar in self.lidars:
+            lidar.attach(spec)
         spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
         if objects:
             self._attach_objects(spec)

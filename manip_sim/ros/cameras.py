@@ -225,13 +225,9 @@ class Cameras:
         :param every: number of control periods for each image
         """
         publishers = self._publishers[camera]
-        period_ns = round(self._thread.period_s * 1e9)
 
         def observe(simulation: Simulation) -> None:
-            # In lock-step a repeated state gives an image only if one is due at its time.
-            due = simulation.time_ns // period_ns % every == 0
-            held = self._thread.paused or self._thread.at_start or simulation.diverged is not None
-            if due or held:
+            if self._thread.is_due(every):
                 self._order(publishers, simulation)
         self._thread.observe(observe, every, lambda: any(publishers.wanted()))
 

@@ -144,7 +144,8 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
     placed = [(frame, reader.origin) for frame, reader in readers.items()]
     transforms = offer_transforms(
         node, lambda simulation: FrameTree(simulation.model, dict.fromkeys(
-            [*sites, *instrument_sites(simulation.model)]), placed), prefix, log)
+            [*sites, *instrument_sites(simulation.model), *simulation.lidars]), placed), prefix,
+        log)
     if transforms is None:
         return []
     transforms.follow(simulation)

@@ -34,6 +34,7 @@ from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
+from manip_sim.ros.lidars import offer_lidars
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
@@ -117,7 +118,8 @@ class SimNode(Node):
             [(scope, robot.parts, robot.joints.twist_indices is not None)
              for scope, robot in self._robots.items()],
             cameras={name: images.depth for name, images in cameras.items()},
-            task=composition.task is not None)
+            task=composition.task is not None,
+            lidars={lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
         if composition.task is not None:
             self._task = TaskPublisher(
                 self, composition.task, self.simulation, self.thread, value('seed'))
@@ -127,6 +129,7 @@ class SimNode(Node):
         self._show_world(world, frame_prefix)
         self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
         self._followers.append(self.cameras.follow)
+        offer_lidars(self, world.lidars, self.simulation, self._robots, self.thread, frame_prefix)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.simulation, self.thread, self._take_commands)
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,

@@ -85,6 +85,17 @@ class SimulationThread:
         self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name='physics')
 
+    def is_due(self, every: int) -> bool:
+        """
+        Return whether the present state is one of every so many, or is held and so repeated.
+
+        In lock-step a state is repeated until it is answered, whether it is due or not.
+
+        :param every: a number of control periods
+        """
+        held = self.paused or self.at_start or self._simulation.diverged is not None
+        return held or self._simulation.step_count // self._steps % every == 0
+
     def observe(self, observer: Observer, every: int = 1, look: Look | None = None) -> None:
         """
         Call a function at the end of control periods from now on.

@@ -36,7 +36,10 @@ class Channel:
     :ivar bias: standard deviation of the offset
     :ivar drift: standard deviation of the random walk after one second
     :ivar step: to whose multiples the numbers are rounded, 0 for none; None if none is
+    :ivar is_noisy: whether it has noise when all settings are zero
     """
+
+    is_noisy = False
 
     def __init__(self, name: str, width: int) -> None:
         self.name = name

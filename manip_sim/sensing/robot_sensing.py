@@ -170,7 +170,8 @@ class RobotSensing:
         :param name: of a channel
         """
         if not self.settings.measures:
-            return self._channels[name][1]()
+            channel, read = self._channels[name]
+            return read() if channel is None or not channel.is_noisy else self._measure(name)
         if self.settings.delays:
             value = self._history.newest(self._steps.control_steps).values.get(name)
             if value is not None:

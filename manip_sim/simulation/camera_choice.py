@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which cameras a user has chosen, by name or by description, such as in a parameter."""
+"""Which cameras and lidars a user has chosen, by name or description, such as in a parameter."""
 
 from __future__ import annotations
 
@@ -30,6 +30,19 @@ def described_cameras(given: Sequence[str]) -> list[dict[str, Any]]:
     :raises ModelError: if one is not YAML
     """
     return [parse_yaml(text, "one of 'cameras'") for text in given if _is_description(text)]
+
+
+def described_lidars(given: Sequence[str]) -> list[dict[str, Any]]:
+    """
+    Return the descriptions of lidars, as YAML; empty texts are ignored.
+
+    :raises ModelError: if one is not YAML
+    """
+    for text in filter(None, given):
+        if not _is_description(text):
+            raise ModelError(f"one of 'lidars' must be a description such as {{name: scan, "
+                             f'position: [0.5, 0.0, 0.2]}}, got {quoted(text)}')
+    return [parse_yaml(text, "one of 'lidars'") for text in filter(None, given)]
 
 
 def _is_description(text: str) -> bool:

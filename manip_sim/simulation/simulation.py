@@ -19,6 +19,7 @@ from manip_sim.models.world import World
 from manip_sim.resources import package_version
 from manip_sim.sensing.channels import file_noise, InstrumentChannel
 from manip_sim.sensing.instruments import Instrument
+from manip_sim.sensing.lidars import Lidars
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.sensing.sensors import Sensors
 from manip_sim.simulation.activation import (
@@ -84,6 +85,7 @@ class Simulation:
     :ivar robots: the robots, with their commands and states, by name
     :ivar efforts: of the actuators in the last physics step
     :ivar sensors: values of all sensors of the model, by name
+    :ivar lidars: the lidars, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
@@ -121,6 +123,7 @@ class Simulation:
             VelocityLaws(self.physics, laws) if laws else None)
         self.sensors = Sensors(self.physics, self.measured)
         self.physics.on_change(self._look_at_model)
+        self.lidars = Lidars(self.physics, world.lidars if robots else (), self._sensing_of)
         self._settle_linkages()
         self._reset(world.seed)
         self.start_defects = check_start(
@@ -148,6 +151,16 @@ class Simulation:
             sensing = self._sensing[found.name] = owners.get(found.sensors[0], first).sensing
             sensing.add(_INSTRUMENTS + found.name, functools.partial(self._exact, found.name),
                         InstrumentChannel(found, file_noise(self.model, found)))
+
+    def _sensing_of(self, body: str) -> RobotSensing:
+        """Return what is measured of the robot that has a body, or of the first one."""
+        number, names = int(self.model.body(body).id), set()
+        while number:
+            names.add(self.model.body(number).name)
+            number = int(self.model.body_parentid[number])
+        robots = list(self.robots.values())
+        return next((robot for robot in robots if robot.robot_model.root_body in names),
+                    robots[0]).sensing
 
     def _exact(self, name: str) -> FloatArray:
         found = self.sensors.instrument(name)

@@ -77,6 +77,7 @@ class HandOver(Task):
         second.set_base_ori([0.0, 0.0, math.pi])
         return World([first, second], world.arena, world.timestep_s, world.gravity_compensation,
                      objects=composition['objects'], cameras=world.cameras,
+                     lidars=world.lidars,
                      initialization_noise=composition['initialization_noise'],
                      seed=composition['seed'])
 

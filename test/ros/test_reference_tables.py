@@ -34,6 +34,7 @@ def general(name):
     name = re.sub(r'^objects/\w+/', 'objects/<name>/', name)
     name = re.sub(r'^sensors/\w+/', 'sensors/<sensor>/', name)
     name = re.sub(r'^\w+/(color|depth|labels)/', r'<camera>/\1/', name)
+    name = re.sub(r'^\w+/(scan|points)$', r'<lidar>/\1', name)
     of_part = 'joint_states|command|joint_command|joint_trajectory|controller_state'
     if re.fullmatch(rf'(arm|base|torso|head|legs|right|left)/({of_part})', name):
         return re.sub(r'^\w+/', '<part>/', name)
@@ -50,7 +51,8 @@ OF_ROS = {'/rosout', '/parameter_events'}
 
 
 def test_topics_are_documented_with_their_types(serve, client):
-    robots = [serve(arena='table', cameras=['birdview'])]
+    robots = [serve(arena='table', cameras=['birdview'],
+                    lidars=['{name: flat}', '{name: round, rings: 2}'])]
     client.state()
     found = set()
     for node in robots:

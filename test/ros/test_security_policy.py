@@ -48,6 +48,7 @@ def graph():
     names = {'publish': set(), 'subscribe': set(), 'reply': set(), 'execute': set()}
     for robot in ROBOTS:
         served = Served({'robot': robot, 'arena': 'table', 'cameras': ['birdview'],
+                         'lidars': ['{name: flat}', '{name: round, rings: 2}'],
                          'noise.wrench_force': 1.0})
         try:
             node: Node = served.node
@@ -55,7 +56,7 @@ def graph():
                     ('publish', node.get_publisher_names_and_types_by_node),
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
-                names[permission] |= {re.sub('^/birdview/', '/*/', re.sub(
+                names[permission] |= {re.sub('^/(birdview|flat|round)/', '/*/', re.sub(
                     '^/(objects|sensors|truth)/.*', r'/\1/*', name))
                     for name, _ in entities('manip_sim', '/') if '/_action/' not in name}
             # With or without control_msgs in this environment.

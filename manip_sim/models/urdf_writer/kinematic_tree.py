@@ -10,7 +10,7 @@ of which only the last one has mass.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -124,12 +124,14 @@ class KinematicTree:
         self.add_link(link, Joint(name, 'fixed', parent, link.name, position, rotation))
 
 
-def robot_tree(model: mujoco.MjModel, robot: RobotModel) -> KinematicTree:
+def robot_tree(model: mujoco.MjModel, robot: RobotModel, lidars: Iterable[str] = ()
+               ) -> KinematicTree:
     """
     Return the tree of a robot with all that is mounted on it, in ``world``.
 
     :param model: the compiled ``mujoco.MjModel`` of a world with the robot
     :param robot: a robot of that world
+    :param lidars: names of the lidars of the world
     """
     sites = []
     if isinstance(robot, ManipulatorModel):
@@ -137,7 +139,7 @@ def robot_tree(model: mujoco.MjModel, robot: RobotModel) -> KinematicTree:
             sensor = model.sensor(gripper.important_sensors['force_ee'])
             sites += [int(sensor.objid[0]),
                       int(model.site(gripper.important_sites['grip_site']).id)]
-    sites += [int(model.site(name).id) for name in instrument_sites(model)]
+    sites += [int(model.site(name).id) for name in [*instrument_sites(model), *lidars]]
     return build_tree(model, model.body(robot.root_body).id, list(dict.fromkeys(sites)))
 
 

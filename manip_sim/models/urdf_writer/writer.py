@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -48,8 +48,8 @@ class Urdf:
 
 
 def write_urdf(model: mujoco.MjModel, robot: RobotModel,
-               meshes: Mapping[str, MeshFile] | None = None, hardware: Hardware | None = None
-               ) -> Urdf:
+               meshes: Mapping[str, MeshFile] | None = None, hardware: Hardware | None = None,
+               lidars: Iterable[str] = ()) -> Urdf:
     """
     Return the URDF of a robot with its base and grippers, in ``world``.
 
@@ -57,9 +57,10 @@ def write_urdf(model: mujoco.MjModel, robot: RobotModel,
     :param robot: a robot of that world
     :param meshes: files of meshes by name; other meshes are left out
     :param hardware: of the ``<ros2_control>`` tag; None for none
+    :param lidars: names of the lidars of the world
     """
     name = robot.name.removesuffix(str(robot.idn))
-    return _Writer(model, robot_tree(model, robot), name, meshes or {}).write(hardware)
+    return _Writer(model, robot_tree(model, robot, lidars), name, meshes or {}).write(hardware)
 
 
 class _Writer:
@@ -215,7 +216,8 @@ def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> di
     model = compile_spec(spec, world.name)
     meshes, wanted = files_of_meshes(spec, model), hardware or {}
     return {robot.name_in_world:
-            write_urdf(model, robot, meshes, wanted.get(robot.name_in_world))
+            write_urdf(model, robot, meshes, wanted.get(robot.name_in_world),
+                       [lidar.name for lidar in world.lidars])
             for robot in world.robots}
 
 

@@ -1,0 +1,108 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Lidars that are added to a world; what they measure is elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Union
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.object_model import check_object_name
+from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.quoting import quoted
+from manip_sim.sensing.lidars import Rays
+
+#: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.
+MAX_RAYS = 128 * 2048
+MAX_RINGS, MAX_RANGE_M, MAX_NOISE_M = 128, 1000.0, 10.0
+#: Of the site that marks the lidar [m].
+_SITE_SIZE_M = 0.01
+#: No viewer shows sites of this group by default.
+_SITE_GROUP = 5
+
+
+@dataclass(frozen=True)
+class LidarModel:
+    """
+    A lidar that is fixed to a body.
+
+    :ivar name: of the lidar, its site, its frame and its topics
+    :ivar body: name of that body in the composed world; ``world`` for none
+    :ivar position: in the frame of the body [m], shape (3,)
+    :ivar quat_wxyz: of its frame, with x ahead and z up, shape (4,)
+    :ivar rays: how many, where to, and how far
+    :ivar rate_hz: scans per second of simulation time [Hz]
+    :ivar noise: standard deviation of the white noise on distances [m]
+    """
+
+    name: str
+    body: str = 'world'
+    position: FloatArray = field(default_factory=lambda: np.zeros(3))
+    quat_wxyz: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    rays: Rays = Rays()
+    rate_hz: float = 10.0
+    noise: float = 0.0
+
+    def attach(self, spec: mujoco.MjSpec) -> None:
+        """
+        Add the site of the lidar to the spec of a world.
+
+        :raises ModelError: if a site, a camera or a body has its name already
+        :raises UnknownNameError: if there is no such body
+        """
+        for kind, elements in (('site', spec.sites), ('camera', spec.cameras),
+                               ('body', spec.bodies)):
+            if any(element.name == self.name for element in elements):
+                raise ModelError(f"lidar '{self.name}': there is a {kind} of this name already")
+        body = spec.body(self.body)
+        if body is None:
+            raise UnknownNameError(f"body of the lidar '{self.name}'", self.body,
+                                   [body.name for body in spec.bodies])
+        body.add_site(name=self.name, pos=self.position, quat=self.quat_wxyz,
+                      size=[_SITE_SIZE_M] * 3, group=_SITE_GROUP)
+
+
+LidarLike = Union[LidarModel, Mapping[str, Any]]
+
+
+def create_lidar(description: LidarLike) -> LidarModel:
+    """
+    Create a lidar.
+
+    :param description: the keys of :class:`LidarDescription`; a lidar is returned as it is
+    :raises ModelError: if something is wrong with it, on one line with lidar and key
+    """
+    if isinstance(description, LidarModel):
+        return description
+    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
+    from manip_sim.models.lidar_description import LidarDescription
+    from manip_sim.models.strict_descriptions import checked
+    name = description.get('name')
+    where = 'lidar without a name' if name is None else f'lidar {quoted(name)}'
+    found = checked(LidarDescription, description, where)
+    check_object_name(found.name, 'lidar', 'a lidar and its topics')
+    given = found.model_dump(exclude_none=True)
+    rays = Rays(**{key: value for key, value in given.items() if key in Rays.__annotations__})
+    for low, high in (('angle_min', 'angle_max'), ('elevation_min', 'elevation_max'),
+                      ('range_min', 'range_max')):
+        if getattr(rays, low) >= getattr(rays, high):
+            raise ModelError(f"{where}: '{low}' must be less than '{high}', got "
+                             f'{getattr(rays, low):g} and {getattr(rays, high):g}')
+    if rays.samples * rays.rings > MAX_RAYS:
+        raise ModelError(f"{where}: 'samples' times 'rings' must be at most {MAX_RAYS}, got "
+                         f'{rays.samples * rays.rings}')
+    if found.quat_xyzw is not None:
+        quat = np.array(found.quat_xyzw)
+        quat_wxyz = xyzw_to_wxyz(quat / np.sqrt((quat**2).sum()))
+    else:
+        quat_wxyz = quat_wxyz_from_rpy(found.rpy or [0.0, 0.0, 0.0])
+    return LidarModel(found.name, found.body or 'world',
+                      np.array(found.position or [0.0, 0.0, 0.0], dtype=float), quat_wxyz, rays,
+                      found.rate, found.noise)
