@@ -17,6 +17,7 @@ import numpy as np
 from manip_sim.cli.composition import arena_parameters
 from manip_sim.cli.parser import KINDS
 from manip_sim.cli.tables import number, table, terminal_width
+from manip_sim.errors import ModelError
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.bases import base_names, create_base, MobileBaseModel
 from manip_sim.models.grippers import create_gripper, gripper_names
@@ -25,7 +26,7 @@ from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.quoting import one_line
 from manip_sim.resources import PACKAGE, share_directory
-from manip_sim.tasks import task_names
+from manip_sim.tasks import create_task, Task, task_names
 from manip_sim.tasks.task import TASKS
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -157,9 +158,14 @@ def _free_bodies_of_arenas() -> Iterator[Row]:
 
 def _tasks() -> dict[str, list[Row]]:
     def row(name: str) -> Row:
-        task = TASKS.get(name)
+        file = TASKS.find_file(name)
+        try:
+            task = TASKS.get(name) if file is None else create_task(file)
+        except ModelError as error:
+            return {'name': name, 'error': one_line(str(error))}
         return {'name': name, 'instruction': task.instruction, 'arms': task.arms_needed,
-                'horizon s': task.horizon_s, 'from': _package(task, 'tasks')}
+                'horizon s': task.horizon_s, 'from': (
+                    f'file {file}' if isinstance(task, Task) else _package(task, 'tasks'))}
     return {'tasks': [row(name) for name in task_names()]}
 
 

@@ -272,7 +272,8 @@ def _add_run(commands: Any) -> None:
         'examples: manip_sim run pick_cube --policy expert --seeds 0:100 --out results\n'
         '          manip_sim run reach --policy my_policy.py:Reach --latency 0.15 --seeds 0:1000 '
         '--out late')
-    parser.add_argument('task', metavar='TASK', help="as 'manip_sim list tasks' has it")
+    parser.add_argument('task', metavar='TASK', help="as 'manip_sim list tasks' has it, or "
+                        'the path of a YAML file that describes one')
     parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
                         'observation; or a TorchScript (.pt) or ONNX file')

@@ -19,7 +19,7 @@ from manip_sim.experiments.policies import load_policy, PolicyFailure
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
-from manip_sim.tasks import Episode, Latency, Setting
+from manip_sim.tasks import Episode, Latency, read_description, Setting
 from manip_sim.tasks.expert import Expert, Policy
 
 
@@ -41,7 +41,9 @@ class Experiment:
         """Return what the rows depend on, as JSON can hold it."""
         setting, late = self.setting, self.setting.latency
         assert isinstance(late, Latency)
+        described = read_description(setting.task) if isinstance(setting.task, str) else None
         return {
+            **({} if described is None else {'description': _plain(described)}),
             'task': setting.task, 'robot': str(setting.robot), 'gripper': _plain(setting.gripper),
             'action': setting.action, 'control_hz': setting.control_hz, 'latency': asdict(late),
             'cameras': [_plain(camera) for camera in setting.cameras],

@@ -113,13 +113,14 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
     parameters.declare(composition_parameters(Scope()))
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     # A task with two robots names them itself.
-    chosen = {'idn': value('idn'), 'prefix': value('prefix'),
-              'initialization_noise': noise if noise['magnitude'] else None}
+    chosen: dict[str, Any] = {
+        'idn': value('idn'), 'prefix': value('prefix'),
+        'lidars': described_lidars(value('lidars')), 'initialization_noise': (
+            noise if noise['magnitude'] else None)}
     task = create_task(
         value('task'), value('robot'), value('gripper'), base=value('base'),
         timestep_s=value('timestep'), gravity_compensation=value('gravity_compensation'),
         seed=value('seed'), cameras=described_cameras(value('cameras')),
-        **({'lidars': lidars} if (lidars := described_lidars(value('lidars'))) else {}),
         **{name: found for name, found in chosen.items() if found})
     _check_rates(task.world, value('publish_rate'))
     robots = task.world.robots

@@ -40,7 +40,8 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
                       'right. The name is the namespace of the topics of a robot and the prefix '
                       'of its parameters, such as left.robot. Empty: one robot.'),
-        ParameterSpec('task', '', "Task that is done, as 'manip_sim list tasks' has it: it brings "
+        ParameterSpec('task', '', "Task that is done, as 'manip_sim list tasks' has it, or the "
+                      'path of a YAML file that describes one: it brings '
                       'arena and objects, and its starts are drawn from seed; empty: none.'),
         ParameterSpec('arena', 'empty', 'What surrounds the robot.',
                       choices=tuple(arena_names()), kind='arenas'),

@@ -14,10 +14,11 @@ from manip_sim.errors import ModelError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.quoting import shown
 from manip_sim.simulation import Simulation
+from manip_sim.tasks.creating import create_task
 from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
 from manip_sim.tasks.pictures import CameraLike, descriptions, Pictures, views_of
-from manip_sim.tasks.task import Task, TASKS
+from manip_sim.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Setting:
     """
     What episodes are made of.
 
-    :ivar task: its name, or an instance
+    :ivar task: its name, a YAML file, or an instance
     :ivar robot: as for ``compose``; a task that is an instance has its own
     :ivar gripper: as for ``compose``
     :ivar action: what actions mean, one of ``manip_sim.tasks.ACTIONS``
@@ -62,10 +63,9 @@ class Setting:
         """
         if isinstance(self.task, Task):
             return self.task
-        return TASKS.create(self.task, robot=self.robot, gripper=self.gripper,
-                            **{**self.composition, 'cameras': [
-                                *self.composition.get('cameras', ()),
-                                *descriptions(self.cameras)]})
+        cameras = [*self.composition.get('cameras', ()), *descriptions(self.cameras)]
+        return create_task(self.task, self.robot, self.gripper,
+                           **{**self.composition, 'cameras': cameras})
 
     def create_episode(self, task: Task | None = None, simulation: Simulation | None = None,
                        pictures: Pictures | None = None) -> Episode:
