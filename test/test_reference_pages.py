@@ -8,8 +8,8 @@ import re
 
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters,
-    composition_parameters, mode_parameters, MODEL_PATH, node_parameters, place_parameters,
-    reflex_parameters, sensing_parameters, stream_parameters, timeout_parameters,
+    composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
+    place_parameters, reflex_parameters, sensing_parameters, stream_parameters, timeout_parameters,
     wrench_parameters)
 from manip_sim.interface.topics import Scope
 from manip_sim.models.cameras import ImageSettings
@@ -39,7 +39,8 @@ def test_every_part_of_the_catalogue_is_listed():
 def test_every_parameter_is_listed_with_type_default_and_unit():
     types = {str: 'string', bool: 'bool', int: 'integer', float: 'double'}
     scope, place = Scope(), [0.1, 0.2, 0.3]
-    specs = [MODEL_PATH, *node_parameters(), *arena_specs('table'), *arena_specs('bins'),
+    specs = [MODEL_PATH, *node_parameters(), keyframe_parameter(()),
+             *arena_specs('table'), *arena_specs('bins'),
              *composition_parameters(scope), *actuation_parameters(scope, ['arm']),
              *place_parameters(scope, place), *mode_parameters(scope, ['arm', 'base']),
              *timeout_parameters(scope, ['arm', 'base']),

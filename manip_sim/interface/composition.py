@@ -16,9 +16,9 @@ from manip_sim.errors import ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
-    composition_parameters, mode_parameters, MODEL_PATH, node_parameters, periods_per_image,
-    place_parameters, reflex_parameters, sensing_parameters, steps_per_period, stream_parameters,
-    timeout_parameters, wrench_parameters)
+    composition_parameters, keyframe_parameter, mode_parameters, MODEL_PATH, node_parameters,
+    periods_per_image, place_parameters, reflex_parameters, sensing_parameters, steps_per_period,
+    stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.topics import PartLike, Scope
 from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
 from manip_sim.models.arenas import arena_parameters
@@ -27,6 +27,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.subsystems import SUBSYSTEMS
 from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.world import keyframe_names
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
 from manip_sim.simulation.camera_choice import (
@@ -90,13 +91,16 @@ def compose_world(parameters: ParameterSource) -> Composition:
         robot.set_base_xpos(value(scope.parameter('position')))
         if any(value(scope.parameter('orientation'))):
             robot.set_base_ori(value(scope.parameter('orientation')))
+    parameters.declare([keyframe_parameter(keyframe_names(
+        part for robot in robots for part in (robot, *robot.models))
+        + keyframe_names([arena]))])
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     world = World(robots, arena, timestep_s=value('timestep'),
                   gravity_compensation=value('gravity_compensation'),
                   objects=_objects(value('objects')), seed=value('seed'),
                   initialization_noise=noise if noise['magnitude'] else None,
                   cameras=described_cameras(value('cameras')),
-                  lidars=described_lidars(value('lidars')))
+                  lidars=described_lidars(value('lidars')), keyframe=value('keyframe'))
     _check_rates(world, value('publish_rate'))
     return Composition(scopes, world, steps)
 
@@ -110,6 +114,8 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
         if (list(given) if isinstance(node[name], list) else given) != node[name]:
             raise ParameterError(f"parameter '{name}' cannot be combined with 'task', which "
                                  'brings arena, robots and objects')
+    # A task brings its starts.
+    parameters.declare([keyframe_parameter(())])
     parameters.declare(composition_parameters(Scope()))
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     # A task with two robots names them itself.

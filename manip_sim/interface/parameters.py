@@ -95,6 +95,17 @@ def node_parameters() -> list[ParameterSpec]:
     ]
 
 
+def keyframe_parameter(names: Sequence[str]) -> ParameterSpec:
+    """
+    Return the parameter of the keyframe that joints start from.
+
+    :param names: of the keyframes of all files
+    """
+    return ParameterSpec('keyframe', '', 'Keyframe of the files of robots, grippers, bases or '
+                         'arena that joints start from; empty: the usual start. A change takes '
+                         'effect at the next reset.', live=True, choices=('', *names))
+
+
 def arena_specs(arena: str) -> list[ParameterSpec]:
     """Return the parameters of an arena, such as ``arena.table_height``."""
     # The parameter ``cube`` is older than the others and has no ``arena.`` before its name.

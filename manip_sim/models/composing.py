@@ -114,7 +114,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             orientation: ArrayLike | None = None, timestep_s: float = 0.002,
             gravity_compensation: bool = True, objects: Iterable[Description] = (),
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
-            cameras: Iterable[Camera] = (), lidars: Iterable[LidarLike] = (),
+            cameras: Iterable[Camera] = (), lidars: Iterable[LidarLike] = (), keyframe: str = '',
             **arena_parameters: Any) -> World:
     """
     Return a world with one robot.
@@ -136,6 +136,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param seed: of the noise; None draws one
     :param cameras: in addition to those of robot and arena, see :class:`World`
     :param lidars: of the world, see :class:`World`
+    :param keyframe: of a file, that joints start from, see :class:`World`
     :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
@@ -152,4 +153,4 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                          f'got {", ".join(arena_parameters)}')
     return World([whole], arena, timestep_s, gravity_compensation, objects=objects,
                  initialization_noise=initialization_noise, seed=seed, cameras=cameras,
-                 lidars=lidars)
+                 lidars=lidars, keyframe=keyframe)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, overload, TYPE_CHECKING
 
 import mujoco
@@ -65,6 +66,8 @@ class MujocoXMLModel:
     _important_sites: Mapping[str, str] = {}
     _important_geoms: Mapping[str, list[str]] = {}
     _important_sensors: Mapping[str, str] = {}
+    #: Positions of scalar joints by keyframe and name in the file [rad or m].
+    _keyframes: Mapping[str, Mapping[str, float]] = MappingProxyType({})
     _own_model: mujoco.MjModel
     _horizontal_radius: float = 0.0
     #: Whether others have the spec, so that it may be edited at any time.
@@ -341,6 +344,13 @@ class MujocoXMLModel:
     def actuators(self) -> list[str]:
         """All actuators."""
         return self.correct_naming(self._actuators)
+
+    @property
+    def keyframes(self) -> dict[str, dict[str, float]]:
+        """Positions of scalar joints by named keyframe of the file and joint [rad or m]."""
+        return {name: {self.correct_naming(joint): position
+                       for joint, position in positions.items()}
+                for name, positions in self._keyframes.items()}
 
     @property
     def joint_ranges(self) -> dict[str, FloatArray]:

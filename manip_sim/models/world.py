@@ -11,7 +11,7 @@ from typing import Any
 
 import mujoco
 
-from manip_sim.errors import ModelError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.archive import pack
 from manip_sim.models.arenas import Arena, EmptyArena
 from manip_sim.models.cameras import Camera, create_camera
@@ -32,6 +32,12 @@ _NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE = 10, 1e-7
 _DISCARDS_VISUALS = 3017000
 
 
+def keyframe_names(parts: Iterable[MujocoXMLModel | ObjectModel]) -> list[str]:
+    """Return the names of the keyframes of the files of some parts, each once."""
+    return list(dict.fromkeys(name for part in parts if isinstance(part, MujocoXMLModel)
+                              for name in part.keyframes))
+
+
 class World:
     """
     Robots in an arena.
@@ -50,7 +56,9 @@ class World:
     :param seed: of that noise, for which None draws one, and of the noise of sensors
     :param cameras: in addition to those of robots and arena, as for :func:`create_camera`
     :param lidars: as for :func:`create_lidar`
+    :param keyframe: of the file of a part: its joints start there; empty for their usual start
     :ivar lidars: as :class:`LidarModel`
+    :ivar keyframe: where joints start
     :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
@@ -62,7 +70,8 @@ class World:
                  objects: Iterable[Description] = (),
                  initialization_noise: Mapping[str, Any] | None = None,
                  seed: int | None = None, cameras: Iterable[Camera] = (),
-                 lidars: Iterable[LidarLike] = ()) -> None:
+                 lidars: Iterable[LidarLike] = (),
+                 keyframe: str = '') -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = whole_nanoseconds(timestep_s)
@@ -76,6 +85,7 @@ class World:
         check_object_names(self.objects)
         self.cameras = [create_camera(camera) for camera in cameras]
         self.lidars = [create_lidar(lidar) for lidar in lidars]
+        self.keyframe = self.checked_keyframe(keyframe)
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
         if self.noise is not None:
@@ -87,6 +97,23 @@ class World:
     def name(self) -> str:
         """Names of the robots, for messages."""
         return ' and '.join(robot.name for robot in self.robots)
+
+    @property
+    def keyframes(self) -> list[str]:
+        """Names of the keyframes of all parts."""
+        return keyframe_names(self._parts())
+
+    def checked_keyframe(self, keyframe: str) -> str:
+        """
+        Return the name of a keyframe.
+
+        :param keyframe: of one or several parts; empty for none
+        :raises UnknownNameError: if no part has it
+        """
+        known = self.keyframes
+        if keyframe and keyframe not in known:
+            raise UnknownNameError('keyframe', keyframe, known)
+        return keyframe
 
     @property
     def gripper_actuators(self) -> list[str]:
@@ -241,11 +268,17 @@ class World:
         compile_spec(spec, self.name)
         return spec.to_xml(), spec.assets or {}
 
-    def init_qpos(self, seed: int | None = None) -> dict[str, float]:
+    def init_qpos(self, seed: int | None = None, keyframe: str | None = None
+                  ) -> dict[str, float]:
         """
         Return start positions by name of the joint of robots, bases and grippers [rad or m].
 
+        With a keyframe, they include the joints of the arena. A root with a free joint stands
+        where it does without one.
+
         :param seed: of the noise on them; None for that of the world
+        :param keyframe: that replaces the usual start; None for that of the world
+        :raises UnknownNameError: if no part has the keyframe
         :raises ModelError: if the seed is no whole number from 0
         """
         if seed is not None:
@@ -260,9 +293,18 @@ class World:
                 starts += [(gripper, gripper.init_qpos) for gripper in robot.grippers.values()]
             for part, qpos in starts:
                 start.update(start_by_joint(part.name, part.joints, qpos))
+        self._add_keyframe(start, self.keyframe if keyframe is None else keyframe)
         if noise is not None:
             self._add_noise(start, noise)
         return start
+
+    def _add_keyframe(self, start: dict[str, float], keyframe: str) -> None:
+        self.checked_keyframe(keyframe)
+        for part in self._parts():
+            found = part.keyframes.get(keyframe, {}) if not isinstance(part, ObjectModel) else {}
+            of_arena = part is self.arena
+            # A hand of the file may have been taken off.
+            start.update({joint: at for joint, at in found.items() if joint in start or of_arena})
 
     def _add_noise(self, start: dict[str, float], noise: InitializationNoise) -> None:
         for number, robot in enumerate(self.robots):

@@ -247,6 +247,9 @@ class SimNode(Node):
                     self.thread.pause_at(parameter.value)
                 if parameter.name == 'seed':
                     self.thread.set_seed(parameter.value)
+                if parameter.name == 'keyframe':
+                    self.thread.call(partial(
+                        setattr, self.simulation, 'keyframe', parameter.value))
                 if parameter.name in self._uses:
                     change = partial(self._uses[parameter.name], parameter.value)
                     self.thread.call(change)

@@ -102,7 +102,9 @@ class Simulation:
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.diverged: str | None = None
-        self._draw_start = world.init_qpos
+        self._world = world
+        self._keyframe, self._start_seed = world.keyframe, world.seed
+        self._changes_start = False
         self._start = world.init_qpos()
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self._timestep_s = float(self.model.opt.timestep)
@@ -402,6 +404,20 @@ class Simulation:
         for _ in range(periods):
             self.advance(steps)
 
+    @property
+    def keyframe(self) -> str:
+        """
+        Keyframe of a file that joints start from, from the next reset on; empty: none.
+
+        :raises UnknownNameError: if it is set to one that no part of the world has
+        """
+        return self._keyframe
+
+    @keyframe.setter
+    def keyframe(self, name: str) -> None:
+        self._keyframe = self._world.checked_keyframe(name)
+        self._changes_start = True
+
     def reset(self, seed: int | None = None) -> None:
         """
         Reset everything to the start and abort all commands; time goes on.
@@ -413,8 +429,10 @@ class Simulation:
             ``initialization_noise``, and the noise of sensors; None keeps both
         :raises ModelError: if the seed is no whole number from 0
         """
-        if seed is not None:
-            self._start = self._draw_start(seed)
+        if seed is not None or self._changes_start:
+            self._start_seed = self._start_seed if seed is None else seed
+            self._start = self._world.init_qpos(self._start_seed, self._keyframe)
+            self._changes_start = False
             self._settle_linkages()
         self._reset(seed)
 

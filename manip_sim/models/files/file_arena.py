@@ -12,14 +12,15 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
+from manip_sim.models.files.model_file import keyframes_of
 from manip_sim.models.files.part_descriptions import ArenaDescription
-from manip_sim.models.loading import load_spec
+from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.robots.robot_model import RobotModel
 
 
 class FileArena(Arena, registered=False):
     """
-    What is around the robots; keyframes of the file are left out.
+    What is around the robots.
 
     :param file: MJCF
     :param description: what the YAML file says
@@ -39,11 +40,15 @@ class FileArena(Arena, registered=False):
 
     def _read(self) -> Any:
         spec = load_spec(self.file)
+        name_unnamed_elements(spec)
         keys = list(spec.keys)
+        if keys:
+            self._keyframes = keyframes_of(compile_spec(spec, str(self.file)))
         for key in keys:
             spec.delete(key)
-        if keys:
-            self.inferred.append(f'left out: {len(keys)} keyframes')
+        unnamed = len(keys) - len(self._keyframes)
+        if unnamed:
+            self.inferred.append(f'left out: {unnamed} keyframes without a name')
         return spec
 
     def robot_position(self, robot: RobotModel) -> FloatArray:

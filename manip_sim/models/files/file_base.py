@@ -39,6 +39,7 @@ class FileBase(RobotBaseModel, registered=False):
         self._model_file = model_file
         self._top = top
         self.inferred = model_file.inferred
+        self._keyframes = model_file.keyframes
         super().__init__(model_file.file, idn=idn)
 
     def _read(self) -> Any:

@@ -138,6 +138,7 @@ class FileGripper(HandFromFile, registered=False):
         keyframe = declared.start if isinstance(declared.start, str) else None
         model_file = read_model(self.file, _KEYFRAMES, keyframe)
         self.inferred = model_file.inferred
+        self._keyframes = model_file.keyframes
         self._start = start_pose(model_file, declared.start, self._where)
         spec = model_file.spec
         if declared.mount is not None:

@@ -33,6 +33,7 @@ class FileRobot(RobotModel, registered=False):
         if plan.description.foot is not None:
             x, y, z = plan.description.foot
             self._foot_offset = (x, y, z)
+        self._keyframes = plan.keyframes
         super().__init__(plan.file, idn=idn)
         self.inferred = [*plan.inferred, *(
             f'{arm} hand: {sentence}' for arm, hand in plan.hands.items()

@@ -106,6 +106,7 @@ class ModelFile:
     :ivar tree: of the compiled model as it was in the file
     :ivar start: where scalar joints start, by name [rad or m]
     :ivar inferred: what was inferred or left out, in sentences
+    :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     """
 
     file: Path
@@ -113,6 +114,7 @@ class ModelFile:
     tree: BodyTree
     start: dict[str, float]
     inferred: list[str] = field(default_factory=list)
+    keyframes: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
@@ -137,7 +139,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     else:
         qpos = model.key_qpos[key]
         notes += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
-    start = _start_of(model, qpos)
+    start, named = positions_of(model, qpos), keyframes_of(model)
     notes += _place_root(spec, model, qpos)
     for old in list(spec.keys):
         spec.delete(old)
@@ -147,7 +149,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
-    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes])
+    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named)
 
 
 def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:
@@ -179,11 +181,17 @@ def _choose_key(model: mujoco.MjModel, preferred: Sequence[str], wanted: str | N
     return 0 if len(names) == 1 else None
 
 
-def _start_of(model: mujoco.MjModel, qpos: FloatArray) -> dict[str, float]:
+def positions_of(model: mujoco.MjModel, qpos: FloatArray) -> dict[str, float]:
     """Return the positions of scalar joints in a pose, by name [rad or m]."""
     tree = BodyTree(model)
     return {str(model.joint(joint).name): float(qpos[model.jnt_qposadr[joint]])
             for joint in range(model.njnt) if tree.is_scalar(joint)}
+
+
+def keyframes_of(model: mujoco.MjModel) -> dict[str, dict[str, float]]:
+    """Return the positions of scalar joints in the keyframes that have a name [rad or m]."""
+    return {str(model.key(key).name): positions_of(model, model.key_qpos[key])
+            for key in range(model.nkey) if model.key(key).name}
 
 
 def _place_root(spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: FloatArray) -> list[str]:

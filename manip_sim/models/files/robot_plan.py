@@ -148,6 +148,7 @@ class RobotPlan:
     :ivar hands: the file's own hands by arm
     :ivar still: names of the actuators that hold still
     :ivar inferred: what was inferred or left out, in sentences
+    :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     """
 
     file: Path
@@ -160,6 +161,7 @@ class RobotPlan:
     hands: dict[str, OwnHand]
     still: set[str]
     inferred: list[str]
+    keyframes: dict[str, dict[str, float]]
 
 
 def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPlan:
@@ -197,7 +199,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
-    return RobotPlan(file, description, where, spec, start, by_name, ends, own, still, notes)
+    return RobotPlan(file, description, where, spec, start, by_name, ends, own, still, notes,
+                     model_file.keyframes)
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
