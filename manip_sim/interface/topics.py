@@ -32,6 +32,7 @@ _PERIOD, _TF_RATE, _IMAGES, _SCANS = (
 #: Readers of what is measured, with noise and latency where these are set.
 MEASURED = ('joints', 'wrench', 'external_wrench', 'pose', 'twist', 'odometry', 'imu', 'range',
             'magnetic_field', 'values', 'scan', 'points')
+_SCENE = 'at changes, up to 10 Hz'
 _ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
 
 
@@ -187,6 +188,15 @@ TOPICS = (
                latched=True),
     _published('~/markers', 'visualization_msgs/MarkerArray',
                'contacts with their forces, and external wrenches, to display', rate=_TF_RATE),
+    _published('planning_scene_world', 'moveit_msgs/PlanningSceneWorld',
+               'the world around the robot, for MoveIt, where moveit_msgs is installed',
+               rate='with a new subscriber, and when objects come or go'),
+    _published('collision_object', 'moveit_msgs/CollisionObject',
+               'objects that have moved, in world [m], where moveit_msgs is installed',
+               rate=_SCENE),
+    _published('attached_collision_object', 'moveit_msgs/AttachedCollisionObject',
+               'what a gripper grasps since now, in its link [m], or does not any more, where '
+               'moveit_msgs is installed', rate=_SCENE),
     _published('robot_description', 'std_msgs/String', 'URDF of the robot, latched',
                rate=_ONCE, depth=1, latched=True),
     _published('~/dynamics', 'std_msgs/String',

@@ -49,12 +49,17 @@ class Output:
         self._closed = False
 
     @property
+    def subscribers(self) -> int:
+        """How many subscribers there are."""
+        try:
+            return 0 if self._closed else int(self._publisher.get_subscription_count())
+        except InvalidHandle:  # It is being closed in another thread.
+            return 0
+
+    @property
     def has_subscribers(self) -> bool:
         """Whether there are subscribers."""
-        try:
-            return not self._closed and self._publisher.get_subscription_count() > 0
-        except InvalidHandle:  # It is being closed in another thread.
-            return False
+        return self.subscribers > 0
 
     @property
     def wanted(self) -> bool:

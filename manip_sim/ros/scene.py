@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Publish what tools such as RViz show of a world: frames, odometry of bases, markers."""
+"""Publish what tools show of a world or plan with: frames, odometry, markers, scenes."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import WORLD
 from manip_sim.ros.outputs import create_output, Publication, Publications
+from manip_sim.ros.planning_scene_publisher import offer_planning_scenes, RATE_HZ
 from manip_sim.ros.transforms import offer_transforms
 from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.instruments import instrument_sites
@@ -113,7 +114,7 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
                   simulation: Simulation, thread: SimulationThread, log: RejectionLog
                   ) -> list[Follower]:
     """
-    Publish odometry each period, and frames and markers at their rate.
+    Publish odometry each period, and frames, markers and planning scenes at their rates.
 
     :param value: returns the value of a parameter
     :param robots: by their scope
@@ -137,6 +138,9 @@ def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope,
                      for arm, reader in robot.end_effectors.items()}
     markers = MarkerPublisher(node, end_effectors, prefix + WORLD, log)
     thread.observe(markers.publish, every, markers.look)
+    for scene in offer_planning_scenes(node, robots, log):
+        thread.observe(scene.publish, periods_per_message(value('publish_rate'), RATE_HZ),
+                       scene.look)
     if not value('publish_tf'):
         return []
     sites = [site for reader in end_effectors.values()

@@ -17,8 +17,11 @@ import yaml
 from manip_sim.errors import ModelError
 from manip_sim.interface.topics import topics_of
 from manip_sim.models import compose
+from manip_sim.models.urdf_writer import choose_robot
 from manip_sim.moveit import write_package
+from manip_sim.moveit.package import describe, write_files
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.planning_scene import PlanningScene
 
 #: One arm, two, a lift on a mobile base, a hand of many fingers, a tool without, a prefix.
 COMPOSITIONS = {
@@ -353,6 +356,45 @@ def test_in_all_group_states_coal_finds_no_collision(package):
                for pair, result in zip(shapes.collisionPairs, found.collisionResults)
                if result.isCollision()]
         assert not hit, (state.attrib, hit)
+
+
+@pytest.mark.parametrize(('robot', 'arena'), [
+    ('Panda', 'table'), ('UR5e', 'drawer'), ('PandaOmron', 'bins')])
+def test_at_the_start_coal_finds_no_collision_with_the_planning_scene(robot, arena, tmp_path):
+    pinocchio = pytest.importorskip('pinocchio', reason='pin is a tool of the extra test')
+    import coal
+    world = compose(robot=robot, arena=arena)
+    simulation = Simulation(world)
+    urdf, meshes = describe(simulation.model, choose_robot(world), 'own')
+    write_files(tmp_path / 'own', {'urdf': urdf.xml.encode(), **meshes})
+    model = pinocchio.buildModelFromXML(urdf.xml)
+    shapes = pinocchio.buildGeomFromUrdfString(
+        model, urdf.xml, pinocchio.GeometryType.COLLISION, package_dirs=[str(tmp_path)])
+    state, q = simulation.robot.state(), pinocchio.neutral(model)
+    for name, value in zip(simulation.robot.joint_names, state.position):
+        joint = model.joints[model.getJointId(name)]
+        q[joint.idx_q:joint.idx_q + joint.nq] = (
+            value if joint.nq == 1 else (np.cos(value), np.sin(value)))
+    data, placed = model.createData(), shapes.createData()
+    pinocchio.updateGeometryPlacements(model, data, shapes, placed, q)
+    scene = PlanningScene(simulation.model, simulation.robot.robot_model.root_body, {})
+    distances = {}
+    for name, pose in scene.poses(simulation.data).items():
+        for solid in scene.obstacles[name].solids:
+            place = pinocchio.XYZQUATToSE3(pose) * pinocchio.XYZQUATToSE3(solid.pose)
+            at = coal.Transform3s(place.rotation, place.translation)
+            sizes = solid.dimensions
+            shape = (coal.Box(*sizes) if solid.kind == 'box' else coal.Sphere(*sizes)
+                     if solid.kind == 'sphere' else coal.Cylinder(*reversed(sizes)))
+            for number, link in enumerate(shapes.geometryObjects):
+                own = placed.oMg[number]
+                distances[name, link.name] = coal.distance(
+                    shape, at, link.geometry, coal.Transform3s(own.rotation, own.translation),
+                    coal.DistanceRequest(), coal.DistanceResult())
+    assert min(distances.values()) > 5e-4, min(distances, key=distances.get)
+    if (robot, arena) == ('Panda', 'table'):
+        # The mount stands against the table in the simulation.
+        assert distances['table', 'fixed_mount0_pedestal_0'] == pytest.approx(1e-3, abs=1e-6)
 
 
 # What cannot be.

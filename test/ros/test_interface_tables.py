@@ -15,7 +15,7 @@ from manip_sim.interface.given_parameters import GivenParameters
 from manip_sim.interface.instruments import served_instruments
 from manip_sim.interface.topics import (
     PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of_world)
-from manip_sim.ros import transforms
+from manip_sim.ros import planning_scene_publisher, transforms
 from manip_sim.ros.outputs import message_class
 
 OF_ROS = {'/rosout', '/parameter_events'}
@@ -51,11 +51,14 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
         {name: images.depth for name, images in cameras.items()},
         [one.topic for one in served_instruments(simulation, dict(zip(scopes, robots)))],
         composition.task is not None)
+    missing = [package for package, types in (
+        ('tf2_msgs', transforms.TFMessage), ('moveit_msgs', planning_scene_publisher.moveit_msgs))
+        if types is None]
     for direction, seen in (
             (PUBLISHED, client.node.get_publisher_names_and_types_by_node),
             (SUBSCRIBED, client.node.get_subscriber_names_and_types_by_node)):
         wanted = {as_seen(t.name): t.type for t in expected if t.direction == direction
-                  and not (transforms.TFMessage is None and t.type == 'tf2_msgs/TFMessage')}
+                  and t.type.partition('/')[0] not in missing}
 
         def found(seen=seen):
             return {name: _either(kinds[0].replace('/msg/', '/'))
@@ -84,7 +87,7 @@ def test_a_topic_that_is_not_in_the_table_cannot_be_made(make, direction, serve)
 @pytest.mark.parametrize('row', TOPICS, ids=lambda row: row.name)
 def test_a_row_has_a_type_that_exists_and_functions_of_its_own_direction(row):
     package = row.type.partition('/')[0]
-    if package != 'tf2_msgs':
+    if package not in ('tf2_msgs', 'moveit_msgs'):
         assert message_class(row).__name__ == row.type.partition('/')[2]
     assert bool(row.rate) == (row.direction == PUBLISHED)
     assert row.latched <= (row.depth == 1)

@@ -5,7 +5,7 @@
 
 import pytest
 
-from manip_sim.ros import actions, standard_services, transforms
+from manip_sim.ros import actions, planning_scene_publisher, standard_services, transforms
 from manip_sim.ros.optional_packages import import_optional
 
 
@@ -25,10 +25,13 @@ def test_each_package_that_is_missing_is_noted_with_the_way_to_get_it(
     monkeypatch.setattr(actions, 'load_action_types', lambda: None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
     monkeypatch.setattr(transforms, 'TFMessage', None)
+    monkeypatch.setattr(planning_scene_publisher, 'moveit_msgs', None)
     log = client.log()
     serve()
     end = 'is not installed; it is not available from pip: apt install'
     expected = {f'no /tf and /tf_static: tf2_msgs {end} ros-jazzy-tf2-msgs, or build it',
+                f'no planning scene for MoveIt: moveit_msgs {end} ros-jazzy-moveit-msgs, or '
+                'build it',
                 f'no actions: control_msgs {end} ros-jazzy-control-msgs, or build it',
                 f'no standard simulation services: simulation_interfaces {end} '
                 'ros-jazzy-simulation-interfaces, or build it'}

@@ -10,7 +10,7 @@ import sys
 
 from rclpy.qos import QoSDurabilityPolicy
 
-from manip_sim.ros import transforms
+from manip_sim.ros import planning_scene_publisher, transforms
 from manip_sim.interface.topics import ACTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,6 +69,8 @@ def test_topics_are_documented_with_their_types(serve, client):
     assert {name for name, _ in frames} == {'/tf', '/tf_static'}
     if transforms.TFMessage is not None:
         table |= frames
+    if planning_scene_publisher.moveit_msgs is not None:
+        table |= documented({'moveit_msgs'})
     assert found <= table
     # A Panda has no mobile base, and none of these sensors; this node has no task.
     assert table - found == {

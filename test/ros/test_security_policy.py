@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from manip_sim.interface.topics import actions_of
 from manip_sim.resources import share_directory
-from manip_sim.ros import standard_services, transforms
+from manip_sim.ros import planning_scene_publisher, standard_services, transforms
 
 #: Together they have all parts that there are.
 ROBOTS = ('PandaOmron', 'GR1')
@@ -28,6 +28,8 @@ STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
 
 #: With or without tf2_msgs in this environment.
 FRAMES = {'/tf', '/tf_static'}
+#: With or without moveit_msgs in this environment.
+SCENE = {f'/{name}' for name in planning_scene_publisher.TOPICS}
 
 
 def granted(enclave, kind, permission):
@@ -79,6 +81,9 @@ def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
         assert allowed >= FRAMES
         if transforms.TFMessage is None:
             allowed -= FRAMES
+        assert allowed >= SCENE
+        if planning_scene_publisher.moveit_msgs is None:
+            allowed -= SCENE
     assert allowed == graph[permission]
 
 
