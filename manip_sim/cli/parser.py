@@ -276,7 +276,11 @@ def _add_run(commands: Any) -> None:
                         'the path of a YAML file that describes one')
     parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
-                        'observation; or a TorchScript (.pt) or ONNX file')
+                        'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '
+                        'node that answers observations')
+    parser.add_argument('--policy-limit', type=_positive, default=10.0, metavar='SECONDS',
+                        help='how long a node may take for an answer, wall time; then its episode '
+                        'fails (default: 10)')
     parser.add_argument('--seeds', required=True, metavar='SEEDS',
                         help='such as 0:1000, which is 0 to 999, 0:1000:10 or 1,5,10:20')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of the run')

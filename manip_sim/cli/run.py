@@ -18,6 +18,7 @@ from manip_sim.cli.tables import table, terminal_width
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.experiments import Experiment, parse_seeds, parse_shard, RunFolder
 from manip_sim.experiments.on_ray import run_on_ray
+from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.processes import processors, run_in_processes
 from manip_sim.experiments.run_folder import read_json, RUN, Shard
 from manip_sim.experiments.summary import Row
@@ -38,14 +39,18 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         raise ModelError('--address is for --engine ray')
     if options.record and importlib.util.find_spec('mcap') is None:
         raise ManipSimError("--record needs mcap: pip install 'manip_sim[records]'")
+    ros = options.policy.startswith(ROS)
+    if ros and (options.engine == 'ray' or options.worlds not in (None, 1)):
+        raise ModelError('a ROS node acts in one episode at a time: it needs --worlds 1, and no '
+                         '--engine ray')
     latency = {'command': options.latency, 'state': options.state_latency,
                'command_jitter': options.latency_jitter,
                'state_jitter': options.state_latency_jitter}
     setting = Setting(
         options.task, options.robot, options.gripper, options.action, options.control_hz,
         latency, tuple(options.cameras or ()), options.image_size)
-    experiment = Experiment(setting, options.policy,
-                            options.out / 'records' if options.record else None)
+    records = options.out / 'records' if options.record else None
+    experiment = Experiment(setting, options.policy, records, options.policy_limit)
     # What cannot be used is said here, before anything is written.
     period_s = experiment.create_worker().period_s
     folder = RunFolder(options.out, experiment.description(), seeds, period_s)
@@ -53,7 +58,8 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         if options.engine == 'ray':
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
         else:
-            rows = run_in_processes(experiment, shard.left, options.worlds or processors())
+            rows = run_in_processes(
+                experiment, shard.left, 1 if ros else options.worlds or processors())
         try:
             with _interruptible():
                 _collect(rows, shard)

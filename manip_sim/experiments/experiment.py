@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.policies import load_policy, PolicyFailure
+from manip_sim.experiments.policies import LIMIT_S, load_policy, PolicyFailure
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
@@ -31,11 +31,13 @@ class Experiment:
     :ivar setting: task, robot, actions, latency
     :ivar policy: as for :func:`load_policy`
     :ivar records: folder for a record of each episode; None for no records
+    :ivar limit_s: how long the answer of a ROS node may take, wall time [s]
     """
 
     setting: Setting
     policy: str
     records: Path | None = None
+    limit_s: float = LIMIT_S
 
     def description(self) -> dict[str, Any]:
         """Return what the rows depend on, as JSON can hold it."""
@@ -73,7 +75,8 @@ class Worker:
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
         self._episode: Episode = experiment.setting.create_episode()
-        self._policy: Policy = load_policy(experiment.policy, self._episode)
+        self._policy: Policy = load_policy(
+            experiment.policy, self._episode, experiment.limit_s)
 
     @property
     def period_s(self) -> float:

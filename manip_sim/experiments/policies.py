@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Policies by name: the expert of a task, a class, a function, a TorchScript or an ONNX file."""
+"""Policies by name: an expert, a class, a function, a TorchScript or ONNX file, a ROS node."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ from manip_sim.tasks.expert import Policy
 from manip_sim.tasks.observation import IMAGE, Observation
 
 EXPERT = 'expert'
-_FORMS = "'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt or FILE.onnx"
+#: Before the namespace of a node.
+ROS = 'ros:'
+#: How long the answer of a node may take, wall time [s].
+LIMIT_S = 10.0
+_FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE.onnx or "
+          'ros:/NAMESPACE')
 
 
 class PolicyFailure(ManipSimError):
@@ -39,18 +44,25 @@ class PolicyFailure(ManipSimError):
                          f'{one_line(str(error), 200)}')
 
 
-def load_policy(name: str, episode: Episode) -> Policy:
+def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy:
     """
     Return a policy.
 
     :param name: ``expert``; ``module:Class`` of a class without arguments, with ``reset`` and
         ``act``; ``module:function`` of a function of an observation; ``.py`` file in place of the
-        module; or a ``.pt`` or ``.onnx`` file
+        module; a ``.pt`` or ``.onnx`` file; or ``ros:/namespace`` of a node
     :param episode: in which it acts
+    :param limit_s: how long an answer of a node may take, wall time [s]
     :raises ModelError: if it cannot be used, with what is missing
     """
     if name == EXPERT:
         return episode.task.expert(episode.simulation)
+    if name.startswith(ROS):
+        try:
+            from manip_sim.experiments.ros_policy import RosPolicy
+        except ImportError as error:
+            raise ModelError(f'policy {quoted(name)} needs ROS 2: {error}') from error
+        return RosPolicy(name.removeprefix(ROS), episode, limit_s)
     suffix = Path(name).suffix.lower()
     if suffix in ('.pt', '.pth', '.onnx'):
         if not Path(name).is_file():
