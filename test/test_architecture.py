@@ -24,7 +24,7 @@ MAY_IMPORT = {
     'simulation': ({'models', 'sensing', 'simulation'}, PURE),
     'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),
-    'runtime': ({'models', 'simulation', 'rendering', 'runtime'}, PURE),
+    'runtime': ({'models', 'sensing', 'simulation', 'rendering', 'runtime'}, PURE),
     'tasks': ({'models', 'sensing', 'simulation', 'rendering', 'tasks'}, PURE),
     'env/ros': ({'env', 'simulation', 'tasks'}, None),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),

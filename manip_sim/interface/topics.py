@@ -31,7 +31,7 @@ _PERIOD, _TF_RATE, _IMAGES, _SCANS = (
     'publish_rate', 'tf_rate', 'camera.<camera>.rate', 'rate of the lidar')
 #: Readers of what is measured, with noise and latency where these are set.
 MEASURED = ('joints', 'wrench', 'external_wrench', 'pose', 'twist', 'odometry', 'imu', 'range',
-            'magnetic_field', 'values', 'scan', 'points')
+            'magnetic_field', 'values', 'scan', 'points', 'image')
 _SCENE = 'at changes, up to 10 Hz'
 _ONCE, _CHANGES = 'once', 'at the start and when objects come or go'
 
@@ -216,22 +216,22 @@ TOPICS = (
     _published('sensors/<sensor>/values', 'std_msgs/Float64MultiArray',
                'any other sensor; the label says of what, in SI units', 'sensor', 'values'),
     _published('<camera>/color/image_raw', 'sensor_msgs/Image', 'what it sees, rgb8',
-               'camera', rate=_IMAGES, depth=2),
+               'camera', 'image', _IMAGES, 2),
     _published('<camera>/color/image_raw/compressed', 'sensor_msgs/CompressedImage',
-               'the same as JPEG', 'camera', rate=_IMAGES, depth=2),
+               'the same as JPEG', 'camera', 'image', _IMAGES, 2),
     _published('<camera>/color/camera_info', 'sensor_msgs/CameraInfo', 'its intrinsics',
                'camera', rate=_IMAGES, depth=2),
     _published('<camera>/depth/image_raw', 'sensor_msgs/Image',
                'depth along the view, 32FC1 [m], +Inf where there is nothing', 'depth',
-               rate=_IMAGES, depth=2),
+               'image', _IMAGES, 2),
     _published('<camera>/depth/camera_info', 'sensor_msgs/CameraInfo', 'the same intrinsics',
                'depth', rate=_IMAGES, depth=2),
     _published('<camera>/depth/points', 'sensor_msgs/PointCloud2',
                'a point for each pixel in the optical frame [m], with its colour', 'depth',
-               rate=_IMAGES, depth=2),
+               'image', _IMAGES, 2),
     _published('<camera>/labels/image_raw', 'sensor_msgs/Image',
                'ids of the bodies that it sees, 32SC1, -1 for the background', 'camera',
-               rate=_IMAGES, depth=2),
+               'image', _IMAGES, 2),
     _published('<camera>/labels/names', 'std_msgs/String',
                'names of the bodies by their ids as JSON, latched', 'camera', rate=_CHANGES,
                depth=1, latched=True),

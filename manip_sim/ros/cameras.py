@@ -8,6 +8,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 import io
 import json
 import sys
@@ -24,20 +25,20 @@ from std_msgs.msg import Header, String
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import topics_of_cameras
+from manip_sim.interface.topics import Scope, Topic, topics_of_cameras, truths
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.intrinsics import Intrinsics, intrinsics_of
-from manip_sim.rendering.offscreen import BACKGROUND
-from manip_sim.ros.log import RejectionLog
+from manip_sim.rendering.offscreen import BACKGROUND, Picture
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_publisher, Output
 from manip_sim.ros.point_clouds import PointCloudMaker
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.camera_thread import CameraThread, Shot, View
-from manip_sim.simulation import Simulation
-from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+from manip_sim.sensing.images import CameraSensing, ImageNoise
+from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.appearance import Snapshot, take_snapshot, VisibleWorld
 
 #: Of JPEG, the default of image_transport_plugins.
 _QUALITY = 95
@@ -98,39 +99,100 @@ def body_names(model: mujoco.MjModel) -> str:
                        **{body: model.body(body).name for body in range(model.nbody)}})
 
 
-class CameraPublishers:
+class ImageOutputs:
     """
-    The topics of one camera.
+    The topics of the images of one camera, as they are measured or exact.
 
-    :param node: the node
-    :param log: counts and logs what could not be published
-    :param name: of the camera
-    :param found: its intrinsics
-    :param depth: whether there are depth images
-    :param frame_id: of its optical frame
+    :param outputs: by the end of their names
+    :param found: intrinsics of the camera
     """
 
-    def __init__(self, node: Node, log: RejectionLog, name: str, found: Intrinsics, depth: bool,
-                 frame_id: str) -> None:
-        outputs = {row.name[len(name) + 1:]: Output(create_publisher(node, row), log)
-                   for row in topics_of_cameras({name: depth})}
-        self.view = View(name, found.width, found.height)
-        self._frame_id = frame_id
-        self._info = camera_info(found)
+    def __init__(self, outputs: Mapping[str, Output], found: Intrinsics) -> None:
         self._color = outputs['color/image_raw']
         self._jpeg = outputs['color/image_raw/compressed']
         self._depth = outputs.get('depth/image_raw')
         self._points = outputs.get('depth/points')
-        self._labels, self._names = outputs['labels/image_raw'], outputs['labels/names']
+        self._labels = outputs['labels/image_raw']
         self._clouds = PointCloudMaker(found)
-        self._infos = [output for topic, output in outputs.items() if 'camera_info' in topic]
 
-    def wanted(self) -> tuple[bool, bool, bool, bool]:
-        """Return whether colours, depth, labels and intrinsics have subscribers."""
+    def wanted(self) -> tuple[bool, bool, bool]:
+        """Return whether colours, depth and labels have subscribers."""
         points = self._points is not None and self._points.wanted
         return (self._color.wanted or self._jpeg.wanted or points,
-                points or self._depth is not None and self._depth.wanted, self._labels.wanted,
-                any(info.wanted for info in self._infos))
+                points or self._depth is not None and self._depth.wanted, self._labels.wanted)
+
+    def publish(self, head: Header, picture: Picture, noise: ImageNoise | None) -> None:
+        """Publish what the camera saw, with noise."""
+        rgb, depth = picture.rgb, picture.depth
+        if noise is not None:
+            rgb = None if rgb is None else noise.on_colours(rgb)
+            depth = None if depth is None else noise.on_depth(depth)
+        if rgb is not None:
+            if self._color.wanted:
+                self._color.publish(image(head, rgb))
+            if self._jpeg.wanted:
+                self._jpeg.publish(jpeg(head, rgb))
+        if depth is not None and self._depth is not None and self._depth.wanted:
+            self._depth.publish(image(head, depth))
+        if depth is not None and self._points is not None and self._points.wanted:
+            self._points.publish(self._clouds.make(head, depth, rgb))
+        if picture.labels is not None and self._labels.wanted:
+            self._labels.publish(image(head, picture.labels))
+
+
+class CameraPublishers:
+    """
+    The topics of one camera.
+
+    :param node: the node, with its ``rejections`` and ``table`` of topics
+    :param name: of the camera
+    :param found: its intrinsics
+    :param depth: whether there are depth images
+    :param frame_id: of its optical frame
+    :param sensing: its noise and latency
+    :ivar sensing: its noise and latency
+    """
+
+    def __init__(self, node: Any, name: str, found: Intrinsics, depth: bool, frame_id: str,
+                 sensing: CameraSensing[Snapshot]) -> None:
+        self._node = node
+        self._found = found
+        self._rows = topics_of_cameras({name: depth})
+        self.view = View(name, found.width, found.height)
+        self.sensing = sensing
+        self._frame_id = frame_id
+        self._info = camera_info(found)
+        outputs = self._create(self._rows)
+        self._images = {False: ImageOutputs(outputs, found)}
+        self._names = outputs['labels/names']
+        self._infos = [output for topic, output in outputs.items() if 'camera_info' in topic]
+
+    def _create(self, rows: list[Topic]) -> dict[str, Output]:
+        return {row.name.partition(f'{self.view.camera}/')[2]: Output(
+            create_publisher(self._node, row), self._node.rejections) for row in rows}
+
+    def publish_truth(self) -> None:
+        """Publish exact images too, below ``truth/``."""
+        rows = truths(self._rows)
+        self._node.table += rows
+        self._images[True] = ImageOutputs(self._create(rows), self._found)
+
+    def wanted(self, exact: bool) -> tuple[bool, bool, bool]:
+        """
+        Return whether colours, depth and labels have subscribers.
+
+        :param exact: those of the exact images
+        """
+        images = self._images.get(exact)
+        return (False, False, False) if images is None else images.wanted()
+
+    def have_subscribers(self) -> bool:
+        """Return whether any image or the intrinsics have subscribers."""
+        return any((*self.wanted(False), *self.wanted(True), self.infos_wanted()))
+
+    def infos_wanted(self) -> bool:
+        """Return whether the intrinsics have subscribers."""
+        return any(info.wanted for info in self._infos)
 
     def publish_names(self, names: str) -> None:
         """Publish the names of the labels, as :func:`body_names` returns them."""
@@ -146,19 +208,9 @@ class CameraPublishers:
     def publish(self, shot: Shot) -> None:
         """Publish what the camera saw, and the intrinsics for that instant."""
         head = header(stamp_of(shot.snapshot.time_ns), self._frame_id)
-        picture = shot.picture
-        if picture.rgb is not None:
-            if self._color.wanted:
-                self._color.publish(image(head, picture.rgb))
-            if self._jpeg.wanted:
-                self._jpeg.publish(jpeg(head, picture.rgb))
-        if picture.depth is not None and self._depth is not None and self._depth.wanted:
-            self._depth.publish(image(head, picture.depth))
-        if picture.depth is not None and self._points is not None and self._points.wanted:
-            self._points.publish(self._clouds.make(head, picture.depth, picture.rgb))
-        if picture.labels is not None and self._labels.wanted:
-            self._labels.publish(image(head, picture.labels))
-        self.publish_infos(shot.snapshot.time_ns)
+        self._images[shot.view.exact].publish(head, shot.picture, shot.noise)
+        if not shot.view.exact:
+            self.publish_infos(shot.snapshot.time_ns)
 
 
 class Cameras:
@@ -226,23 +278,38 @@ class Cameras:
         """
         publishers = self._publishers[camera]
 
+        def record(simulation: Simulation) -> None:
+            publishers.sensing.record(take_snapshot(simulation))
+
         def observe(simulation: Simulation) -> None:
             if self._thread.is_due(every):
                 self._order(publishers, simulation)
-        self._thread.observe(observe, every, lambda: any(publishers.wanted()))
+        # What is seen later must not depend on who subscribes.
+        self._thread.observe(record, 1, lambda: publishers.sensing.delays)
+        self._thread.observe(observe, every, publishers.have_subscribers)
 
     def _order(self, publishers: CameraPublishers, simulation: Simulation) -> None:
-        rgb, depth, labels, infos = publishers.wanted()
-        renderer = self._renderer
-        if (rgb or depth or labels) and renderer is not None and renderer.failed is None:
-            renderer.order(publishers.view, take_snapshot(simulation), rgb, depth, labels)
-        elif infos:
+        renderer, measured, exact = (
+            self._renderer, publishers.wanted(False), publishers.wanted(True))
+        can_render = renderer is not None and renderer.failed is None
+        if not any(measured) or not can_render:
             publishers.publish_infos(simulation.time_ns)
+        if renderer is None or not can_render:
+            return
+        now = take_snapshot(simulation)
+        if any(measured):
+            seen, noise = publishers.sensing.measured(now)
+            # The stamp is that of the cycle that publishes it, as those of states.
+            renderer.order(publishers.view, replace(seen, time_ns=now.time_ns), *measured, noise)
+        if any(exact):
+            renderer.order(replace(publishers.view, exact=True), now, *exact)
 
     def _publish(self, shot: Shot) -> None:
         name = shot.view.camera
         begin_s = time.perf_counter()
         self._publishers[name].publish(shot)
+        if shot.view.exact:
+            return
         self._counts[name] += 1
         self._rendering_s[name] = (self._rendering_s.get(name, 0.0) + shot.took_s
                                    + time.perf_counter() - begin_s)
@@ -264,22 +331,27 @@ class Cameras:
 
 
 def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Simulation,
-                  thread: SimulationThread, frame_prefix: str = '') -> Cameras:
+                  robots: Mapping[Scope, SimulatedRobot], thread: SimulationThread,
+                  frame_prefix: str = '') -> Cameras:
     """
     Create the topics of the cameras that are chosen.
 
     :param node: the node, with its ``rejections``
     :param chosen: settings of their images, by the name of the camera
     :param simulation: what is seen
+    :param robots: by the scope of their topics
     :param thread: runs it
     :param frame_prefix: prefix of the names of frames
     :raises ModelError: if a camera is orthographic
     """
-    publishers = [
-        CameraPublishers(
-            node, node.rejections, name,
-            intrinsics_of(simulation.model, name, images.width, images.height), images.depth,
-            f'{frame_prefix}{name}{OPTICAL}') for name, images in chosen.items()]
+    scopes = {id(robot.sensing): scope for scope, robot in robots.items()}
+    model, publishers = simulation.model, []
+    for name, images in chosen.items():
+        sensing = simulation.sensing_of(int(model.cam_bodyid[model.camera(name).id]))
+        publishers.append(CameraPublishers(
+            node, name, intrinsics_of(model, name, images.width, images.height), images.depth,
+            f'{frame_prefix}{name}{OPTICAL}', CameraSensing(name, sensing)))
+        node.publish_truth_by(scopes[id(sensing)], publishers[-1].publish_truth, images=True)
     cameras = Cameras(node, publishers, simulation, thread)
     cameras.follow(simulation)
     publish_rate = 1.0 / thread.period_s

@@ -127,7 +127,8 @@ class SimNode(Node):
         self._serve_robots(frame_prefix)
         offer_sensors(self, self._robots, self.simulation, self.thread, frame_prefix)
         self._show_world(world, frame_prefix)
-        self.cameras = offer_cameras(self, cameras, self.simulation, self.thread, frame_prefix)
+        self.cameras = offer_cameras(self, cameras, self.simulation, self._robots, self.thread,
+                                     frame_prefix)
         self._followers.append(self.cameras.follow)
         offer_lidars(self, world.lidars, self.simulation, self._robots, self.thread, frame_prefix)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
@@ -142,7 +143,7 @@ class SimNode(Node):
 
     def _serve_robots(self, frame_prefix: str) -> None:
         self.commands = []
-        self._truths: list[tuple[Scope, Callable[[], None]]] = []
+        self._truths: list[tuple[Scope, Callable[[], None], bool]] = []
         self._cartesian = []
         #: What uses the value of a live parameter, by its name.
         self._uses: dict[str, Callable[[float], None]] = {}
@@ -203,21 +204,26 @@ class SimNode(Node):
             if value(spec.name):
                 self._uses[spec.name](value(spec.name))
 
-    def publish_truth_by(self, scope: Scope, tell: Callable[[], None]) -> None:
+    def publish_truth_by(self, scope: Scope, tell: Callable[[], None], images: bool = False
+                         ) -> None:
         """
         Call a function once when noise or latency of a robot is set.
 
         :param scope: of the robot
         :param tell: publishes exact values beside those that are measured
+        :param images: only when noise or latency of images is set
         """
-        self._truths.append((scope, tell))
+        self._truths.append((scope, tell, images))
 
     def _publish_truth(self) -> None:
-        ready = [(scope, tell) for scope, tell in self._truths
-                 if self._robots[scope].sensing.settings.measures]
-        for scope, tell in ready:
-            self._truths.remove((scope, tell))
-            tell()
+        ready = []
+        for entry in self._truths:
+            settings = self._robots[entry[0]].sensing.settings
+            if settings.measures_images if entry[2] else settings.measures:
+                ready.append(entry)
+        for entry in ready:
+            self._truths.remove(entry)
+            entry[1]()
         if ready:
             self.thread.look_again()
 

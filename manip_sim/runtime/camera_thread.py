@@ -15,6 +15,7 @@ from typing import Any
 from manip_sim.errors import ManipSimError
 from manip_sim.rendering.gl import cannot_render, create_context
 from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
+from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation.appearance import Snapshot, VisibleWorld
 
 THREAD_NAME = 'cameras'
@@ -29,11 +30,13 @@ class View:
 
     :ivar camera: its name
     :ivar width: [pixels], as ``height``
+    :ivar exact: whether its images are exact beside others that are measured
     """
 
     camera: str
     width: int
     height: int
+    exact: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +48,14 @@ class Shot:
     :ivar snapshot: of the instant
     :ivar picture: colours, depth, labels: at least what was requested
     :ivar took_s: wall time of the rendering [s]; 0 if an earlier picture is used again
+    :ivar noise: what is to be added to the picture, or None
     """
 
     view: View
     snapshot: Snapshot
     picture: Picture
     took_s: float
+    noise: ImageNoise | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +65,11 @@ class _Order:
     rgb: bool
     depth: bool
     labels: bool
+    noise: ImageNoise | None
 
-    def is_met_by(self, shot: Shot | None) -> bool:
-        return (shot is not None and self.snapshot.shows_the_same_as(shot.snapshot)
+    def is_met_by(self, shot: Shot) -> bool:
+        return (self.view.camera == shot.view.camera
+                and self.snapshot.shows_the_same_as(shot.snapshot)
                 and (shot.picture.rgb is not None or not self.rgb)
                 and (shot.picture.depth is not None or not self.depth)
                 and (shot.picture.labels is not None or not self.labels))
@@ -92,8 +99,8 @@ class CameraThread:
         self._size = max(view.width for view in views), max(view.height for view in views)
         self._deliver = deliver
         self._report_failure = report_failure
-        self._orders: dict[str, _Order] = {}
-        self._shots: dict[str, Shot] = {}
+        self._orders: dict[View, _Order] = {}
+        self._shots: dict[View, Shot] = {}
         self._wake = threading.Condition()
         self._stopping = False
         self._ready = threading.Event()
@@ -112,20 +119,21 @@ class CameraThread:
         self._ready.wait(timeout_s)
 
     def order(self, view: View, snapshot: Snapshot, rgb: bool, depth: bool,
-              labels: bool = False) -> None:
+              labels: bool = False, noise: ImageNoise | None = None) -> None:
         """
         Request a shot of a view, and return at once.
 
         :param rgb: whether colours are needed
         :param depth: whether depth is needed
         :param labels: whether the ids of bodies are needed
+        :param noise: that the shot hands on; what is rendered is exact
         """
         if self.failed is not None:
             return
         with self._wake:
-            if view.camera in self._orders:
+            if view in self._orders:
                 self.left_out[view.camera] += 1
-            self._orders[view.camera] = _Order(view, snapshot, rgb, depth, labels)
+            self._orders[view] = _Order(view, snapshot, rgb, depth, labels, noise)
             self._wake.notify()
 
     def stop(self, timeout_s: float = _LAST_S) -> bool:
@@ -187,14 +195,14 @@ class CameraThread:
     def _meet(self, order: _Order, renderer: Any) -> None:
         if order.view.camera not in self._world.cameras:  # Deleted with its object.
             return
-        last = self._shots.get(order.view.camera)
-        if last is not None and order.is_met_by(last):
-            self._deliver(Shot(order.view, order.snapshot, last.picture, 0.0))
+        last = next(filter(order.is_met_by, self._shots.values()), None)
+        if last is not None:
+            self._deliver(Shot(order.view, order.snapshot, last.picture, 0.0, order.noise))
             return
         begin_s, view = time.perf_counter(), order.view
         self._world.show(order.snapshot)
         picture = renderer.render(self._world.data, view.camera, view.width, view.height,
                                   order.rgb, order.depth, order.labels)
-        shot = Shot(view, order.snapshot, picture, time.perf_counter() - begin_s)
-        self._shots[view.camera] = shot
+        shot = Shot(view, order.snapshot, picture, time.perf_counter() - begin_s, order.noise)
+        self._shots[view] = shot
         self._deliver(shot)

@@ -130,3 +130,19 @@ class InTransit(Generic[Sent]):
     def clear(self) -> None:
         """Forget everything."""
         self._queue.clear()
+
+
+class Measurements(InTransit[tuple[int, Sent]]):
+    """What was measured, with the instant in steps since the reset, and arrives later."""
+
+    def record(self, count: int, value: Sent, delay: int) -> None:
+        """
+        Add what is measured at present; it replaces what was measured then or later.
+
+        :param count: steps since the reset
+        :param delay: until it arrives, in steps; the first one is known at once
+        """
+        arrival = count + delay if self else count
+        while (last := self.last) is not None and last[0] >= count:
+            arrival = self.withdraw_last()
+        self.send((count, value), arrival)

@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.sensing.channels import Channel, WrenchChannel
-from manip_sim.sensing.delays import Delay, InTransit
+from manip_sim.sensing.delays import Delay, Measurements
 from manip_sim.sensing.settings import SensingSettings
 
 #: Returns exact numbers of the present instant, a copy.
@@ -70,14 +69,6 @@ class ExternalWrenchChannel(Channel):
         return measured
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """What was measured at an instant, in steps since the reset."""
-
-    count: int
-    values: Mapping[str, FloatArray]
-
-
 class RobotSensing:
     """
     What is measured of a robot, by the names of channels.
@@ -90,7 +81,7 @@ class RobotSensing:
     :param timestep_s: length of a step [s]
     :ivar settings: of noise, resolution and latency
     :ivar seed: of noise and jitter
-    :ivar delays: of what is measured and of commands, by ``state`` and ``command``
+    :ivar delays: of what is measured, images and commands, by ``state``, ``image``, ``command``
     """
 
     def __init__(self, name: str, steps: Steps, timestep_s: float) -> None:
@@ -101,9 +92,9 @@ class RobotSensing:
         self.seed = 0
         self._channels: dict[str, tuple[Channel | None, Read]] = {}
         self._external: dict[str, ExternalWrenchChannel] = {}
-        self._history: InTransit[_Measured] = InTransit()
+        self._history: Measurements[Mapping[str, FloatArray]] = Measurements()
         self.delays = {kind: Delay(f'{name} latency.{kind}', timestep_s)
-                       for kind in ('state', 'command')}
+                       for kind in ('state', 'image', 'command')}
         self._draw()
 
     def _draw(self) -> None:
@@ -159,6 +150,11 @@ class RobotSensing:
 
     # ------------------------------------------------------------------ values
 
+    @property
+    def count(self) -> int:
+        """Steps since the last reset."""
+        return self._steps.control_steps
+
     def exact(self, name: str) -> FloatArray:
         """Return the exact numbers of the present instant, a copy."""
         return self._channels[name][1]()
@@ -173,7 +169,7 @@ class RobotSensing:
             channel, read = self._channels[name]
             return read() if channel is None or not channel.is_noisy else self._measure(name)
         if self.settings.delays:
-            value = self._history.newest(self._steps.control_steps).values.get(name)
+            value = self._history.newest(self.count)[1].get(name)
             if value is not None:
                 return value.copy()
         return self._measure(name)
@@ -199,14 +195,9 @@ class RobotSensing:
 
     def record(self) -> None:
         """Measure the present instant, which arrives later."""
-        count = self._steps.control_steps
-        arrival = count + self.delays['state'].steps(count)
-        if not self._history:  # What is known from before.
-            arrival = count
-        while (last := self._history.last) is not None and last.count >= count:
-            arrival = self._history.withdraw_last()
-        self._history.send(_Measured(
-            count, {name: self._measure(name) for name in self._channels}), arrival)
+        self._history.record(
+            self.count, {name: self._measure(name) for name in self._channels},
+            self.delays['state'].steps(self.count))
 
     def tare(self) -> None:
         """Let the noise of the external wrenches be zero at present."""
@@ -235,8 +226,8 @@ class RobotSensing:
         return {'seed': self.seed, 'settings': self.settings.as_dict(),
                 'external': {name: (channel.filtered, channel.tare)
                              for name, channel in self._external.items()},
-                'history': [(entry.count, arrival, dict(entry.values))
-                            for arrival, entry in self._history]}
+                'history': [(count, arrival, dict(values))
+                            for arrival, (count, values) in self._history]}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore what :meth:`save` has returned."""
@@ -247,7 +238,7 @@ class RobotSensing:
             self._external[name].filtered, self._external[name].tare = filtered, tare
         self._history.clear()
         for count, arrival, values in state['history']:
-            self._history.send(_Measured(count, values), arrival)
+            self._history.send((count, values), arrival)
         self._adapt()
 
     def encoded(self) -> bytes:
@@ -259,7 +250,7 @@ class RobotSensing:
         for channel in self._external.values():
             parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
                       channel.tare.tobytes()]
-        for arrival, entry in self._history:
-            parts.append(b'%d %d' % (entry.count, arrival))
-            parts += [name.encode() + value.tobytes() for name, value in entry.values.items()]
+        for arrival, (count, measured) in self._history:
+            parts.append(b'%d %d' % (count, arrival))
+            parts += [name.encode() + value.tobytes() for name, value in measured.items()]
         return b'\n'.join(parts)

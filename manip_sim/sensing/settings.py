@@ -57,6 +57,10 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType({
     'noise.imu_accelerometer_drift': Quantity(
         f'{_WALK} accelerations of IMUs.', 'm/s^2/sqrt(s)', 10.0),
     'noise.range': Quantity(f'{_SD} distances of rangefinders and lidars.', 'm', 10.0),
+    'noise.pixel': Quantity(
+        f'{_SD} each colour of each pixel of images, of 255.', '', 255.0),
+    'noise.depth': Quantity(
+        f'{_SD} depth images at 1 m; it grows with the square of the depth.', '1/m', 10.0),
     'noise.files': Quantity(
         'Factor for the attribute noise, a standard deviation, that sensors have in the files; '
         'it is added to that of their kind.', '', 1000.0),
@@ -67,6 +71,11 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType({
         'Age of what is published of the robot in simulation time: states, wrenches, sensors.',
         's', 10.0),
     'latency.state_jitter': Quantity(
+        'Standard deviation of that age; what is newest of what has arrived is published.', 's',
+        10.0),
+    'latency.image': Quantity(
+        'Age of what images show, in simulation time.', 's', 10.0),
+    'latency.image_jitter': Quantity(
         'Standard deviation of that age; what is newest of what has arrived is published.', 's',
         10.0),
     'latency.command': Quantity(
@@ -82,7 +91,9 @@ class SensingSettings:
     """
     The values of :data:`QUANTITIES` for one robot.
 
-    :ivar measures: whether anything that is measured differs from the truth
+    :ivar measures: whether anything that is measured, but for images, differs from the truth
+    :ivar measures_images: whether images differ from the truth
+    :ivar delays_images: whether images show what was before the present instant
     :ivar delays: whether what is measured is older than the present instant
     :ivar delays_commands: whether commands take effect later
     """
@@ -93,8 +104,11 @@ class SensingSettings:
 
     def _look(self) -> None:
         of_commands = ('latency.command', 'latency.command_jitter')
+        of_images = ('latency.image', 'latency.image_jitter', 'noise.pixel', 'noise.depth')
         self.measures = any(value for name, value in self._values.items()
-                            if name not in of_commands)
+                            if name not in of_commands + of_images)
+        self.measures_images = any(self._values[name] for name in of_images)
+        self.delays_images = any(self._values[name] for name in of_images[:2])
         self.delays = bool(self['latency.state'] or self['latency.state_jitter'])
         self.delays_commands = any(self._values[name] for name in of_commands)
 

@@ -125,7 +125,8 @@ class Simulation:
             VelocityLaws(self.physics, laws) if laws else None)
         self.sensors = Sensors(self.physics, self.measured)
         self.physics.on_change(self._look_at_model)
-        self.lidars = Lidars(self.physics, world.lidars if robots else (), self._sensing_of)
+        self.lidars = Lidars(self.physics, world.lidars if robots else (),
+                             lambda body: self.sensing_of(int(self.model.body(body).id)))
         self._settle_linkages()
         self._reset(world.seed)
         self.start_defects = check_start(
@@ -154,12 +155,16 @@ class Simulation:
             sensing.add(_INSTRUMENTS + found.name, functools.partial(self._exact, found.name),
                         InstrumentChannel(found, file_noise(self.model, found)))
 
-    def _sensing_of(self, body: str) -> RobotSensing:
-        """Return what is measured of the robot that has a body, or of the first one."""
-        number, names = int(self.model.body(body).id), set()
-        while number:
-            names.add(self.model.body(number).name)
-            number = int(self.model.body_parentid[number])
+    def sensing_of(self, body: int) -> RobotSensing:
+        """
+        Return what is measured of the robot that has a body, or of the first one.
+
+        :param body: its id
+        """
+        names = set()
+        while body:
+            names.add(self.model.body(body).name)
+            body = int(self.model.body_parentid[body])
         robots = list(self.robots.values())
         return next((robot for robot in robots if robot.robot_model.root_body in names),
                     robots[0]).sensing

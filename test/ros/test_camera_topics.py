@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from PIL.Image import open as open_image
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState, PointCloud2
 from std_msgs.msg import String
@@ -22,6 +23,7 @@ from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
 from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation.spawning import plan_without
 
 #: It looks along x, so that in its optical frame z is x, x is -y and y is -z.
@@ -325,3 +327,56 @@ def test_a_process_with_a_rendering_that_hangs_ends_cleanly(client, renderer):
     assert node.returncode == 0, errors
     assert 'rendering hangs; its thread is abandoned' in errors
     assert 'Traceback' not in errors
+
+
+#: The ball falls from here, before the camera.
+LATE = {'objects': [BALL], 'cameras': [FRONT], 'stepping': 'lockstep',
+        'camera__front__rate': 50.0, **SMALL}
+
+
+def in_lockstep(client, periods, *topics):
+    """Run some periods, and return the images of each topic by their stamps in periods."""
+    heard = [listen(client, topic) for topic in topics]
+    states = client.listen(JointState, 'joint_states')
+    name = client.state().name[0]
+    for period in range(1, periods + 1):
+        wanted = 10_000_000 * period
+        client.spin_until(lambda t=wanted: nanoseconds(states[-1]) == t)
+        if period % 2 == 0:
+            client.spin_until(lambda t=wanted: all(
+                images and nanoseconds(images[-1]) == t for images in heard))
+        client.publish('joint_command', JointState(name=[name], position=[0.1]))
+    return [{nanoseconds(image) // 10_000_000: pixels(image) for image in images}
+            for images in heard]
+
+
+def test_late_images_show_what_was_there_beside_the_present_ones(serve_seen, client):
+    serve_seen(latency__image=0.04, **LATE)
+    late, present = in_lockstep(
+        client, 14, 'front/color/image_raw', 'truth/front/color/image_raw')
+    assert set(late) >= {2, 4, 6, 8, 10, 12, 14}
+    for period in (8, 10, 12, 14):
+        np.testing.assert_array_equal(late[period], present[period - 4])
+    assert (present[14] != present[10]).any()
+
+
+def test_noisy_images_are_the_exact_ones_with_the_noise_of_their_instant(serve_seen, client):
+    serve_seen(noise__pixel=8.0, noise__depth=0.005, seed=6, **LATE)
+    color, depth, exact_color, exact_depth = in_lockstep(
+        client, 4, 'front/color/image_raw', 'front/depth/image_raw',
+        'truth/front/color/image_raw', 'truth/front/depth/image_raw')
+    for period in (2, 4):
+        # Steps since the reset are those since the first state, which has the stamp of a period.
+        noise = ImageNoise('front', 6, 5 * (period - 1), 8.0, 0.005)
+        np.testing.assert_array_equal(color[period], noise.on_colours(exact_color[period]))
+        np.testing.assert_array_equal(depth[period], noise.on_depth(exact_depth[period]))
+        assert (color[period] != exact_color[period]).mean() > 0.9
+
+
+def test_exact_images_come_when_noise_is_set_and_states_have_none_beside_them(serve_seen, client):
+    node = serve_seen(cameras=[FRONT], start_paused=True, **SMALL)
+    assert client.node.count_publishers('truth/front/color/image_raw') == 0
+    node.set_parameters([Parameter('noise.pixel', value=3.0)])
+    exact = listen(client, 'truth/front/color/image_raw')
+    client.spin_until(lambda: exact != [])
+    assert node.count_publishers('truth/joint_states') == 0
