@@ -159,7 +159,7 @@ def describe(composed: Composed) -> Row:
         simulation.entities.free_names, {name: images.depth for name, images in cameras.items()},
         [one.topic for one in served_instruments(simulation, dict(served))],
         composed.composition.task is not None,
-        {lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
+        {lidar.name: lidar.rays.rings > 1 for lidar in world.lidars}, simulation.surroundings)
     return {
         'name': world.name,
         'arena': world.arena.arena_name,

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
+import re
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -26,6 +27,8 @@ PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR = (
     '<part>', '<arm>', '<name>', '<camera>', '<sensor>', '<lidar>')
 _GRIPPER = f'{ARM}/gripper'
+#: A valid part of a topic's name; bodies with other names have no topics.
+TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 #: When topics are published.
 _PERIOD, _TF_RATE, _IMAGES, _SCANS = (
     'publish_rate', 'tf_rate', 'camera.<camera>.rate', 'rate of the lidar')
@@ -178,6 +181,9 @@ TOPICS = (
     _published('objects/<name>/twist', 'geometry_msgs/TwistStamped',
                'velocity of a free body, in the axes of world [m/s, rad/s]', 'object',
                'object_twist'),
+    _published('arena/joint_states', 'sensor_msgs/JointState',
+               'joints of the arena, such as doors and drawers, with the efforts of its actuators '
+               '[rad or m, rad/s or m/s, N m or N]', 'arena', 'arena_joints'),
     _published('odom', 'nav_msgs/Odometry',
                'pose of a mobile base in the frame odom, and its velocity in its own axes',
                'twist', 'odometry'),
@@ -271,6 +277,11 @@ TOPICS = (
                 'stamped_base_twist', 'base'),
     _subscribed('joint_command', 'sensor_msgs/JointState', 'goals of joints of any parts',
                 by='joint_command'),
+    _subscribed('arena/joint_command', 'sensor_msgs/JointState',
+                'what actuators of the arena shall do, by joint name', 'arena',
+                'arena_command'),
+    _subscribed('objects/<name>/target_pose', 'geometry_msgs/PoseStamped',
+                'where a mocap body goes in world [m]', 'mocap', 'mocap_pose'),
     _subscribed('<arm>/target_pose', 'geometry_msgs/PoseStamped',
                 'a goal of grip_site in world or a link of the robot [m]', 'actuators',
                 'target_pose'),
@@ -333,7 +344,7 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] 
     for per, group in groupby(rows, lambda row: row.per):
         patterns = list(group)
         if not per:
-            found += (row for row in patterns if row.needs != 'task'
+            found += (row for row in patterns if row.needs not in ('task', 'arena')
                       and (twist or row.needs != 'twist'))
         elif per in (PART, ARM):
             found += (row.filled_in(name) for name in (parts if per == PART else arms)
@@ -343,7 +354,32 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] 
 
 def topics_of_objects(names: Iterable[str]) -> list[Topic]:
     """Return the topics that the node has for free bodies."""
-    return [row.filled_in(name) for name in names for row in TOPICS if row.per == OBJECT]
+    return [row.filled_in(name) for name in names for row in TOPICS
+            if row.per == OBJECT and row.needs == 'object']
+
+
+class SurroundingsLike(Protocol):
+    """What the arena has, as the simulation names it."""
+
+    @property
+    def mocap_names(self) -> Collection[str]:
+        """Names of the mocap bodies."""
+
+    @property
+    def joints(self) -> Collection[str]:
+        """The scalar joints of the arena."""
+
+    @property
+    def actuators(self) -> Collection[str]:
+        """The actuators of the arena that drive one of these."""
+
+
+def topics_of_surroundings(found: SurroundingsLike) -> list[Topic]:
+    """Return the topics that the node has for mocap bodies and joints of the arena."""
+    return [*(BY_NAME[name] for name, has in (('arena/joint_states', found.joints),
+                                              ('arena/joint_command', found.actuators)) if has),
+            *(row.filled_in(name) for name in found.mocap_names if TOKEN.fullmatch(name)
+              for row in TOPICS if row.by in ('object_pose', 'mocap_pose'))]
 
 
 def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
@@ -390,7 +426,8 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
                     objects: Iterable[str] = (),
                     cameras: Mapping[str, bool] = MappingProxyType({}),
                     sensors: Iterable[Topic] = (), task: bool = False,
-                    lidars: Mapping[str, bool] = MappingProxyType({})) -> list[Topic]:
+                    lidars: Mapping[str, bool] = MappingProxyType({}),
+                    surroundings: SurroundingsLike | None = None) -> list[Topic]:
     """
     Return the topics that the node has for a world.
 
@@ -400,6 +437,7 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
     :param sensors: topics of instruments
     :param task: whether there is one
     :param lidars: by name: whether with several rings
+    :param surroundings: mocap bodies, and joints of the arena
     """
     # A name that is absolute or private is the world's, and found with each robot.
     return list(dict.fromkeys([
@@ -407,6 +445,7 @@ def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]]
           for topic in topics_of(parts, twist)),
         *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors,
         *topics_of_lidars(lidars),
+        *([] if surroundings is None else topics_of_surroundings(surroundings)),
         *[BY_NAME['~/task']] * task]))
 
 

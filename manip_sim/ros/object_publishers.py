@@ -6,20 +6,16 @@
 from __future__ import annotations
 
 from functools import partial
-import re
 
 from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import topics_of_objects
+from manip_sim.interface.topics import TOKEN, topics_of_objects
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Publication, Publications
 from manip_sim.ros.publishers import Reading
 from manip_sim.simulation import Simulation
-
-#: A valid part of a topic's name; bodies with other names are not published.
-_TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
 class ObjectPublishers(Publications):
@@ -46,7 +42,7 @@ class ObjectPublishers(Publications):
 
         :param simulation: its free bodies are published from now on
         """
-        names = [name for name in simulation.entities.free_names if _TOKEN.fullmatch(name)]
+        names = [name for name in simulation.entities.free_names if TOKEN.fullmatch(name)]
         gone = {name: self._topics[name] for name in self._topics if name not in names}
         self._topics = {name: self._topics.get(name) or self._create(name) for name in names}
         self.replace(tuple(topic for topics in self._topics.values() for topic in topics))

@@ -47,6 +47,7 @@ from manip_sim.ros.scene import check_frame_prefix, publish_scene
 from manip_sim.ros.sensor_publishers import offer_sensors
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import offer_simulation_interfaces
+from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.ros.task_publisher import TaskPublisher
 from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.settings import QUANTITIES
@@ -118,7 +119,7 @@ class SimNode(Node):
             [(scope, robot.parts, robot.joints.twist_indices is not None)
              for scope, robot in self._robots.items()],
             cameras={name: images.depth for name, images in cameras.items()},
-            task=composition.task is not None,
+            task=composition.task is not None, surroundings=self.simulation.surroundings,
             lidars={lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
         if composition.task is not None:
             self._task = TaskPublisher(
@@ -162,6 +163,10 @@ class SimNode(Node):
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish, look=self.objects.look)
+        surroundings = SurroundingsTopics(
+            self, self.simulation.surroundings, self.thread, self.rejections, self._inbox,
+            frame_prefix)
+        self.thread.observe(surroundings.publish, look=surroundings.look)
         model = ModelPublisher(self, world)
         instruments = InstrumentPublishers(self, self._robots, self.rejections, frame_prefix)
         instruments.follow(self.simulation)

@@ -72,6 +72,7 @@ class SimulationThread:
         self._repeat_at = 0.0
         #: Whether observers are being called, and whether one has changed the state meanwhile.
         self._showing = self._show_again = False
+        self._next: dict[str, Callable[[], None]] = {}
         #: For the next reset; None: the start stays.
         self._seed: int | None = None
         self._restart: Callable[[int | None], None] = simulation.reset
@@ -200,6 +201,23 @@ class SimulationThread:
             if self._flush is not None:
                 self._flush()
 
+    def at_next_period(self, key: str, function: Callable[[], None]) -> None:
+        """
+        Let the simulation's thread run a function before its next control period; do not wait.
+
+        :param key: a later function with the same key replaces one that waits
+        :param function: takes nothing; may change the simulation
+        """
+        with self._lock:
+            self._next[key] = function
+
+    def _run_next(self) -> None:
+        if self._next:
+            with self._lock:
+                waiting, self._next = self._next, {}
+            for function in waiting.values():
+                function()
+
     def pause(self, paused: bool) -> None:
         """
         Pause or resume the simulation; wall time that passed meanwhile is not made up for.
@@ -246,6 +264,7 @@ class SimulationThread:
         """
         def change() -> None:
             self._commands.clear('the simulation was reset')
+            self._next.clear()
             self._restart(self._seed)
             self._seed = None
             if restart_time:
@@ -304,6 +323,7 @@ class SimulationThread:
             self._simulation.restore(self._saved)
             self._simulation.step_count = count
             self._commands.clear('a saved state was restored')
+            self._next.clear()
             self.at_start = False
             digest = self._simulation.digest()
             self._show_new()
@@ -366,6 +386,7 @@ class SimulationThread:
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or up to ``most`` while idle and without observers."""
+        self._run_next()
         for name, command in self._commands.take():
             # It may have been withdrawn meanwhile.
             if command.handle.is_active:

@@ -37,6 +37,7 @@ from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
 from manip_sim.simulation.spawning import Plan, plan_world
 from manip_sim.simulation.start_check import check_start
+from manip_sim.simulation.surroundings import Surroundings
 from manip_sim.simulation.velocity_laws import VelocityLaws
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
@@ -87,6 +88,7 @@ class Simulation:
     :ivar sensors: values of all sensors of the model, by name
     :ivar lidars: the lidars, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
+    :ivar surroundings: mocap bodies, and joints of the arena
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
     """
@@ -99,6 +101,7 @@ class Simulation:
         if world.gravity_compensation:
             compensate_free_robots(spec, world.robots)
         self.physics = Physics(plan_world(spec, tuple(world.objects), world.name))
+        self.surroundings = Surroundings(self.physics, world.arena)
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.diverged: str | None = None
@@ -226,6 +229,7 @@ class Simulation:
         mujoco.mj_resetData(self.model, self.data)
         for joint, position in self._start.items():
             self.data.joint(joint).qpos[0] = position
+            self.surroundings.hold(joint, position)
         mujoco.mj_forward(self.model, self.data)
         self._free_roots.apply(self.data)
 

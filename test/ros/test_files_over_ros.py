@@ -3,10 +3,13 @@
 
 """What the files of robots and arenas have besides arms, over topics and parameters."""
 
+import math
 from pathlib import Path
 
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'
@@ -35,3 +38,46 @@ def test_a_reset_goes_to_the_keyframe_that_the_parameter_names(serve, client):
     assert not answer.successful
     assert "parameter 'keyframe': unknown value 'hihg'" in answer.reason
     assert 'high' in answer.reason
+
+
+def test_a_drawer_of_the_arena_opens_by_command_and_says_so(serve, client):
+    node = serve(stepping='free', arena=str(FILES / 'room.xml'))
+    states = client.listen(JointState, 'arena/joint_states')
+    commands = client.node.create_publisher(JointState, 'arena/joint_command', 10)
+    client.spin_until(lambda: states and commands.get_subscription_count())
+    assert list(states[0].name) == ['hinge', 'slide']
+    commands.publish(JointState(name=['slide'], position=[0.2]))
+    client.spin_until(lambda: abs(states[-1].position[1] - 0.2) < 1e-4)
+    assert abs(states[-1].position[0]) < 1e-6
+    assert len(states[-1].velocity) == len(states[-1].effort) == 2
+    # Commands that do not fit change nothing; a goal out of range is clamped.
+    for wrong in (JointState(name=['hinge'], position=[1.0]),
+                  JointState(name=['slide'], velocity=[1.0]),
+                  JointState(name=['slide', 'slide'], position=[0.0, 0.0]),
+                  JointState(name=['slide'], position=[math.inf])):
+        commands.publish(wrong)
+    commands.publish(JointState(name=['slide'], position=[5.0]))
+    client.spin_until(lambda: node.simulation.data.ctrl[node.simulation.model.actuator(
+        'drawer').id] == 0.3)
+    client.spin_until(lambda: abs(states[-1].position[1] - 0.3) < 1e-3)
+
+
+def test_a_mocap_body_goes_where_its_topic_says(serve, client):
+    serve(start_paused=True, arena=str(FILES / 'room.xml'))
+    poses = client.listen(PoseStamped, 'objects/marker/pose')
+    targets = client.node.create_publisher(PoseStamped, 'objects/marker/target_pose', 10)
+    client.spin_until(lambda: poses and targets.get_subscription_count())
+    assert poses[0].pose.position.y == 1.0
+    target = PoseStamped()
+    target.header.frame_id = 'elsewhere'
+    targets.publish(target)  # Is rejected.
+    target.header.frame_id, target.pose.position.x = 'world', 0.25
+    targets.publish(target)
+
+    def moved():
+        client.call(Trigger, 'manip_sim/step')
+        return poses[-1].pose.position.x == 0.25
+    client.spin_until(moved)
+    assert poses[-1].pose.position.y == 0.0 and poses[-1].pose.orientation.w == 1.0
+    assert client.call(Trigger, 'manip_sim/reset').success
+    client.spin_until(lambda: poses[-1].pose.position.y == 1.0)

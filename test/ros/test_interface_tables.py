@@ -50,7 +50,7 @@ def test_a_node_has_the_topics_and_parameters_of_the_tables(parameters, serve, c
          for scope, robot in zip(scopes, robots)], simulation.entities.free_names,
         {name: images.depth for name, images in cameras.items()},
         [one.topic for one in served_instruments(simulation, dict(zip(scopes, robots)))],
-        composition.task is not None)
+        composition.task is not None, surroundings=simulation.surroundings)
     missing = [package for package, types in (
         ('tf2_msgs', transforms.TFMessage), ('moveit_msgs', planning_scene_publisher.moveit_msgs))
         if types is None]

@@ -1,0 +1,93 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Topics of the arena's joints and of mocap bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.interface.topics import PUBLISHED, Topic, topics_of_surroundings
+from manip_sim.quoting import quoted
+from manip_sim.ros import messages
+from manip_sim.ros.command_inbox import CommandInbox
+from manip_sim.ros.commands import CommandSubscription
+from manip_sim.ros.log import kind_of, RejectionLog
+from manip_sim.ros.outputs import create_output, message_class, Publication, Publications
+from manip_sim.ros.reading import read_command
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation.poses import Pose
+from manip_sim.simulation.surroundings import Surroundings
+
+
+class SurroundingsTopics(Publications):
+    """
+    Publishers and subscriptions of the arena's joints and of mocap bodies.
+
+    :param node: the node
+    :param surroundings: of the simulation
+    :param thread: runs the simulation
+    :param log: counts and logs what is rejected or could not be published
+    :param inbox: takes the messages; None: the executor does
+    :param frame_prefix: prefix of the names of frames, which commands may leave out
+    """
+
+    def __init__(self, node: Node, surroundings: Surroundings, thread: SimulationThread,
+                 log: RejectionLog, inbox: CommandInbox | None, frame_prefix: str) -> None:
+        super().__init__()
+        self._node, self._log, self._inbox = node, log, inbox
+        self._surroundings, self._thread = surroundings, thread
+        self._prefix = frame_prefix
+        rows = topics_of_surroundings(surroundings)
+        self.replace(tuple(self._publication(row) for row in rows if row.direction == PUBLISHED))
+        take: dict[str, Callable[[str, Any], None]] = {
+            'arena_command': self._command, 'mocap_pose': self._target}
+        for row in rows:
+            if row.direction != PUBLISHED:
+                self._subscribe(row, partial(take[row.by], row.of))
+
+    def _publication(self, row: Topic) -> Publication:
+        found, output = self._surroundings, create_output(self._node, self._log, row)
+        if row.by == 'arena_joints':
+            return Publication(output, partial(messages.joint_state, found.joints),
+                               lambda _: found.state(), 3 * len(found.joints))
+        return Publication(output, partial(messages.pose_stamped, self._prefix + messages.WORLD),
+                           lambda _: found.pose(row.of), 7)
+
+    def _subscribe(self, row: Topic, use: Callable[[Any], None]) -> None:
+        message_type = message_class(row)
+
+        def take(data: bytes) -> None:
+            try:
+                use(read_command(message_type, data))
+            except (CommandError, UnknownNameError) as error:
+                self._log.warn(row.name, kind_of(error),
+                               f'rejected a message on {row.name}: {error}')
+
+        CommandSubscription(self._node, message_type, row.name, take, self._inbox)
+
+    def _command(self, _: str, message: JointState) -> None:
+        found = self._surroundings
+        controls = found.checked(
+            message.name, message.position, message.velocity, message.effort)
+        for joint, value in controls.items():
+            self._thread.at_next_period(
+                f'arena/{joint}', partial(found.command, {joint: value}))
+
+    def _target(self, name: str, message: PoseStamped) -> None:
+        frame = message.header.frame_id.removeprefix(self._prefix)
+        if frame not in ('', messages.WORLD):
+            raise CommandError(f'frame_id {quoted(message.header.frame_id)} is not supported: '
+                               f"leave it empty or write '{messages.WORLD}'")
+        position, orientation = message.pose.position, message.pose.orientation
+        pose = Pose.checked([position.x, position.y, position.z], [
+            orientation.x, orientation.y, orientation.z, orientation.w])
+        self._thread.at_next_period(f'objects/{name}', partial(
+            self._surroundings.set_target, name, pose.position, pose.quat_xyzw))
