@@ -29,7 +29,8 @@ class ServedInstrument:
 
 
 def served_instruments(simulation: Simulation, robots: Mapping[Scope, SimulatedRobot],
-                       true: Collection[Scope] = ()) -> list[ServedInstrument]:
+                       true: Collection[Scope] = (), noisy: Collection[str] = ()
+                       ) -> list[ServedInstrument]:
     """
     Return the instruments of a world that have topics of their own.
 
@@ -39,6 +40,7 @@ def served_instruments(simulation: Simulation, robots: Mapping[Scope, SimulatedR
     :param robots: by the scope of their topics; what belongs to none has no namespace, and the
         noise of the first
     :param true: of the robots whose exact values have topics too
+    :param noisy: names of further instruments whose exact values have topics too
     """
     scopes = {sensor: scope for scope, robot in robots.items() for sensor in robot.sensor_names}
     of_arms = {reader.ft_frame for robot in robots.values()
@@ -52,7 +54,7 @@ def served_instruments(simulation: Simulation, robots: Mapping[Scope, SimulatedR
         rows = topics_of_sensors([(instrument.topic, instrument.kind)])
         found += [ServedInstrument(instrument, replace(row, name=scope.topic(row.name)))
                   for row in rows]
-        if (scope if scope in robots else first) in true:
+        if (scope if scope in robots else first) in true or instrument.name in noisy:
             found += [ServedInstrument(instrument, replace(row, name=scope.topic(row.name)), True)
                       for row in truths(rows)]
     return found

@@ -18,6 +18,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.instruments import ServedInstrument, served_instruments
+from manip_sim.interface.sensor_settings import SensorSettings
 from manip_sim.interface.topics import Scope
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import wrench_stamped
@@ -40,11 +41,19 @@ class InstrumentPublishers(Publications):
     :param robots: by the scope of their topics
     :param log: counts and logs what could not be published
     :param frame_prefix: prefix of the names of frames
+    :param simulation: its instruments are published
+    :raises ManipSimError: if the parameter ``sensors`` cannot be used
     """
 
     def __init__(self, node: Any, robots: Mapping[Scope, SimulatedRobot], log: RejectionLog,
-                 frame_prefix: str) -> None:
+                 frame_prefix: str, simulation: Simulation) -> None:
         super().__init__()
+        served = served_instruments(simulation, robots)
+        settings = SensorSettings(node.get_parameter('sensors').value, served,
+                                  1.0 / node.thread.period_s)
+        if settings.noise:
+            simulation.set_sensor_noise(settings.noise)
+        self._every = settings.every
         self._node = node
         self._robots = robots
         self._log = log
@@ -52,6 +61,8 @@ class InstrumentPublishers(Publications):
         self._topics: dict[str, tuple[ServedInstrument, Publication]] = {}
         #: Robots whose exact values are published too.
         self._true: frozenset[Scope] = frozenset()
+        self._noisy = frozenset(settings.noise)
+        self.follow(simulation)
 
     def follow(self, simulation: Simulation) -> None:
         """
@@ -62,7 +73,7 @@ class InstrumentPublishers(Publications):
         :param simulation: its instruments are published from now on
         """
         served = {one.topic.name: one for one in served_instruments(
-            simulation, self._robots, self._true)}
+            simulation, self._robots, self._true, self._noisy)}
         gone = {name: publication for name, (one, publication) in self._topics.items()
                 if name not in served or not _alike(served[name], one)}
         self._topics = {name: (one, self._topics[name][1] if name in self._topics
@@ -89,7 +100,14 @@ class InstrumentPublishers(Publications):
         return Publication(
             create_output(self._node, self._log, served.topic),
             _MAKERS[found.kind](self._prefix + found.frame if found.frame else '', found),
-            lambda simulation: self._read(name, simulation), found.length)
+            lambda simulation: self._read(name, simulation), found.length,
+            self._every.get(found.name, 1))
+
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the present instant of what has subscribers and is due."""
+        for topic in self._subscribed:
+            if topic.every == 1 or self._node.thread.is_due(topic.every):
+                topic.publish(simulation)
 
     def _read(self, name: str, simulation: Simulation) -> FloatArray | None:
         # Objects that have come or gone make another model before follow() is called.

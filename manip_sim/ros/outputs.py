@@ -147,12 +147,15 @@ class Publication:
     :param make: returns the message for a stamp and for numbers, shape (count,)
     :param read: returns the numbers of the present instant, or None to publish no message
     :param count: how many numbers there are
+    :param every: number of control periods for each message
     :ivar output: where they are published
+    :ivar every: number of control periods for each message
     """
 
     def __init__(self, output: Output, make: Make, read: Callable[[Simulation], FloatArray | None],
-                 count: int) -> None:
+                 count: int, every: int = 1) -> None:
         self.output = output
+        self.every = every
         self._read = read
         self._message = SerializedMessage(make, count)
 

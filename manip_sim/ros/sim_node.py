@@ -168,8 +168,8 @@ class SimNode(Node):
             frame_prefix)
         self.thread.observe(surroundings.publish, look=surroundings.look)
         model = ModelPublisher(self, world)
-        instruments = InstrumentPublishers(self, self._robots, self.rejections, frame_prefix)
-        instruments.follow(self.simulation)
+        instruments = InstrumentPublishers(
+            self, self._robots, self.rejections, frame_prefix, self.simulation)
         for scope in self._robots:
             self.publish_truth_by(
                 scope, partial(instruments.publish_truth, scope, self.simulation))

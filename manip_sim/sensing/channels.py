@@ -125,15 +125,19 @@ class InstrumentChannel(Channel):
 
     :param found: the instrument
     :param of_file: the attribute ``noise`` of its sensors, shape (length,)
+    :param own_sd: standard deviation that each of its numbers has in any case, in its unit
     """
 
-    def __init__(self, found: Instrument, of_file: FloatArray) -> None:
+    def __init__(self, found: Instrument, of_file: FloatArray, own_sd: float = 0.0) -> None:
         self._kind, self._types, self._of_file = found.kind, found.types, of_file
+        self._own_sd = np.zeros(found.length)
+        self._own_sd[found.targets] = own_sd
+        self.is_noisy = own_sd > 0.0
         super().__init__(found.name, found.length)
 
     def adapt(self, settings: SensingSettings) -> None:
         """Take over the settings of the robot."""
-        self.sd = settings['noise.files'] * self._of_file
+        self.sd = self._own_sd + settings['noise.files'] * self._of_file
         if self._kind == IMU:
             for places, kind in ((GYRO, 'gyro'), (ACCELEROMETER, 'accelerometer')):
                 if kind in self._types:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import functools
 import hashlib
 import pickle
@@ -127,6 +127,7 @@ class Simulation:
             reader.external for robot in robots for reader in robot.end_effectors.values()],
             VelocityLaws(self.physics, laws) if laws else None)
         self.sensors = Sensors(self.physics, self.measured)
+        self._sensor_noise: dict[str, float] = {}
         self.physics.on_change(self._look_at_model)
         self.lidars = Lidars(self.physics, world.lidars if robots else (),
                              lambda body: self.sensing_of(int(self.model.body(body).id)))
@@ -156,7 +157,18 @@ class Simulation:
         for found in self.sensors.instruments:
             sensing = self._sensing[found.name] = owners.get(found.sensors[0], first).sensing
             sensing.add(_INSTRUMENTS + found.name, functools.partial(self._exact, found.name),
-                        InstrumentChannel(found, file_noise(self.model, found)))
+                        InstrumentChannel(found, file_noise(self.model, found),
+                                          self._sensor_noise.get(found.name, 0.0)))
+
+    def set_sensor_noise(self, noise: Mapping[str, float]) -> None:
+        """
+        Add white noise to single instruments, whatever the settings of their robots are.
+
+        :param noise: standard deviation on each number that is read, in its unit, by the name of
+            the instrument
+        """
+        self._sensor_noise = dict(noise)
+        self._add_instruments()
 
     def sensing_of(self, body: int) -> RobotSensing:
         """
@@ -185,7 +197,7 @@ class Simulation:
         :returns: as ``Instrument.read``
         """
         sensing = self._sensing.get(found.name)
-        if sensing is None or not sensing.settings.measures:
+        if sensing is None or not (sensing.settings.measures or found.name in self._sensor_noise):
             return found.read(self.data)
         return sensing.measured(_INSTRUMENTS + found.name)
 
