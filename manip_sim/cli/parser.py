@@ -300,6 +300,8 @@ def _add_run(commands: Any) -> None:
         parser.add_argument(option, type=_number, default=0.0, metavar='SECONDS',
                             help=f'standard deviation of {what}, drawn from the seed (default: '
                             '0)')
+    parser.add_argument('--randomization', type=Path, metavar='FILE', help='YAML file with '
+                        'distributions, drawn at each start from its seed')
     parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
                         'are observed, or description of another camera; may be repeated')
     parser.add_argument('--image-size', type=_size, metavar='WIDTHxHEIGHT',

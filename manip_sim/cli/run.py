@@ -22,6 +22,7 @@ from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.processes import processors, run_in_processes
 from manip_sim.experiments.run_folder import read_json, RUN, Shard
 from manip_sim.experiments.summary import Row
+from manip_sim.models.randomization import Randomization
 from manip_sim.tasks import Setting
 
 
@@ -48,7 +49,9 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
                'state_jitter': options.state_latency_jitter}
     setting = Setting(
         options.task, options.robot, options.gripper, options.action, options.control_hz,
-        latency, tuple(options.cameras or ()), options.image_size)
+        latency, tuple(options.cameras or ()), options.image_size,
+        {} if options.randomization is None else {
+            'randomization': Randomization(options.randomization)})
     records = options.out / 'records' if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
     # What cannot be used is said here, before anything is written.

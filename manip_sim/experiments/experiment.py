@@ -50,7 +50,7 @@ class Experiment:
             'action': setting.action, 'control_hz': setting.control_hz, 'latency': asdict(late),
             'cameras': [_plain(camera) for camera in setting.cameras],
             'image_size': _plain(setting.image_size),
-            'composition': {key: _plain(value) for key, value in setting.composition.items()},
+            'composition': _plain(setting.plain_composition),
             'policy': self.policy,
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}

@@ -100,7 +100,8 @@ def compose_world(parameters: ParameterSource) -> Composition:
                   objects=_objects(value('objects')), seed=value('seed'),
                   initialization_noise=noise if noise['magnitude'] else None,
                   cameras=described_cameras(value('cameras')),
-                  lidars=described_lidars(value('lidars')), keyframe=value('keyframe'))
+                  lidars=described_lidars(value('lidars')), keyframe=value('keyframe'),
+                  randomization=value('randomization') or None)
     _check_rates(world, value('publish_rate'))
     return Composition(scopes, world, steps)
 
@@ -127,6 +128,7 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
         value('task'), value('robot'), value('gripper'), base=value('base'),
         timestep_s=value('timestep'), gravity_compensation=value('gravity_compensation'),
         seed=value('seed'), cameras=described_cameras(value('cameras')),
+        randomization=value('randomization') or None,
         **{name: found for name, found in chosen.items() if found})
     _check_rates(task.world, value('publish_rate'))
     robots = task.world.robots

@@ -67,6 +67,9 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('seed', 0, 'Seed of initialization_noise; equal seeds give equal starts. '
                       'A change takes effect at the next reset.', live=True, minimum=0,
                       maximum=2**31 - 1),
+        ParameterSpec('randomization', '', 'YAML file with distributions of masses, friction, '
+                      'sizes, poses, lights, camera poses, noise and latency, drawn from seed at '
+                      'each reset; empty: none.'),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=1e-4, maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '
                       'per second of simulation time; a period is a whole number of timesteps.',

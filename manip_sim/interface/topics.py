@@ -254,6 +254,9 @@ TOPICS = (
     _published('~/task', 'std_msgs/String',
                'with a task: its success, reward and goal as JSON, latched', 'task', depth=1,
                latched=True),
+    _published('~/episode', 'std_msgs/String',
+               'seed, what was drawn, versions and digest of the start of the episode as JSON, '
+               'latched', rate='at the start and at each reset', depth=1, latched=True),
     _published('~/mjcf', 'std_msgs/String', 'the composed model, latched', rate=_CHANGES,
                depth=1, latched=True),
     _published('~/mjcf_archive', 'std_msgs/UInt8MultiArray',

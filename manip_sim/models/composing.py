@@ -18,6 +18,7 @@ from manip_sim.models.cameras import Camera
 from manip_sim.models.lidars import LidarLike
 from manip_sim.models.grippers import create_gripper, GripperModel
 from manip_sim.models.objects import Description
+from manip_sim.models.randomization import RandomizationLike
 from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.models.world import World
@@ -115,6 +116,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             gravity_compensation: bool = True, objects: Iterable[Description] = (),
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
             cameras: Iterable[Camera] = (), lidars: Iterable[LidarLike] = (), keyframe: str = '',
+            randomization: RandomizationLike | None = None,
             **arena_parameters: Any) -> World:
     """
     Return a world with one robot.
@@ -137,6 +139,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param cameras: in addition to those of robot and arena, see :class:`World`
     :param lidars: of the world, see :class:`World`
     :param keyframe: of a file, that joints start from, see :class:`World`
+    :param randomization: what is drawn at each reset with a seed, see :class:`World`
     :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
@@ -153,4 +156,4 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                          f'got {", ".join(arena_parameters)}')
     return World([whole], arena, timestep_s, gravity_compensation, objects=objects,
                  initialization_noise=initialization_noise, seed=seed, cameras=cameras,
-                 lidars=lidars, keyframe=keyframe)
+                 lidars=lidars, keyframe=keyframe, randomization=randomization)

@@ -20,6 +20,7 @@ from manip_sim.models.initialization_noise import checked_seed, InitializationNo
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
+from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
 
@@ -59,10 +60,13 @@ class World:
     :param keyframe: of the file of a part: its joints start there; empty for their usual start
     :ivar lidars: as :class:`LidarModel`
     :ivar keyframe: where joints start
+    :param randomization: distributions that are drawn at each reset with a seed, as a YAML file or
+        a mapping, see :class:`Randomization`; None for none
     :ivar cameras: those in addition to robots and arena, as :class:`CameraModel`
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
     :ivar seed: of the noise of sensors, 0 if there is no other
+    :ivar randomization: what is drawn at each reset with a seed, or None
     """
 
     def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
@@ -71,7 +75,8 @@ class World:
                  initialization_noise: Mapping[str, Any] | None = None,
                  seed: int | None = None, cameras: Iterable[Camera] = (),
                  lidars: Iterable[LidarLike] = (),
-                 keyframe: str = '') -> None:
+                 keyframe: str = '',
+                 randomization: RandomizationLike | None = None) -> None:
         self.robots = list(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = whole_nanoseconds(timestep_s)
@@ -86,6 +91,7 @@ class World:
         self.cameras = [create_camera(camera) for camera in cameras]
         self.lidars = [create_lidar(lidar) for lidar in lidars]
         self.keyframe = self.checked_keyframe(keyframe)
+        self.randomization = (None if randomization is None else Randomization(randomization))
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
         if self.noise is not None:

@@ -73,9 +73,9 @@ class RecordedEpisode:
         """
         Return arguments of the task or settings of the run.
 
-        :param key: ``arguments``, ``latency`` or ``settings``
+        :param key: ``arguments``, ``latency``, ``settings`` or ``drawn``
         """
-        found: dict[str, Any] = json.loads(self.about[key])
+        found: dict[str, Any] = json.loads(self.about.get(key, '{}'))
         return found
 
     def decoded(self, topic: str, type_name: str) -> list[Any]:
@@ -252,7 +252,8 @@ def _check(about: Mapping[str, str]) -> None:
         json.loads(about['action_names'])
         int(about['number']), int(about['seed']), int(about['steps']), float(about['period_s'])
         are_objects = all(isinstance(json.loads(about[key]), dict)
-                          for key in ('arguments', 'latency', 'robots', 'settings'))
+                          for key in ('arguments', 'latency', 'robots', 'settings', 'drawn')
+                          if key in about)
     except (ValueError, RecursionError) as error:
         raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
                           ) from error

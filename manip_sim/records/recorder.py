@@ -97,7 +97,8 @@ class EpisodeRecorder:
         self._return = 0.0
         self._file.describe(EPISODE, {
             **self._about, 'number': str(self._number), 'seed': str(seed),
-            'steps': str(self._episode.simulation.step_count)})
+            'steps': str(self._episode.simulation.step_count),
+            'drawn': json.dumps(self._episode.simulation.randomized.drawn)})
         self._topics.write_numbers()
         self._topics.write_images(images or {})
         self._digest()

@@ -97,7 +97,7 @@ class Replay:
                     recorded.json('latency')), key
             # Time goes on over the episodes of a record.
             self._episode.simulation.step_count = int(about['steps'])
-            self._episode.reset(recorded.seed)
+            self._episode.reset(recorded.seed, recorded.json('drawn') or None)
         except (ModelError, TypeError) as error:
             raise RecordError(f'episode {recorded.number} cannot be repeated here: {error}'
                               ) from error

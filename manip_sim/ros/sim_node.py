@@ -33,6 +33,7 @@ from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
+from manip_sim.ros.episode_publisher import EpisodePublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
 from manip_sim.ros.lidars import offer_lidars
 from manip_sim.ros.introduction import inferred, introduction
@@ -121,13 +122,17 @@ class SimNode(Node):
             cameras={name: images.depth for name, images in cameras.items()},
             task=composition.task is not None, surroundings=self.simulation.surroundings,
             lidars={lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
+        restart: Callable[[int | None], None] = self.simulation.reset
         if composition.task is not None:
             self._task = TaskPublisher(
                 self, composition.task, self.simulation, self.thread, value('seed'))
+            restart = self._task.restart
         frame_prefix = check_frame_prefix(value('frame_prefix'))
         self._serve_robots(frame_prefix)
         offer_sensors(self, self._robots, self.simulation, self.thread, frame_prefix)
         self._show_world(world, frame_prefix)
+        self._episode = EpisodePublisher(
+            self, self.simulation, self.thread, restart, self._dynamics.publish)
         self.cameras = offer_cameras(self, cameras, self.simulation, self._robots, self.thread,
                                      frame_prefix)
         self._followers.append(self.cameras.follow)
@@ -179,12 +184,13 @@ class SimNode(Node):
         if value('publish_clock'):
             clock = ClockPublisher(self, self.rejections)
             self.thread.observe(clock.publish, look=clock.look)
+        self._dynamics = DynamicsPublisher(self, self.simulation, value('gravity_compensation'))
         self._descriptions: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
             model, DescriptionPublisher(
                 self, world, self._robots,
                 value('ros2_control_plugin') if value('ros2_control_tag') else '',
                 value('stepping') == 'lockstep'),
-            DynamicsPublisher(self, self.simulation, value('gravity_compensation'))]
+            self._dynamics]
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
         value = self._declared.value
@@ -341,6 +347,7 @@ class SimNode(Node):
         :raises ManipSimError: if the world cannot be described
         """
         self.cameras.start()
+        self._episode.begin()
         self.thread.start()
         if self._command_thread is not None:
             self._command_thread.start()

@@ -23,7 +23,7 @@ class TaskPublisher:
 
     Its keys are ``task``, ``robot``, ``instruction``, ``seed`` of the start, ``stamp_ns`` of the
     instant, ``success``, ``reward``, and ``goal``, as the task has it. Resets draw the start of
-    the task from the parameter ``seed``.
+    the task from the parameter ``seed``, where :meth:`restart` does them.
 
     :param node: the node
     :param task: what is done
@@ -38,12 +38,12 @@ class TaskPublisher:
         self._task, self._simulation, self._thread = task, simulation, thread
         self._seed = seed
         self._seen_ns = -1
-        self._restart(None)
-        thread.restart_by(self._restart)
+        self.restart(None)
         # What the task changes at the end of a period is in the states that are published.
         thread.observe(self._end_period)
 
-    def _restart(self, seed: int | None) -> None:
+    def restart(self, seed: int | None) -> None:
+        """Begin the episode of a seed, or the same one again."""
         self._seed = self._seed if seed is None else seed
         start(self._task, self._simulation, self._seed)
 

@@ -89,6 +89,10 @@ class DryFriction:
     """
 
     def __init__(self, model: mujoco.MjModel, dofs: IntArray) -> None:
+        self.look(model, dofs)
+
+    def look(self, model: mujoco.MjModel, dofs: IntArray) -> None:
+        """Take over what a model has now; arguments are as for the constructor."""
         self._largest: FloatArray = model.dof_frictionloss[dofs].copy()
         self._none = not self._largest.any()
 

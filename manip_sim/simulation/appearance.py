@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.simulation.randomized import apply_to_model, Drawn
 from manip_sim.simulation.simulation import Simulation
 from manip_sim.simulation.spawning import compile_visual, Plan
 
@@ -26,6 +28,7 @@ class Snapshot:
     :ivar qpos: positions, shape (nq,)
     :ivar mocap_pos: of mocap bodies [m], shape (nmocap, 3)
     :ivar mocap_quat: of mocap bodies, as w, x, y, z, shape (nmocap, 4)
+    :ivar drawn: what differs from the plan in this episode, by name
     """
 
     plan: Plan
@@ -33,10 +36,12 @@ class Snapshot:
     qpos: FloatArray
     mocap_pos: FloatArray
     mocap_quat: FloatArray
+    drawn: Drawn
 
     def shows_the_same_as(self, other: Snapshot) -> bool:
         """Return whether another one is of the same instant and the same state."""
         return (self.time_ns == other.time_ns and self.plan is other.plan
+                and self.drawn is other.drawn
                 and np.array_equal(self.qpos, other.qpos)
                 and np.array_equal(self.mocap_pos, other.mocap_pos)
                 and np.array_equal(self.mocap_quat, other.mocap_quat))
@@ -46,7 +51,7 @@ def take_snapshot(simulation: Simulation) -> Snapshot:
     """Copy what is visible at the present instant; call it where the simulation may be used."""
     data = simulation.data
     return Snapshot(simulation.plan, simulation.time_ns, data.qpos.copy(), data.mocap_pos.copy(),
-                    data.mocap_quat.copy())
+                    data.mocap_quat.copy(), simulation.randomized.drawn)
 
 
 def camera_names(model: mujoco.MjModel) -> list[str]:
@@ -71,6 +76,8 @@ class VisibleWorld:
         self.model: Any = compile_visual(plan)
         self.data: Any = mujoco.MjData(self.model)
         self.cameras = camera_names(self.model)
+        self._drawn: Drawn = {}
+        self._nominal = self.model
 
     def show(self, snapshot: Snapshot) -> None:
         """
@@ -79,6 +86,11 @@ class VisibleWorld:
         :param snapshot: of the same plan
         """
         model, data = self.model, self.data
+        if snapshot.drawn is not self._drawn and (snapshot.drawn or self._drawn):
+            if self._nominal is model:
+                self._nominal = copy.copy(model)
+            apply_to_model(model, self._nominal, snapshot.drawn, self._drawn)
+            self._drawn = snapshot.drawn
         data.qpos[:] = snapshot.qpos
         data.mocap_pos[:] = snapshot.mocap_pos
         data.mocap_quat[:] = snapshot.mocap_quat

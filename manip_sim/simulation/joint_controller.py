@@ -74,6 +74,11 @@ class JointController(ControlledJoints):
         self._efforts_due = False
         self._written = False
 
+    def look_at_joints(self) -> None:
+        """Take over damping and dry friction of the joints, which were changed in the model."""
+        self._servos.look_at_joints()
+        self.cartesian.look_at_joints()
+
     @property
     def moving(self) -> bool:
         """Whether setpoints change, or may change, in the next interval."""

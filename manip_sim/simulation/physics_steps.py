@@ -58,6 +58,11 @@ class PhysicsSteps:
         self._laws = laws
         physics.on_change(self._look_at_model)
 
+    def look_at_joints(self) -> None:
+        """Take over the dry friction of the joints, which was changed in the model."""
+        if self._laws is not None:
+            self._laws.look_at_joints()
+
     def _look_at_model(self) -> None:
         model, data = self._physics.model, self._physics.data
         self._model, self._data, self._options = model, data, model.opt

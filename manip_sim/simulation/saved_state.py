@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import enum
 import io
 import pickle
@@ -50,6 +50,8 @@ class SimulationState:
     :ivar contacts_change: whether contacts came or went in the last period
     :ivar diverged: why the physics is on hold, or None
     :ivar sensing: of each robot, noise and what was measured and has not arrived, pickled
+    :ivar drawn: what was drawn for the episode, by name
+    :ivar seed: that the episode was drawn from
     """
 
     versions: str
@@ -64,6 +66,8 @@ class SimulationState:
     contacts_change: bool
     diverged: str | None
     sensing: bytes
+    drawn: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
 
 
 def gains(model: mujoco.MjModel) -> dict[str, bytes]:
@@ -100,7 +104,13 @@ class ControlState:
         self._index()
 
     def _index(self) -> None:
-        self._index_of = {id(found): index for index, found in enumerate(self._fixed)}
+        # What is in a queue is a part of the state, so another one may replace it.
+        self._index_of = {id(found): index for index, found in enumerate(self._fixed)
+                          if not isinstance(found, deque)}
+        places = {id(found): index for index, found in enumerate(self._fixed)}
+        #: By owner: what stands for its queue in a digest while that is empty.
+        self._queues = {id(owner): places[id(value)] for owner in self._stateful
+                        for value in vars(owner).values() if isinstance(value, deque)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -147,7 +157,7 @@ class ControlState:
 
     def encoded(self) -> Iterator[bytes]:
         """Yield the state in a form that depends on nothing else, for a digest."""
-        encoder = _Encoder(self._index_of)
+        encoder = _Encoder(self._index_of, self._queues)
         for found in self._stateful:
             yield from encoder.members(found)
         for gripper in self._grippers:
@@ -228,8 +238,8 @@ class _Unpickler(pickle.Unpickler):
 class _Encoder:
     """Turns objects into bytes that are the same in each process, whatever was read or ended."""
 
-    def __init__(self, index_of: Mapping[int, int]) -> None:
-        self._index_of = index_of
+    def __init__(self, index_of: Mapping[int, int], queues: Mapping[int, int]) -> None:
+        self._index_of, self._queues = index_of, queues
         self._number_of: dict[int, int] = {}
 
     def members(self, found: object) -> Iterator[bytes]:
@@ -239,7 +249,10 @@ class _Encoder:
         for name, value in sorted(vars(found).items()):
             if name not in left_out:
                 yield name.encode()
-                yield from self.value(value)
+                if isinstance(value, deque) and not value:
+                    yield b'@%d' % self._queues[id(found)]
+                else:
+                    yield from self.value(value)
 
     def value(self, value: Any) -> Iterator[bytes]:
         """Yield a value."""

@@ -119,6 +119,14 @@ class Servos:
         self._geared = bool((self._gear != 1.0).any())
         self._set_gains(np.arange(len(ids)))
 
+    def look_at_joints(self) -> None:
+        """Take over damping and dry friction of the joints, which were changed in the model."""
+        model = self._physics.model
+        self.passive_damping[:] = np.asarray(model.dof_damping).reshape(model.nv, -1)[
+            self.dofs, 0]
+        self._drag = self._damping + self.passive_damping
+        self._friction.look(model, self.dofs)
+
     def _soften(self) -> None:
         model = self._physics.model
         share = model.opt.timestep * self._damping * model.dof_invweight0[self.dofs]

@@ -32,6 +32,7 @@ from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.physics_steps import PhysicsSteps
+from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
@@ -91,6 +92,9 @@ class Simulation:
     :ivar surroundings: mocap bodies, and joints of the arena
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
+    :ivar randomized: what was drawn for the present episode, where the world has
+        ``randomization``
+    :ivar seed: that the present episode was drawn from
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
@@ -106,7 +110,7 @@ class Simulation:
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.diverged: str | None = None
         self._world = world
-        self._keyframe, self._start_seed = world.keyframe, world.seed
+        self._keyframe = world.keyframe
         self._changes_start = False
         self._start = world.init_qpos()
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
@@ -116,6 +120,8 @@ class Simulation:
         self._ends_of: dict[int, FloatArray] = {}
         self._roots = [robot.root_body for robot in world.robots]
         self._free_roots = FreeRoots(self.model, self._roots)
+        self.seed = world.seed
+        self.randomized = Randomized(None, self.physics, {})
         self._to_start()
         self.efforts = ActuatorEfforts(self.physics)
         robots = [SimulatedRobot(self.physics, robot, self.efforts, self._clock)
@@ -131,6 +137,11 @@ class Simulation:
         self.physics.on_change(self._look_at_model)
         self.lidars = Lidars(self.physics, world.lidars if robots else (),
                              lambda body: self.sensing_of(int(self.model.body(body).id)))
+        self.randomized = Randomized(
+            world.randomization, self.physics, {robot.name: robot.sensing for robot in robots},
+            [name for name, law in laws.items() if np.isfinite(law.stribeck_velocity)])
+        if self.randomized.draws:
+            self._randomize(world.seed, None)
         self._settle_linkages()
         self._reset(world.seed)
         self.start_defects = check_start(
@@ -242,6 +253,7 @@ class Simulation:
         for joint, position in self._start.items():
             self.data.joint(joint).qpos[0] = position
             self.surroundings.hold(joint, position)
+        self.randomized.place(self.data)
         mujoco.mj_forward(self.model, self.data)
         self._free_roots.apply(self.data)
 
@@ -439,7 +451,7 @@ class Simulation:
         self._keyframe = self._world.checked_keyframe(name)
         self._changes_start = True
 
-    def reset(self, seed: int | None = None) -> None:
+    def reset(self, seed: int | None = None, drawn: Drawn | None = None) -> None:
         """
         Reset everything to the start and abort all commands; time goes on.
 
@@ -447,15 +459,32 @@ class Simulation:
         control modes stay.
 
         :param seed: draws the start anew, as at construction with this seed, where the world has
-            ``initialization_noise``, and the noise of sensors; None keeps both
-        :raises ModelError: if the seed is no whole number from 0
+            ``initialization_noise``, and the noise of sensors, and what the ``randomization`` of
+            the world draws; None keeps all
+        :param drawn: by name, in place of what ``randomization`` would draw, such as
+            ``randomized.drawn`` of an earlier episode; None lets it draw
+        :raises ModelError: if the seed is no whole number from 0, or something cannot be drawn
         """
-        if seed is not None or self._changes_start:
-            self._start_seed = self._start_seed if seed is None else seed
-            self._start = self._world.init_qpos(self._start_seed, self._keyframe)
-            self._changes_start = False
+        settles = seed is not None or self._changes_start
+        if settles:
+            own = self.seed if seed is None else seed
+            self._start = self._world.init_qpos(own, self._keyframe)
+            self.seed, self._changes_start = own, False
+        if drawn is not None or (seed is not None and self.randomized.draws):
+            self._randomize(self.seed, drawn)
+        if settles:
             self._settle_linkages()
         self._reset(seed)
+
+    def _randomize(self, seed: int, drawn: Drawn | None) -> None:
+        """Draw what differs between episodes, or take what was drawn."""
+        if drawn is None:
+            self.randomized.draw(seed)
+        else:
+            self.randomized.set(drawn)
+        self._steps.look_at_joints()
+        for robot in self.robots.values():
+            robot.joints.look_at_joints()
 
     def _reset(self, seed: int | None = None) -> None:
         self._to_start()
@@ -491,7 +520,8 @@ class Simulation:
             control=self._control.save(), start=dict(self._start),
             step_count=self._clock.step_count, control_steps=self._clock.control_steps,
             contacts_change=self._steps.contacts_change, diverged=self.diverged,
-            sensing=pickle.dumps([robot.sensing.save() for robot in self.robots.values()]))
+            sensing=pickle.dumps([robot.sensing.save() for robot in self.robots.values()]),
+            drawn=self.randomized.drawn, seed=self.seed)
 
     def restore(self, state: SimulationState) -> None:
         """
@@ -509,6 +539,9 @@ class Simulation:
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
         self._start = dict(state.start)
         self.diverged, self._steps.contacts_change = state.diverged, state.contacts_change
+        self.seed = state.seed
+        if state.drawn != self.randomized.drawn:
+            self._randomize(state.seed, state.drawn)
         set_gains(self.model, state.gains)
         # Commands may have changed controls since the present forces were computed.
         self._steps.compute_from(np.frombuffer(state.computed_from))
@@ -548,6 +581,8 @@ class Simulation:
             digest.update(b'%d:' % len(content) + content)
         for robot in self.robots.values():
             digest.update(robot.sensing.encoded())
+        if self.randomized.drawn:
+            digest.update(repr(sorted(self.randomized.drawn.items())).encode())
         return f'mujoco-{mujoco.mj_versionString()}:{digest.hexdigest()}'
 
     @staticmethod

@@ -53,6 +53,11 @@ class VelocityLaws:
         self._joints = np.array([model.joint(name).id for name in self._laws], dtype=np.int64)
         self._dofs = model.jnt_dofadr[self._joints]
 
+    def look_at_joints(self) -> None:
+        """Take over the dry friction of joints without a law of it, changed in the model."""
+        self._friction = np.where(
+            self._stribeck, self._friction, self._physics.model.dof_frictionloss[self._dofs])
+
     def write(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Change the model to what the present velocities give; the next step starts with it."""
         velocity = data.qvel[self._dofs]

@@ -16,6 +16,7 @@ from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.numbers import finite_numbers
+from manip_sim.simulation.randomized import Drawn
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.joint_actions import create_actions
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY, whole_steps
@@ -70,14 +71,15 @@ class Episode:
         self._commands: InTransit[FloatArray] = InTransit()
         self._states: InTransit[Observation] = InTransit()
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed: int, drawn: Drawn | None = None) -> None:
         """
         Begin the episode of a seed.
 
         :param seed: draws the start; the same for the same seed, in any process
+        :param drawn: as for :func:`start`
         :raises ModelError: if it is no whole number from 0
         """
-        start(self.task, self.simulation, seed)
+        start(self.task, self.simulation, seed, drawn)
         for delay in (self._command_delay, self._state_delay):
             delay.set_seed(seed)
         self.begin()
@@ -201,16 +203,21 @@ class Episode:
         return self.simulation.digest()
 
 
-def start(task: Task, simulation: Simulation, seed: int) -> None:
+def start(task: Task, simulation: Simulation, seed: int, drawn: Drawn | None = None) -> None:
     """
     Reset a simulation to the start that a seed draws.
 
     :param task: whose start it is
     :param simulation: of the world of the task
     :param seed: a whole number from 0
-    :raises ModelError: if it is not
+    :param drawn: by name, in place of what ``randomization`` would draw; None lets it draw
+    :raises ModelError: if the seed is no whole number, or something cannot be drawn
     """
     seed = checked_seed(seed)
-    simulation.reset(seed)
+    simulation.reset(seed, drawn)
+    randomized = simulation.randomized
+    before = randomized.free_poses(simulation.data)
     task.start(simulation, np.random.default_rng(seed))
+    if before.size:
+        randomized.place_again(simulation.data, before, drawn is not None)
     simulation.forward()

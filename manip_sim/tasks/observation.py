@@ -76,9 +76,9 @@ class Observer:
                                for robot in self._simulation.robots.values()])
 
     def _ends(self, what: str) -> NDArray[Any]:
-        data = self._simulation.data
-        return np.stack([getattr(reader, what)(data) for robot in self._simulation.robots.values()
-                         for reader in robot.end_effectors.values()])
+        return np.stack([robot.sensing.measured(f'{arm}/{what}')
+                         for robot in self._simulation.robots.values()
+                         for arm in robot.end_effectors])
 
     def _objects(self) -> NDArray[Any]:
         entities, data = self._simulation.entities, self._simulation.data

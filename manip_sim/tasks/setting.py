@@ -12,6 +12,7 @@ from typing import Any, Union
 
 from manip_sim.errors import ModelError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import shown
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.creating import create_task
@@ -53,6 +54,14 @@ class Setting:
                 0.0 < rate < math.inf):
             raise ModelError(f'control_hz must be above 0 Hz, got {shown(rate)}')
         object.__setattr__(self, 'latency', Latency.of(self.latency))
+
+    @property
+    def plain_composition(self) -> dict[str, Any]:
+        """The composition with the content of files that are not only named."""
+        found = dict(self.composition)
+        if found.get('randomization') is not None:
+            found['randomization'] = Randomization(found['randomization']).given
+        return found
 
     def create_task(self) -> Task:
         """

@@ -16,6 +16,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.objects import Description
+from manip_sim.models.randomization import Randomization
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.models.world import World
@@ -72,6 +73,10 @@ class Task(ABC):
     def __init__(self, robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
                  **composition: Any) -> None:
         self.arguments: dict[str, Any] = {'robot': robot, 'gripper': gripper, **composition}
+        if composition.get('randomization') is not None:
+            # Another process that repeats an episode needs what the file holds.
+            composition['randomization'] = Randomization(composition['randomization'])
+            self.arguments['randomization'] = composition['randomization'].given
         self.world: World = self.compose(
             robot, self.own_gripper if gripper == DEFAULT else gripper, {
                 'initialization_noise': _NOISE, 'seed': 0, **composition, 'arena': self.arena(),

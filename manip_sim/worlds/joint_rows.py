@@ -136,8 +136,9 @@ class JointRows:
                 mujoco.mj_mulM(model, data, result, vector)
         force = self._drag[rows][:, None] * velocity
         force += forces[..., dofs]
-        if servos._friction.acts:
-            force += servos._friction.at(velocity)
+        frictions = [self._robots[row].joints._servos._friction for row in rows]
+        if any([friction.acts for friction in frictions]):
+            force += np.stack([friction.at(own) for friction, own in zip(frictions, velocity)])
         coriolis = (_stacked([self._physics[row].bias for row in rows])[:, dofs]
                     - _stacked([self._physics[row].gravcomp for row in rows])[:, dofs])
         if not servos._all_compensated:

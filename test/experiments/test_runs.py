@@ -251,3 +251,27 @@ def test_a_flat_observation_has_the_order_of_gymnasium():
     flattened, _ = gymnasium.wrappers.FlattenObservation(env).reset(seed=1)
     np.testing.assert_array_equal(flat(observation), flattened)
     env.close()
+
+
+def test_rows_of_randomized_runs_are_those_of_shards_and_of_episodes_by_hand(tmp_path, capsys):
+    file = tmp_path / 'drawn.yaml'
+    file.write_text('bodies: {"robot0_link*": {mass: {scale: {uniform: [0.8, 1.2]}}}}\n'
+                    'parameters: {latency.command: {uniform: [0.0, 0.1]}}\n')
+    more = ['--randomization', str(file), '--latency-jitter', '0.02']
+    assert run(tmp_path / 'whole', *more, seeds='0:4') == 0
+    assert run(tmp_path / 'parts', *more, '--shard', '2/2', seeds='0:4', worlds='1') == 0
+    assert run(tmp_path / 'parts', *more, '--shard', '1/2', seeds='0:4', worlds='1') == 0
+    assert rows(tmp_path / 'parts') == rows(tmp_path / 'whole')
+    episode = Setting('reach', latency={'command_jitter': 0.02},
+                      composition={'randomization': file}).create_episode()
+    policy = load_policy(f'{POLICIES}:Towards', episode)
+    for row in rows(tmp_path / 'whole'):
+        assert episode.run(policy, row['seed']) == row['success']
+        assert episode.digest == row['digest']
+    # Another content of the file is another run.
+    file.write_text('bodies: {"robot0_link*": {mass: {scale: {uniform: [0.9, 1.1]}}}}\n')
+    assert run(tmp_path / 'whole', *more, seeds='0:4') == 1
+    assert 'is the folder of another run' in capsys.readouterr().err
+    file.write_text('bodies:\n  robot0_linc1: {mass: {uniform: [1, 2]}}\n')
+    assert run(tmp_path / 'other', *more, seeds='0:4') == 1
+    assert "line 2: no body matches 'robot0_linc1': did you mean" in capsys.readouterr().err

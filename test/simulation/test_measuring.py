@@ -37,6 +37,22 @@ def action(simulation, value=0.5):
     return command
 
 
+def test_commands_that_are_under_way_are_a_part_of_saved_states(simulation):
+    robot = simulation.robot
+    robot.sensing.set('latency.command', 0.05)
+    simulation.reset(1)
+    start = simulation.data.qpos[:7].copy()
+    robot.apply(robot.parse.action('arm', np.full(7, 0.3)))
+    state, digest = simulation.save(), simulation.digest()
+    simulation.reset(1)
+    assert simulation.digest() != digest
+    simulation.restore(state)
+    assert simulation.digest() == digest
+    for _ in range(20):
+        simulation.advance(10)
+    assert np.abs(simulation.data.qpos[:7] - start).max() > 0.01
+
+
 def test_without_settings_what_is_measured_is_what_is_true(simulation):
     action(simulation)
     measured, true = run(simulation, 20)

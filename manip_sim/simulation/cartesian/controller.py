@@ -86,6 +86,10 @@ class CartesianController:
         self._operational = OperationalSpaceController(physics, servos, self._posture)
         physics.on_change(self._make_room)
 
+    def look_at_joints(self) -> None:
+        """Take over the damping of the joints, which was changed in the model."""
+        self._operational.look_at_joints()
+
     def _make_room(self) -> None:
         self._scratch: Any = mujoco.MjData(self._physics.model) if self._hands else None
 

@@ -99,6 +99,10 @@ class OperationalSpaceController:
     def _make_room(self) -> None:
         self._accelerations, self._forces = np.zeros((2, self._physics.model.nv))
 
+    def look_at_joints(self) -> None:
+        """Take over the damping of the joints, which was changed."""
+        self._arms.clear()
+
     def _arm(self, indices: IntArray) -> _ArmJoints:
         key = indices.tobytes()
         if key not in self._arms:

@@ -1,0 +1,332 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What differs from episode to episode: distributions of a world's properties, from YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+import math
+import os
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Union
+
+import numpy as np
+import yaml
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import describe_choices, ModelError
+from manip_sim.models.strict_yaml import read_yaml, StrictLoader
+from manip_sim.quoting import quoted, shown
+from manip_sim.sensing.randomness import generator
+from manip_sim.sensing.settings import QUANTITIES as PARAMETERS
+
+ABSOLUTE, SCALE, OFFSET = 'absolute', 'scale', 'offset'
+#: The group of parameters of the node, which have no quantity.
+OF_NODE = 'parameters'
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """
+    A property that can be drawn.
+
+    :ivar meaning: what it is, with its unit
+    :ivar length: of its value; 1 for a number
+    :ivar low: least value of each number
+    :ivar high: greatest value of each number
+    :ivar ways: how a draw may change it
+    """
+
+    meaning: str
+    length: int = 1
+    low: float = 0.0
+    high: float = math.inf
+    ways: tuple[str, ...] = (ABSOLUTE, SCALE, OFFSET)
+
+
+_ANY: Mapping[str, Any] = {'length': 3, 'low': -math.inf}
+_TURN = Quantity('rotation vector in its own axes [rad]', 3, -math.pi, math.pi, (OFFSET,))
+_LEAST = 1e-9
+#: What can be drawn, by group and name.
+GROUPS: Mapping[str, Mapping[str, Quantity]] = MappingProxyType({
+    'bodies': {
+        'mass': Quantity('mass [kg]; the inertia changes in proportion', low=_LEAST),
+        'position': Quantity('position in its parent, of a free body at the start in `world` [m]',
+                             **_ANY),
+        'orientation': _TURN},
+    'geoms': {
+        'friction': Quantity('coefficient of sliding friction'),
+        'torsional_friction': Quantity('coefficient of torsional friction [m]'),
+        'rolling_friction': Quantity('coefficient of rolling friction [m]'),
+        'size': Quantity("MuJoCo's size: radius, half length or half extents [m]", 3, _LEAST),
+        'color': Quantity('red, green and blue', 3, 0.0, 1.0)},
+    'joints': {
+        'damping': Quantity('damping [N m s/rad or N s/m]'),
+        'friction': Quantity('dry friction [N m or N]'),
+        'armature': Quantity('reflected inertia of the motor [kg m^2 or kg]')},
+    'lights': {
+        'position': Quantity('position in its body [m]', **_ANY),
+        'direction': Quantity('direction in its body, of any length', 3, -math.inf, math.inf,
+                              (ABSOLUTE, OFFSET)),
+        'diffuse': Quantity('red, green and blue of the diffuse light', 3, 0.0, 1.0),
+        'ambient': Quantity('red, green and blue of the ambient light', 3, 0.0, 1.0),
+        'specular': Quantity('red, green and blue of the specular light', 3, 0.0, 1.0)},
+    'cameras': {
+        'position': Quantity('position in its body [m]', **_ANY),
+        'orientation': _TURN},
+    OF_NODE: {name: Quantity(f'{found.meaning} [{found.unit}]', 1, 0.0, found.maximum, (ABSOLUTE,))
+              for name, found in PARAMETERS.items()}})
+DISTRIBUTIONS = ('uniform', 'normal', 'log_uniform', 'choice')
+_Lines = Mapping[tuple[str, ...], int]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """
+    A distribution of a property of all elements whose names match a pattern.
+
+    :ivar group: one of :data:`GROUPS`
+    :ivar pattern: of names, with ``*``, ``?`` and ``[...]`` as a shell has them
+    :ivar quantity: of the group
+    :ivar way: ``absolute``, ``scale`` or ``offset``
+    :ivar distribution: one of :data:`DISTRIBUTIONS`
+    :ivar numbers: its two parameters, or its choices, as rows of numbers
+    :ivar where: file and line, for messages
+    """
+
+    group: str
+    pattern: str
+    quantity: str
+    way: str
+    distribution: str
+    numbers: tuple[tuple[float, ...], ...]
+    where: str
+
+    def draw(self, seed: int, key: str) -> FloatArray:
+        """
+        Return a draw, which depends on its arguments only.
+
+        :param seed: a whole number from 0
+        :param key: of what is drawn, unique in its world
+        :returns: one number for all, or one for each number of the quantity
+        """
+        random = generator(seed, f'randomization {key}')
+        if self.distribution == 'choice':
+            return np.array(self.numbers[random.integers(len(self.numbers))])
+        first, second = np.array(self.numbers)
+        if self.distribution == 'normal':
+            return np.asarray(first + second * random.standard_normal(len(first)))
+        if self.distribution == 'log_uniform':
+            # math, as logarithms of NumPy differ between its releases; both ends are included.
+            return np.array([
+                min(max(math.exp(math.log(low) + (math.log(high) - math.log(low)) * share), low),
+                    high) for low, high, share in zip(first, second, random.random(len(first)))])
+        return np.asarray(first + (second - first) * random.random(len(first)))
+
+    def matches(self, name: str) -> bool:
+        """Return whether the pattern matches a name."""
+        if self.group == OF_NODE:  # Of one robot, or of all.
+            return name == self.pattern or name.endswith(f'.{self.pattern}')
+        return fnmatchcase(name, self.pattern)
+
+    def key(self, name: str) -> str:
+        """Return ``group/name/quantity`` of an element; parameters have no quantity."""
+        return '/'.join([self.group, name, *[self.quantity] * (self.group != OF_NODE)])
+
+    def applied(self, value: FloatArray, drawn: FloatArray) -> FloatArray:
+        """
+        Return a value after a draw, within what the quantity may be.
+
+        :param value: without it, shape (n,)
+        :param drawn: one number, or n
+        :raises ModelError: if there are other numbers of draws than numbers of the value
+        """
+        if len(drawn) not in (1, len(value)):
+            raise ModelError(f'{self.where}: {self.quantity} of {quoted(self.pattern)} has '
+                             f'{len(value)} numbers, got {len(drawn)}')
+        new: FloatArray = (
+            np.broadcast_to(drawn, value.shape) if self.way == ABSOLUTE else
+            value * drawn if self.way == SCALE else value + drawn)
+        limits = GROUPS[self.group][self.quantity]
+        return np.asarray(np.minimum(np.maximum(new, limits.low), limits.high))
+
+
+class Randomization:
+    """
+    Distributions of properties, drawn at each reset with a seed.
+
+    Where several rules are for the same property of the same element, the last one counts.
+
+    :param given: a YAML file, or what it would hold
+    :raises ModelError: if something cannot be used, naming the file and the line
+    :ivar given: what the file holds, as plain data
+    :ivar rules: in the order of the file
+    """
+
+    def __init__(self, given: RandomizationLike) -> None:
+        self.given: Mapping[str, Any]
+        self.rules: tuple[Rule, ...]
+        if isinstance(given, Randomization):
+            self.given, self.rules = given.given, given.rules
+            return
+        lines: _Lines = {}
+        name = 'randomization'
+        if isinstance(given, Mapping):
+            self.given = dict(given)
+        else:
+            name = os.fspath(given)
+            self.given = read_yaml(name)
+            lines = _lines_of(name)
+        self.rules = tuple(_Reader(name, lines).rules(self.given))
+
+    def resolve(self, names: Mapping[str, Iterable[str]], strict: bool = True
+                ) -> dict[str, Rule]:
+        """
+        Return the rule of each property that is drawn, by ``group/name/quantity``.
+
+        :param names: of the elements of the world, by group
+        :param strict: whether a pattern must match one
+        :raises ModelError: if a pattern matches none, naming the nearest
+        """
+        found: dict[str, Rule] = {}
+        for rule in self.rules:
+            known = [name for name in names[rule.group] if name]
+            matching = [name for name in known if rule.matches(name)]
+            if not matching and strict:
+                one = _SINGULAR[rule.group]
+                raise ModelError(f'{rule.where}: no {one} matches {quoted(rule.pattern)}: '
+                                 f'{describe_choices(rule.pattern, known)}')
+            for name in matching:
+                found[rule.key(name)] = rule
+        return found
+
+
+RandomizationLike = Union[str, 'os.PathLike[str]', Mapping[str, Any], Randomization]
+_SINGULAR = {'bodies': 'body', 'geoms': 'geom', 'joints': 'joint', 'lights': 'light',
+             'cameras': 'camera', OF_NODE: 'parameter'}
+
+
+def _lines_of(file: str) -> dict[tuple[str, ...], int]:
+    """Return the line of each key of a YAML file, by the keys that lead to it."""
+    found: dict[tuple[str, ...], int] = {}
+
+    def walk(node: Any, path: tuple[str, ...]) -> None:
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                own = (*path, str(key.value))
+                found[own] = key.start_mark.line + 1
+                walk(value, own)
+    walk(yaml.compose(Path(file).read_bytes(), Loader=StrictLoader), ())
+    return found
+
+
+class _Reader:
+    """Checks what a file holds."""
+
+    def __init__(self, name: str, lines: _Lines) -> None:
+        self._name, self._lines = name, lines
+
+    def _where(self, *path: str) -> str:
+        line = self._lines.get(path)
+        return self._name if line is None else f'{self._name}, line {line}'
+
+    def _known(self, kind: str, key: Any, known: Iterable[str], *path: str) -> None:
+        if key not in (choices := list(known)):
+            raise ModelError(f'{self._where(*path)}: unknown {kind} {quoted(key)}: '
+                             f'{describe_choices(key, choices)}')
+
+    def _mapping(self, value: Any, what: str, *path: str) -> Mapping[str, Any]:
+        if not isinstance(value, Mapping) or not value:
+            raise ModelError(f'{self._where(*path)}: {what}, got {shown(value)}')
+        return value
+
+    def rules(self, given: Mapping[str, Any]) -> Iterable[Rule]:
+        """Yield the rules."""
+        for group, patterns in given.items():
+            self._known('group', group, GROUPS, group)
+            for pattern, inner in self._mapping(
+                    patterns, f'{group} needs names and what is drawn', group).items():
+                if group == OF_NODE:
+                    # With several robots, the name of one comes first.
+                    name = next((name for name in PARAMETERS if pattern == name
+                                 or str(pattern).endswith(f'.{name}')), None)
+                    if name is None:
+                        self._known('parameter', pattern, PARAMETERS, group, pattern)
+                    yield self._rule(group, pattern, str(name), inner, (group, pattern))
+                    continue
+                for quantity, spec in self._mapping(
+                        inner, f'{quoted(pattern)} needs quantities and their distributions',
+                        group, pattern).items():
+                    path = group, pattern, quantity
+                    self._known(f'quantity of {group}', quantity, GROUPS[group], *path)
+                    yield self._rule(group, pattern, quantity, spec, path)
+
+    def _rule(self, group: str, pattern: str, quantity: str, spec: Any, path: tuple[str, ...]
+              ) -> Rule:
+        need = f'{quantity} needs one distribution: {", ".join(DISTRIBUTIONS)}'
+        way, inner = ABSOLUTE, self._mapping(spec, need, *path)
+        if len(inner) == 1 and next(iter(inner)) in (SCALE, OFFSET):
+            way = next(iter(inner))
+            path = *path, way
+            inner = self._mapping(inner[way], need, *path)
+        if len(inner) != 1:
+            raise ModelError(f'{self._where(*path)}: {need}, got {shown(dict(inner))}')
+        kind, numbers = next(iter(inner.items()))
+        self._known('distribution', kind, (*DISTRIBUTIONS, *(SCALE, OFFSET) * (way == ABSOLUTE)),
+                    *path, kind)
+        limits, where = GROUPS[group][quantity], self._where(*path, kind)
+        if way not in limits.ways:
+            raise ModelError(f'{where}: {quantity} of {group} can be drawn as '
+                             f'{" or ".join(limits.ways)}, not as {way}')
+        rows = self._numbers(kind, numbers, limits, where)
+        _check(kind, way, rows, limits, f'{where}: {quantity}, {kind}')
+        return Rule(group, pattern, quantity, way, kind, rows, where)
+
+    def _numbers(self, kind: str, numbers: Any, limits: Quantity, where: str
+                 ) -> tuple[tuple[float, ...], ...]:
+        """Return the parameters of a distribution as rows of the same length."""
+        if not isinstance(numbers, (list, tuple)) or (
+                not numbers if kind == 'choice' else len(numbers) != 2):
+            what = ('a list with choices' if kind == 'choice' else
+                    '[mean, standard deviation]' if kind == 'normal' else '[low, high]')
+            raise ModelError(f'{where}: {kind} needs {what}, got {shown(numbers)}')
+        rows = []
+        for number in numbers:
+            row = number if isinstance(number, (list, tuple)) else [number]
+            for value in row:
+                if (isinstance(value, bool) or not isinstance(value, (int, float))
+                        or not math.isfinite(value)):
+                    raise ModelError(f'{where}: {kind} needs finite numbers, got {shown(value)}')
+            if len(row) != 1 and (len(row) > limits.length or not row):
+                raise ModelError(f'{where}: {kind} needs a number or a list of up to '
+                                 f'{limits.length}, got {shown(number)}')
+            rows.append(tuple(float(value) for value in row))
+        if len({len(row) for row in rows}) != 1:
+            raise ModelError(f'{where}: {kind} needs numbers or lists of one length, got '
+                             f'{shown(numbers)}')
+        return tuple(rows)
+
+
+def _check(kind: str, way: str, rows: tuple[tuple[float, ...], ...], limits: Quantity,
+           where: str) -> None:
+    """Reject distributions that make no sense."""
+    if kind in ('uniform', 'log_uniform'):
+        for low, high in zip(*rows):
+            if low > high:
+                raise ModelError(f'{where}: low must not be above high, got [{low:g}, {high:g}]')
+    if kind == 'log_uniform' and min(rows[0]) <= 0.0:
+        raise ModelError(f'{where}: low must be above 0, got {min(rows[0]):g}')
+    if kind == 'normal' and min(rows[1]) < 0.0:
+        raise ModelError(f'{where}: a standard deviation must be at least 0, got '
+                         f'{min(rows[1]):g}')
+    named = rows[:1] if kind == 'normal' else rows
+    least, most = min(min(row) for row in named), max(max(row) for row in named)
+    if way == ABSOLUTE and (least < limits.low or most > limits.high):
+        raise ModelError(f'{where}: values must be from {limits.low:g} to {limits.high:g}, got '
+                         f'{least if least < limits.low else most:g}')
+    if way == SCALE and limits.low >= 0.0 and least < 0.0:
+        raise ModelError(f'{where}: factors must be at least 0, got {least:g}')

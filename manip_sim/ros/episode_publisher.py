@@ -1,0 +1,84 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Publish on ``~/episode`` what the present episode began with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from typing import Any
+
+import mujoco
+import numpy as np
+from std_msgs.msg import String
+
+from manip_sim.interface.topics import BY_NAME
+from manip_sim.resources import package_version
+from manip_sim.ros.outputs import create_publisher
+from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import Simulation
+
+#: Of how many episodes the digests are kept for states that are restored.
+_REMEMBERED = 1000
+
+
+class EpisodePublisher:
+    """
+    A latched publisher of ``~/episode``: JSON, at the start and after each reset.
+
+    It publishes after a restore, too, if that leads to another episode. Its keys are ``seed``,
+    ``drawn`` (what ``randomization`` drew, by name, in SI units), ``versions`` of ``manip_sim``,
+    ``mujoco`` and ``numpy``, ``digest`` of the start, and ``stamp_ns`` of the instant of the
+    message.
+
+    :param node: the node
+    :param simulation: whose episodes they are
+    :param thread: runs it; has not been started
+    :param restart: puts the simulation to its start, from a seed or as it was
+    :param joints_changed: is called when joints were drawn
+    """
+
+    def __init__(self, node: Any, simulation: Simulation, thread: SimulationThread,
+                 restart: Callable[[int | None], None], joints_changed: Callable[[], None]
+                 ) -> None:
+        self._publisher = create_publisher(node, BY_NAME['~/episode'])
+        self._simulation = simulation
+        self._restart_simulation, self._joints_changed = restart, joints_changed
+        #: Digests of the starts of all episodes that may be in a saved state, by what they are of.
+        self._digests: dict[str, str] = {}
+        self._published: tuple[int, Any] = (-1, None)
+        thread.restart_by(self._restart)
+        thread.observe(self._look)
+
+    def begin(self) -> None:
+        """Publish the first episode, before the thread starts; parameters do not undo draws."""
+        if self._simulation.randomized.draws:
+            self._restart_simulation(self._simulation.seed)
+        self._publish(self._simulation.digest())
+
+    def _restart(self, seed: int | None) -> None:
+        self._restart_simulation(seed)
+        self._publish(self._simulation.digest())
+
+    def _look(self, simulation: Simulation) -> None:
+        if (simulation.seed, simulation.randomized.drawn) != self._published:
+            self._publish(self._digests.get(self._key(), ''))
+
+    def _key(self) -> str:
+        return repr((self._simulation.seed, self._simulation.randomized.drawn))
+
+    def _publish(self, digest: str) -> None:
+        simulation = self._simulation
+        drawn = simulation.randomized.drawn
+        if len(self._digests) >= _REMEMBERED:
+            del self._digests[next(iter(self._digests))]
+        self._digests[self._key()] = digest
+        self._published = simulation.seed, drawn
+        self._publisher.publish(String(data=json.dumps({
+            'seed': simulation.seed, 'drawn': drawn, 'versions': {
+                'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
+                'numpy': np.__version__},
+            'digest': digest, 'stamp_ns': simulation.time_ns}, allow_nan=False)))
+        if any(name.startswith('joints/') for name in drawn):
+            self._joints_changed()
