@@ -6,13 +6,20 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
+import warnings
+
+import mujoco
 
 from manip_sim.cli.composition import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import commanded_parts
 from manip_sim.interface.ros2_control import hardware_of, remapped
+from manip_sim.models import World
+from manip_sim.models.binary import said_of_text
 from manip_sim.models.urdf_writer import choose_robot, Hardware, urdf_of
 from manip_sim.simulation import Simulation
 
@@ -36,22 +43,34 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
             composed.parameters.given)]), 0
     file: Path = options.file
     ending = file.suffix.lower()
-    if ending not in ('.xml', '.urdf', *_ARCHIVES):
-        raise ManipSimError(f'{file}: the name must end with .xml, .mjz, .zip or .urdf')
+    if ending not in ('.xml', '.mjb', '.urdf', *_ARCHIVES):
+        raise ManipSimError(f'{file}: the name must end with .xml, .mjz, .zip, .mjb or .urdf')
     check_folder(file)
     composed = compose_from(options)
     world = composed.composition.world
     notes: tuple[str, ...] = ()
     if ending in _ARCHIVES:
         content = world.to_archive()
+        notes = (_said(world, lambda: mujoco.MjSpec.from_zip(BytesIO(content)).compile()),)
     elif ending == '.xml':
         content = world.to_xml().encode()
+        notes = (_said(world, lambda: mujoco.MjModel.from_xml_string(content.decode())),)
+    elif ending == '.mjb':
+        content = world.to_binary()
+        notes = (f'only MuJoCo {mujoco.mj_versionString()} reads it',)
     else:
         name = choose_robot(world, options.name).name_in_world
         urdf = urdf_of(world, name, _hardware(composed, name) if options.ros2_control else None)
         content, notes = urdf.xml.encode(), urdf.notes
     write_whole(file, lambda path: path.write_bytes(content))
     return '\n'.join([f'{file} ({_size(file)})', *notes]), 0
+
+
+def _said(world: World, load: Callable[[], mujoco.MjModel]) -> str:
+    """Return what the text of MJCF changes of a world, by reading it again."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        return said_of_text(world.compile(), load())
 
 
 def _hardware(composed: Composed, name: str) -> Hardware:

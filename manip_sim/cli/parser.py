@@ -161,8 +161,9 @@ def _add_export(commands: Any) -> None:
     parser = _command(
         commands, 'export', 'export', 'write a composition to a file for MuJoCo or ROS',
         'The file name selects the format: .xml is MJCF that refers to the mesh files by their '
-        'paths, .mjz and .zip are a MuJoCo archive that contains them, and .urdf is a URDF of '
-        'the robot with base and grippers. --moveit writes a package for MoveIt 2: URDF, SRDF, '
+        'paths, .mjz and .zip are a MuJoCo archive that contains them, .mjb is the compiled '
+        'model, exact to the last bit, for the same release of MuJoCo, and .urdf is a URDF of the '
+        'robot with base and grippers. --moveit writes a package for MoveIt 2: URDF, SRDF, '
         'limits, controllers, launch file. --ros2-control DIR writes a package for ros2_control: '
         'URDF, controllers, launch files.',
         'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
@@ -170,7 +171,7 @@ def _add_export(commands: Any) -> None:
         '          manip_sim export --moveit panda_moveit_config --robot Panda\n'
         '          manip_sim export --ros2-control panda_control --robot Panda')
     parser.add_argument('file', nargs='?', type=Path, metavar='FILE',
-                        help='out.xml, out.mjz, out.zip or out.urdf')
+                        help='out.xml, out.mjz, out.zip, out.mjb or out.urdf')
     parser.add_argument('--moveit', type=Path, metavar='DIR',
                         help='new folder for the package; its name is that of the package')
     parser.add_argument('--name', metavar='ROBOT', help='the robot to write, if there are several')

@@ -13,6 +13,7 @@ import pytest
 
 from manip_sim.cli.output import write_whole
 from manip_sim.models import compose
+from manip_sim.models.binary import roundings
 
 SOURCE = Path(__file__).resolve().parents[2]
 
@@ -44,7 +45,9 @@ def test_a_file_makes_the_same_model(name, here, tmp_path):
     code, text, errors = here('export', tmp_path / name, '--robot', 'UR5e', '--arena', 'table',
                               '--prefix', 'left_', '--position', '1', '0', '0')
     assert (code, errors) == (0, '')
-    assert str(tmp_path / name) in text and text.endswith(' kB)\n')
+    first, said = text.splitlines()
+    assert str(tmp_path / name) in first and first.endswith(' kB)')
+    assert said.startswith('the text of MJCF ')
     expected = compose('UR5e', arena='table', prefix='left_', position=[1, 0, 0]).compile()
     model = loaded(tmp_path / name)
     assert model.nbody == expected.nbody and model.nu == expected.nu
@@ -53,6 +56,25 @@ def test_a_file_makes_the_same_model(name, here, tmp_path):
     assert model.opt.timestep == expected.opt.timestep
     assert model.joint('left_shoulder_pan_joint').id >= 0
     assert [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_a_binary_is_the_model_to_the_last_bit_and_the_text_is_said_not_to_be(here, tmp_path):
+    options = ('--robot', 'Panda', '--arena', 'table')
+    code, text, errors = here('export', tmp_path / 'out.mjb', *options)
+    assert (code, errors) == (0, '') and 'only MuJoCo ' + mujoco.mj_versionString() in text
+    expected = compose('Panda', arena='table').compile()
+    model = mujoco.MjModel.from_binary_path(str(tmp_path / 'out.mjb'))
+    assert roundings(expected, model) == []
+    data, other = mujoco.MjData(expected), mujoco.MjData(model)
+    mujoco.mj_step(expected, data, 100)
+    mujoco.mj_step(model, other, 100)
+    assert data.qpos.tobytes() == other.qpos.tobytes()
+    _, text, _ = here('export', tmp_path / 'out.xml', *options)
+    rounded = roundings(expected, loaded(tmp_path / 'out.xml'))
+    assert rounded and f'changes {len(rounded)} fields' in text and rounded[0].field in text
+    model.body_mass[2] += 0.5
+    (found,) = roundings(expected, model)
+    assert found.field == 'body_mass' and found.difference == pytest.approx(0.5)
 
 
 def test_a_urdf_is_that_of_the_robot_and_what_it_cannot_say_is_told(here, tmp_path):
@@ -114,7 +136,7 @@ def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'what'), [
-    ('out.sdf', 'out.sdf: the name must end with .xml, .mjz, .zip or .urdf'),
+    ('out.sdf', 'out.sdf: the name must end with .xml, .mjz, .zip, .mjb or .urdf'),
     ('out', 'the name must end with'), ('lost/out.xml', 'no such folder: '),
     ('folder.xml', 'is a folder, give the name of a file')])
 def test_what_cannot_be_written_is_told_and_leaves_nothing(name, what, rejected, tmp_path):
