@@ -190,16 +190,23 @@ class SetpointGenerator:
         self._ramp_estimator.forget(indices)
         self._come_to(indices, velocity)
 
-    def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float) -> None:
+    def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float,
+                limit: FloatArray | None = None) -> None:
         """
         Let setpoints come to a velocity evenly within a time, or later at the acceleration limit.
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         :param duration_s: the time [s]
+        :param limit: of the acceleration, if it is not that of the joints
+            [rad/s^2 or m/s^2], shape of ``indices``
         """
         self.set_velocity(indices, velocity)
         change = np.abs(velocity - self._reference[indices])
-        self._ramp[indices] = np.clip(change / duration_s, 1e-9, self._ramp[indices])
+        if limit is None:
+            limit = self._ramp[indices]
+        else:
+            self._bound[indices] = np.maximum(limit, self._bound[indices])
+        self._ramp[indices] = np.clip(change / duration_s, 1e-9, limit)
 
     def brake(self, indices: IntArray) -> None:
         """

@@ -65,6 +65,11 @@ class StreamEstimator:
         #: How fast the velocity changes on average, with and without its sign.
         self._curves = np.zeros((2, count))
 
+    @property
+    def usual_acceleration(self) -> FloatArray:
+        """Size of the acceleration of the last dozen messages on average, shape (n,)."""
+        return np.asarray(self._curves[1])
+
     def begun_anew(self) -> StreamEstimator:
         """Return an estimator of no stream yet; settings and counts are those of this one."""
         estimator = StreamEstimator(len(self.lost))

@@ -168,8 +168,8 @@ def test_whatever_the_order_of_arrival_poses_keep_the_limits_and_end_at_the_last
             next_one < len(number) or handle is not None and handle.is_active):
         while next_one < len(number) and arrival[next_one] <= now_s:
             angle = 2.0 * np.pi * 0.8 * (sent_s := sent[number[next_one]])
-            pose = (start + 0.05 * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0]),
-                    turned([0.0, 0.6, 0.8], 0.2 * np.sin(angle)) @ rotation)
+            pose = (start + 0.03 * np.array([np.cos(angle) - 1.0, np.sin(angle), 0.0]),
+                    turned([0.0, 0.6, 0.8], 0.12 * np.sin(angle)) @ rotation)
             handle = op.go_to(pose, sent_ns=round((1e5 + sent_s) * 1e9) if stamped else 0)
             next_one += 1
         op.simulation.advance(steps)

@@ -248,7 +248,7 @@ class CartesianController:
         mujoco.mj_comPos(self._physics.model, scratch)
         tip = self._hands[command.arm].tip
         jacobian = tip.jacobian(self._physics.model, scratch, self._servos.dofs[indices])
-        still = True
+        still, limit = True, None
         if target.until_s == -math.inf:
             velocity = stop(joints, interval_s)
         elif target.twist is not None:
@@ -266,8 +266,9 @@ class CartesianController:
                 _, before, _ = target.reference(scratch, now_s)
                 goal, twist, _ = target.reference(scratch, now_s + interval_s)
                 error = pose_error(goal, tip.pose(scratch)) - (twist - before) * interval_s / 2.0
-            solution = approach(jacobian, error, joints, interval_s, settings.linear_velocity,
-                                settings.angular_velocity, before, twist, target.rests)
+            solution = approach(
+                jacobian, error, joints, interval_s, settings.linear_velocity,
+                settings.angular_velocity, before, twist, target.smooth, target.rests)
             target.rests = solution.rests
             behind = not still and solution.slowed and bool((np.abs(error) > MISSED).any())
             self._see(command, 'the stream of poses' if behind else 'the motion to the target',
@@ -275,8 +276,8 @@ class CartesianController:
             near = (still and solution.pace < _SLOW_PACE
                     and bool((np.abs(error) <= _REACHED).all()))
             self._look(command, target, data, now_s, error, near, solution.progress)
-            velocity = solution.velocity
-        self._setpoints.ramp_to(indices, velocity, interval_s)
+            velocity, limit = solution.velocity, solution.acceleration_limit
+        self._setpoints.ramp_to(indices, velocity, interval_s, limit)
         if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
                 target.twist is None and still):
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)

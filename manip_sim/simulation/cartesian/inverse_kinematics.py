@@ -32,6 +32,9 @@ _MAX_RATE = 40.0
 _POSTURE_RATE, _POSTURE_RATE_MOVING, _MOVING_PACE = 3.0, 1.0, 0.1
 #: A twist is slowed down so that no joint comes to its limit sooner than this [s].
 _HORIZON_S = 0.1
+#: Joints may accelerate this many times as much as a pose that moves needs, where that is more
+#: than their limits.
+_STREAM_ACCELERATION = 2.0
 #: Less than this share of the velocity limits makes no difference.
 _LESS = 0.01
 #: The velocity of a pose that rests.
@@ -71,9 +74,11 @@ class Solution:
     :ivar progress: share of the wanted motion that the joints can make
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
     :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
-    :ivar rests: whether the hand is as near to a pose as it can come
     :ivar slowed: whether joint limits slow a twist down, or keep the hand from going along with a
         pose that moves
+    :ivar rests: whether the hand is as near to a pose as it can come
+    :ivar acceleration_limit: of the joints, if the motion needs more than their own
+        [rad/s^2], shape (n,)
     """
 
     velocity: FloatArray
@@ -83,11 +88,12 @@ class Solution:
     singular: bool
     slowed: bool = False
     rests: bool = False
+    acceleration_limit: FloatArray | None = None
 
 
 def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interval_s: float,
              linear_velocity: float, angular_velocity: float, before: FloatArray = STILL,
-             twist: FloatArray = STILL, rested: bool = False) -> Solution:
+             twist: FloatArray = STILL, smooth: float = 0.0, rested: bool = False) -> Solution:
     """
     Return the velocities that bring the end effector to a pose and let it rest there.
 
@@ -103,14 +109,21 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     :param before: velocity of the pose now [m/s, rad/s], shape (6,)
     :param twist: velocity of the pose at the end of the interval, with which the hand shall go
         along [m/s, rad/s], shape (6,)
+    :param smooth: share of the change between these two that the joints may follow beyond their
+        acceleration limits
     :param rested: whether the hand was as near as it can come before
     """
-    along, relative = np.zeros(len(joints.velocity)), joints
+    along, relative, follows = np.zeros(len(joints.velocity)), joints, False
     if before is not STILL or twist is not STILL:
         along, own = (displace(
             jacobian, _HORIZON_S * motion, *_room(joints), np.zeros(len(along))).step / _HORIZON_S
             for motion in (twist, before))
-        relative = replace(joints, velocity=joints.velocity - own)
+        needed = np.abs(along - own) / interval_s
+        limit = np.maximum(joints.acceleration_limit, _STREAM_ACCELERATION * smooth * needed)
+        joints = replace(joints, acceleration_limit=limit)
+        follows = bool((needed < limit).all())
+        relative = replace(joints, velocity=joints.velocity - own,
+                           acceleration_limit=limit - needed if follows else limit)
     part = min(1.0, _LARGEST_STEP / max(length(error[:3]), 1e-12),
                _LARGEST_TURN / max(length(error[3:]), 1e-12))
     found = displace(jacobian, part * error, *_room(joints), joints.posture - joints.position,
@@ -123,9 +136,13 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     velocity = along + rate * found.step
     pace = _pace(velocity, joints)
     velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
-    possible = _evenly(velocity, joints, interval_s)
+    if follows:
+        possible = along + _evenly(velocity - along, relative, interval_s)
+    else:
+        possible = _evenly(velocity, joints, interval_s)
     return Solution(possible, pace, _progress(moved, part * error), found.held, found.singular,
-                    pace > 1.0 + 1e-6 or _pace(possible - velocity, joints) > _LESS, found.rests)
+                    pace > 1.0 + 1e-6 or _pace(possible - velocity, joints) > _LESS, found.rests,
+                    joints.acceleration_limit)
 
 
 def follow_twist(jacobian: FloatArray, twist: FloatArray, joints: JointState, interval_s: float

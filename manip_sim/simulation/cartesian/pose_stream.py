@@ -15,6 +15,8 @@ from manip_sim.simulation.cartesian.frames import rotation_of_vector, rotation_v
 from manip_sim.simulation.streams import StreamEstimator
 
 _ALL = np.arange(6)
+#: Less than this is no acceleration [m/s^2, rad/s^2].
+_STEADY = 1e-3
 #: A pose that needs more than the velocity limits in this time is a jump [s].
 _SPEED_UP_S = 0.1
 
@@ -40,6 +42,8 @@ class PoseStream:
     it follows them with a delay of one and a half.
 
     :ivar moving: whether poses have come regularly, so that the reference moves
+    :ivar smooth: share of the acceleration of the reference that is that of the poses themselves,
+        0 after a jump, where messages are late, and where poses are faster than the hand may be
     """
 
     def __init__(self) -> None:
@@ -51,8 +55,10 @@ class PoseStream:
         #: Velocity that the reference comes to, how fast, and until when.
         self._velocity, self._slope = np.zeros(6), np.zeros(6)
         self._ramp_end_s = -np.inf
+        #: Accelerations of the poses, linear and angular, as of the last message.
+        self._own = (0.0, 0.0)
         self._waiting: _Pose | None = None
-        self.moving = False
+        self.moving, self.smooth = False, 0.0
 
     def set(self, longest_s: float, hold_s: float) -> None:
         """
@@ -108,12 +114,26 @@ class PoseStream:
         estimator.take(clock, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S, pose.messages,
                        pose.sent_s)
         velocity, interval_s = estimator.velocity.copy(), max(clock.interval_s, pose.period_s)
+        limited = 1.0
         for half, limit in zip((velocity[:3], velocity[3:]), pose.limits):
-            half *= min(1.0, limit / max(length(half), 1e-12))
+            part = min(1.0, limit / max(length(half), 1e-12))
+            half *= part
+            limited = min(limited, part)
         left_s = min(max(clock.sent_s + interval_s - now_s, 0.5 * interval_s),
                      1.5 * interval_s) + clock.slack_s
         self._velocity, self._slope = velocity, (velocity - before) / left_s
         self._ramp_end_s, self.moving = now_s + left_s, streams
+        self.smooth = min(self._own_share(), 1.0) if limited == 1.0 else 0.0
+
+    def _own_share(self) -> float:
+        """Return how much of the acceleration of the reference is that of the poses."""
+        before, own = self._own, self._estimator.acceleration
+        self._own = length(own[:3]), length(own[3:])
+        usual = self._estimator.usual_acceleration
+        # One message alone may be a beginning, late or a jump.
+        return min((min(sizes) / size for *sizes, size in zip(
+            before, self._own, (length(usual[:3]), length(usual[3:])),
+            (length(self._slope[:3]), length(self._slope[3:]))) if size > _STEADY), default=1.0)
 
     def twist(self, now_s: float) -> FloatArray:
         """Return the velocity of the reference [m/s, rad/s], shape (6,)."""

@@ -92,6 +92,11 @@ class Target:
         share = dot(offset, way) / max(dot(way, way), 1e-12)
         return length(offset - share * way)
 
+    @property
+    def smooth(self) -> float:
+        """Share of the acceleration of a stream of poses that is their own."""
+        return self.stream.smooth if self.stream is not None else 0.0
+
     def ends_stream(self, now_s: float) -> bool:
         """Return whether the goal rests now, if need be because the stream has ended."""
         if self.stream is not None:
