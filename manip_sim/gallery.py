@@ -14,17 +14,19 @@ from typing import TYPE_CHECKING
 
 from manip_sim.cli.framing import View
 from manip_sim.cli.output import write_whole
-from manip_sim.cli.rendering import picture_of_part, picture_of_world
+from manip_sim.cli.rendering import picture_of_part, picture_of_state, picture_of_world
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.rendering.gl import cannot_render
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+    from manip_sim.simulation import Simulation
+
 CONTACT_SHEET = 'contact_sheet.png'
 MAX_BYTES = 150_000
 #: Subfolders of the gallery's folder; robots are in that folder itself.
-_FOLDERS = {'robots': '.', 'grippers': 'grippers', 'bases': 'bases'}
+_FOLDERS = {'robots': '.', 'grippers': 'grippers', 'bases': 'bases', 'tasks': 'tasks'}
 #: Sizes of the pictures of robots, and of grippers and bases [pixels].
 _SIZE, _SMALL_SIZE = (800, 540), (600, 405)
 _THUMBNAIL_SIZE = (360, 243)
@@ -32,11 +34,13 @@ _CAPTION_HEIGHT = 26
 _COLUMNS = 3
 #: Views of grippers, which look the same from the left and from the right, and of bases.
 _FRONT_AND_SIDE, _FRONT_AND_BACK = (View(200.0), View(110.0)), (View(140.0), View(40.0))
+#: View of tasks, the seed of the episode, and a height below the floor [m].
+_ASIDE, _SEED, _BELOW_M = View(125.0, -25.0), 1, -0.5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """
-    Render robots with their default gripper, open, and base, and grippers and bases alone.
+    Render robots with default gripper, open, and base, grippers and bases alone, and tasks.
 
     :param arguments: the command line, by default that of the process
     :returns: exit code; 1 if a name is unknown or nothing can be rendered
@@ -57,13 +61,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='python3 -m manip_sim.gallery',
         description='Render each robot with its default gripper, open, and base, each gripper and '
-                    'each base from two sides, to NAME.png, grippers/NAME.png and bases/NAME.png, '
-                    f'and all pictures of a folder together to its {CONTACT_SHEET}.',
+                    'each base from two sides, and each task with a Panda at its start and when '
+                    'it is done, to NAME.png, grippers/NAME.png, bases/NAME.png and '
+                    f'tasks/NAME.png, and all pictures of a folder together to its '
+                    f'{CONTACT_SHEET}.',
         epilog='On Linux pictures are rendered without a screen, by EGL; set the environment '
                'variable MUJOCO_GL to glfw or osmesa to choose another way. One picture of any '
                "composition is made by 'manip_sim render'.")
     parser.add_argument('name', nargs='*', metavar='NAME',
-                        help='what to render, such as Panda or PandaGripper (default: all)')
+                        help='what to render, such as Panda, PandaGripper or pick_cube (default: '
+                        'all)')
     parser.add_argument('--output', type=Path, default=Path('docs/gallery'), metavar='FOLDER',
                         help='where to write the pictures (default: %(default)s)')
     return parser
@@ -71,20 +78,20 @@ def _parser() -> argparse.ArgumentParser:
 
 def make_gallery(output: Path, names: Sequence[str] = ()) -> list[Path]:
     """
-    Write a picture for each robot, gripper and base, and the contact sheets.
+    Write a picture for each robot, gripper, base and task, and the contact sheets.
 
     :param output: folder, created if it is missing
-    :param names: of robots, grippers and bases; if empty, all but grippers and bases without
-        visible shapes
+    :param names: of robots, grippers, bases and tasks; if empty, all but grippers and bases
+        without visible shapes
     :returns: the files written
-    :raises UnknownNameError: if there is no such robot, gripper or base
+    :raises UnknownNameError: if there is no such robot, gripper, base or task
     :raises ManipSimError: if nothing can be rendered
     """
     known = _known_names()
     everything = [name for of_kind in known.values() for name in of_kind]
     for name in names:
         if name not in everything:
-            raise UnknownNameError('robot, gripper or base', name, everything)
+            raise UnknownNameError('robot, gripper, base or task', name, everything)
     files = []
     for kind, of_kind in known.items():
         wanted = [name for name in of_kind if not names or name in names]
@@ -107,7 +114,9 @@ def _known_names() -> dict[str, list[str]]:
     from manip_sim.models.bases import base_names
     from manip_sim.models.grippers import gripper_names
     from manip_sim.models.robots import robot_names
-    return {'robots': robot_names(), 'grippers': gripper_names(), 'bases': base_names()}
+    from manip_sim.tasks import task_names
+    return {'robots': robot_names(), 'grippers': gripper_names(), 'bases': base_names(),
+            'tasks': task_names()}
 
 
 def _pictures(kind: str, names: Sequence[str], optional: bool) -> Iterator[tuple[str, Image]]:
@@ -121,7 +130,8 @@ def _pictures(kind: str, names: Sequence[str], optional: bool) -> Iterator[tuple
         'grippers': lambda name: picture_of_part(
             create_gripper(name), _SMALL_SIZE, _FRONT_AND_SIDE, in_studio=True),
         'bases': lambda name: picture_of_part(
-            create_base(name), _SMALL_SIZE, _FRONT_AND_BACK, in_studio=True)}
+            create_base(name), _SMALL_SIZE, _FRONT_AND_BACK, in_studio=True),
+        'tasks': _picture_of_task}
     for name in names:
         try:
             picture = render[kind](name)
@@ -130,6 +140,33 @@ def _pictures(kind: str, names: Sequence[str], optional: bool) -> Iterator[tuple
                 raise
         else:
             yield name, picture
+
+
+def _picture_of_task(name: str) -> Image:
+    """Render a task with a Panda at the start of an episode, and when the expert has done it."""
+    from PIL import Image
+
+    from manip_sim.simulation import Simulation
+    from manip_sim.tasks import create_task, Episode
+    task = create_task(name)
+    episode = Episode(task, Simulation(task.world))
+    episode.reset(_SEED)
+    width, height = _SIZE
+    picture = Image.new('RGB', _SIZE)
+    picture.paste(_picture_of_instant(episode.simulation, (width // 2, height)))
+    if not episode.run(task.expert(episode.simulation), _SEED):
+        raise ModelError(f'the expert of {name} does not succeed with seed {_SEED}')
+    picture.paste(_picture_of_instant(episode.simulation, (width // 2, height)), (width // 2, 0))
+    return picture
+
+
+def _picture_of_instant(simulation: Simulation, size: tuple[int, int]) -> Image:
+    from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
+    seen = VisibleWorld(simulation.plan)
+    seen.show(take_snapshot(simulation))
+    # What was wiped off is below the floor.
+    seen.model.geom_group[seen.data.geom_xpos[:, 2] < _BELOW_M] = 5
+    return picture_of_state(seen.model, seen.data, size, [_ASIDE], in_studio=True)
 
 
 def _contact_sheet(pictures: Sequence[Path]) -> Image:

@@ -37,7 +37,7 @@ MAY_IMPORT = {
                     PURE | {'onnxruntime', 'pyarrow', 'ray', 'torch'}),
     'cli': ({'cli', 'experiments', 'interface', 'models', 'moveit', 'records', 'simulation',
              'rendering', 'tasks'}, PURE | {'PIL', 'tqdm'}),
-    'gallery.py': ({'cli', 'models', 'rendering'}, PURE | {'PIL'}),
+    'gallery.py': ({'cli', 'models', 'rendering', 'simulation', 'tasks'}, PURE | {'PIL'}),
     'viewer/page': ({'viewer'}, PURE | {'msgspec', 'trimesh', 'viser', 'websockets'}),
     # What a client shares with the node: how messages and archives are read, what is logged.
     'viewer/ros': ({'viewer', 'models', 'ros'}, None),

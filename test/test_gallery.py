@@ -27,7 +27,7 @@ def gallery(tmp_path_factory, renderer):
     """Return the folder with pictures of a robot, a gripper and two bases."""
     folder = tmp_path_factory.mktemp('gallery')
     done = run_gallery('--output', folder, 'Panda', 'PandaGripper', 'RethinkMount',
-                       'RethinkMinimalMount')
+                       'RethinkMinimalMount', 'insert_peg')
     assert (done.returncode, done.stdout) == (0, ''), done.stderr
     return folder
 
@@ -43,7 +43,7 @@ def test_an_unknown_robot_is_one_line_with_the_nearest_name(tmp_path):
     assert done.returncode == 1
     assert done.stdout == ''
     assert done.stderr.count('\n') == 1
-    assert "unknown robot, gripper or base 'Pnda': did you mean 'Panda'" in done.stderr
+    assert "unknown robot, gripper, base or task 'Pnda': did you mean 'Panda'" in done.stderr
     assert not (tmp_path / 'gallery').exists()
 
 
@@ -52,7 +52,8 @@ def test_grippers_and_bases_have_folders_and_contact_sheets_of_their_own(gallery
     assert files == {
         'Panda.png', 'contact_sheet.png',
         'grippers/PandaGripper.png', 'grippers/contact_sheet.png',
-        'bases/RethinkMount.png', 'bases/RethinkMinimalMount.png', 'bases/contact_sheet.png'}
+        'bases/RethinkMount.png', 'bases/RethinkMinimalMount.png', 'bases/contact_sheet.png',
+        'tasks/insert_peg.png', 'tasks/contact_sheet.png'}
 
 
 def test_a_part_without_shapes_is_told_where_it_is_asked_for(tmp_path):
@@ -65,13 +66,15 @@ def test_every_part_with_shapes_is_in_the_gallery_of_the_documentation():
     from manip_sim.models.bases import base_names, create_base
     from manip_sim.models.grippers import create_gripper, gripper_names
     from manip_sim.models.robots import robot_names
+    from manip_sim.tasks import task_names
     shown = {str(file.relative_to(SOURCE / 'docs' / 'gallery').with_suffix(''))
              for file in (SOURCE / 'docs' / 'gallery').rglob('*.png')
              if file.name != 'contact_sheet.png'}
     with_shapes = [(folder, name) for folder, names, create in (
         ('grippers', gripper_names(), create_gripper), ('bases', base_names(), create_base))
         for name in names if any(geom.group < 3 for geom in create(name).spec.geoms)]
-    assert shown == {*robot_names(), *(f'{folder}/{name}' for folder, name in with_shapes)}
+    assert shown == {*robot_names(), *(f'{folder}/{name}' for folder, name in with_shapes),
+                     *(f'tasks/{name}' for name in task_names())}
 
 
 def test_a_robot_is_rendered_small_and_in_colour(gallery):

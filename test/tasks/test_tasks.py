@@ -4,6 +4,7 @@
 """Tasks: starts from seeds, success in the physics, rewards, experts."""
 
 import json
+from pathlib import Path
 import subprocess
 import sys
 
@@ -37,6 +38,16 @@ def test_an_expert_does_its_task(name, robot):
     expert = episode.task.expert(episode.simulation)
     assert episode.run(expert, 11)
     assert episode.reward == 1.0
+
+
+def test_the_page_on_experts_has_enough_successes_of_each_task_and_robot():
+    page = Path(__file__).parents[2] / 'docs' / 'reference' / 'experts.md'
+    found = {(row[1].strip('` '), row[2].strip()): row[3].split() for row in (
+        line.split('|') for line in page.read_text().splitlines() if line.startswith('| `'))}
+    for name in task_names():
+        for robot in ARMS:
+            successes, _, count = found[name, robot]
+            assert int(count) == 200 and int(successes) >= (190 if robot == 'Panda' else 180)
 
 
 @pytest.mark.parametrize('name', task_names())
