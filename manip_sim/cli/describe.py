@@ -10,9 +10,13 @@ from collections.abc import Callable
 import json
 from typing import Any
 
+import yaml
+
 from manip_sim.cli.composition import compose_from
 from manip_sim.cli.description import describe
 from manip_sim.cli.tables import number, span, table, terminal_width
+from manip_sim.errors import ModelError
+from manip_sim.models import World
 
 Row = dict[str, Any]
 #: By section of the description: the names of the columns, and the cells of a row.
@@ -71,13 +75,29 @@ _TITLES = {
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
     """Return the description as text, and the exit code 0."""
-    description = describe(compose_from(options))
+    composed = compose_from(options)
+    if options.yaml:
+        return _as_yaml(composed.composition.world), 0
+    description = describe(composed)
     if options.json:
         return json.dumps(description, indent=2, allow_nan=False), 0
     width = terminal_width()
     tables = [table(_TITLES[section], header, [cells(row) for row in description[section]], width)
               for section, (header, cells) in _COLUMNS.items()]
     return '\n\n'.join([_summary(description), *filter(None, tables)]), 0
+
+
+def _as_yaml(world: World) -> str:
+    """Return what was inferred of the robot's file, as the YAML file that describes it."""
+    from manip_sim.models.files import FileRobot  # That needs pydantic.
+    if len(world.robots) != 1 or not isinstance(world.robots[0], FileRobot):
+        raise ModelError('describe --yaml is for one robot from a file, such as --robot arm.xml; '
+                         'robots of the catalogue are described in assets/robots')
+    robot = world.robots[0]
+    lines = [f'# Save this as {robot.file.stem}.yaml beside {robot.file.name}, and edit what was '
+             'inferred wrongly:', *(f'# - {sentence}' for sentence in robot.inferred)]
+    return '\n'.join([*lines, yaml.safe_dump(
+        robot.described, sort_keys=False, default_flow_style=None, width=100)]).rstrip('\n')
 
 
 def _summary(description: Row) -> str:

@@ -153,7 +153,10 @@ def _add_describe(commands: Any) -> None:
         'topics, services and parameters of a node with this composition. Tables fit the width '
         'of the terminal.',
         'example: manip_sim describe --robot Panda --gripper Robotiq85Gripper --arena table')
-    parser.add_argument('--json', action='store_true', help='print JSON, in SI units')
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument('--json', action='store_true', help='print JSON, in SI units')
+    form.add_argument('--yaml', action='store_true', help="print what was inferred of the robot's "
+                      'file, as the YAML file that describes it')
     add_composition(parser)
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED
-from manip_sim.models import compose
+from manip_sim.models import compose, load_robot
 from manip_sim.models.robots import robot_names
 from manip_sim.simulation import Simulation
 
@@ -219,3 +220,16 @@ def test_tables_keep_to_the_width_of_the_terminal(here, monkeypatch):
 def test_a_start_with_defects_is_pointed_out(here):
     text = here('describe', '--robot', 'UR5e', '--gripper', 'FourierRightHand')[1]
     assert "The start has 17 defects, see 'manip_sim check'" in text
+
+
+def test_what_was_inferred_of_a_file_is_printed_as_the_yaml_that_is_read(here, rejected, tmp_path):
+    file = Path(__file__).resolve().parents[1] / 'data/files/keyframes.xml'
+    code, text, errors = here('describe', '--robot', file, '--yaml')
+    assert (code, errors) == (0, '')
+    assert text.startswith('# Save this as keyframes.yaml beside keyframes.xml')
+    assert "right arm ends at site 'attachment_site'" in text
+    (tmp_path / 'keyframes.xml').write_text(file.read_text())
+    (tmp_path / 'keyframes.yaml').write_text(text)
+    robot = load_robot(tmp_path / 'keyframes.xml')
+    assert robot.described == load_robot(file).described == yaml.safe_load(text)
+    assert 'is for one robot from a file' in rejected('describe', '--yaml')

@@ -11,6 +11,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.files.own_hand import OwnHand
+from manip_sim.models.files.plan_description import described_plan
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
@@ -58,6 +59,14 @@ class FileRobot(RobotModel, registered=False):
         return f'{self.file.stem}{self.idn}'
 
     @property
+    def described(self) -> dict[str, Any]:
+        """The file's description, with all that was inferred, as the keys of a YAML file."""
+        model = self._own_model
+        return described_plan(self._plan, {
+            str(model.joint(joint).name): model.jnt_range[joint] for joint in range(model.njnt)
+            if model.jnt_limited[joint]})
+
+    @property
     def default_base(self) -> str | None:
         """The base that the description names; None is the floor."""
         return self._plan.description.base
@@ -65,7 +74,7 @@ class FileRobot(RobotModel, registered=False):
     @property
     def default_controller_config(self) -> dict[str, str]:
         """Names of controller settings in the description, by arm or subsystem."""
-        arms = self._plan.description.arms.items()
+        arms = self._plan.description.by_arm.items()
         return {**self._plan.description.controllers,
                 **{side: arm.controller for side, arm in arms if arm.controller is not None}}
 
@@ -111,7 +120,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
     @property
     def default_gripper(self) -> dict[str, str]:
         """Names of grippers in the description, by arm."""
-        return {side: arm.gripper for side, arm in self._plan.description.arms.items()
+        return {side: arm.gripper for side, arm in self._plan.description.by_arm.items()
                 if arm.gripper is not None}
 
     @property

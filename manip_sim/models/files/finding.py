@@ -62,7 +62,7 @@ def _described(file: Path, kind: type[DescriptionT]) -> DescriptionT:
     """Read a description; relative paths of other files in it start from its folder."""
     description = read_description(file, kind)
     if isinstance(description, RobotDescription):
-        for part in (*description.arms.values(), description):
+        for part in (*description.by_arm.values(), description):
             key = 'base' if part is description else 'gripper'
             named = getattr(part, key)
             if named is not None and is_path(named):

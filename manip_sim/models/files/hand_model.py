@@ -17,7 +17,7 @@ from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import control_range, Fingers
 from manip_sim.models.files.found_hands import FoundHand
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
-from manip_sim.models.files.part_descriptions import HandDescription
+from manip_sim.models.files.part_descriptions import FrameDescription, HandDescription
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
 from manip_sim.models.quaternion import relative_quat_wxyz
 
@@ -29,7 +29,12 @@ class HandFromFile(GripperModel, registered=False):
     An action says how far each actuator closes: -1 is open, +1 is closed.
 
     :ivar inferred: what was inferred or left out, in sentences
+    :ivar grasp_point: the grasp frame
+    :ivar closing: control that opens and control that closes, by actuator of the file
     """
+
+    grasp_point: FrameDescription
+    closing: dict[str, list[float]]
 
     inferred: list[str]
     #: Whether the grasp frame was added.
@@ -60,6 +65,9 @@ class HandFromFile(GripperModel, registered=False):
         if point is None:
             middle = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
             self.inferred.append('grasp frame: ' + (middle if at == mount else f"site '{at}'"))
+        self.grasp_point = FrameDescription(
+            at=at, position=list(map(float, position)),
+            orientation=np.asarray(orientation, dtype=float).tolist())
         self._eef_body = free_name({body.name for body in spec.bodies}, f'{prefix}eef')
         eef = add_body_at(spec, tree.model, place, self._eef_body, position, orientation)
         add_standard_elements(spec, spec.body(mount), eef, prefix)
@@ -81,6 +89,7 @@ class HandFromFile(GripperModel, registered=False):
                 raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
         found = fingers.closing([i for name, i in zip(names, ids) if name not in declared])
         ends = []
+        self.closing = {}
         for name, actuator in zip(names, ids):
             opened, closed = declared.get(name) or found.get(actuator, (-1.0, 1.0, False))[:2]
             low, high = control_range(self._own_model, actuator) or (opened, closed)
@@ -88,6 +97,7 @@ class HandFromFile(GripperModel, registered=False):
                 raise ModelError(f"'closing' of actuator '{name}' in {self._where} must be within "
                                  f'its control range of {low:g} to {high:g}, got [{opened:g}, '
                                  f'{closed:g}]')
+            self.closing[name] = [float(opened), float(closed)]
             span = (high - low) or 1.0
             ends.append(2.0 * (np.array([opened, closed]) - low) / span - 1.0)
         self._open, self._closed = np.array(ends).reshape(-1, 2).T

@@ -88,6 +88,11 @@ class OwnHand(HandFromFile, registered=False):
         self.current_action = np.zeros(self.dof)
 
     @property
+    def body(self) -> str:
+        """Name in the file of the body that carries all of it."""
+        return self._body
+
+    @property
     def names_in_file(self) -> set[str]:
         """Names of its joints and actuators in the robot's file."""
         return {*self._joints, *self._actuators}

@@ -106,7 +106,8 @@ class ArmDescription(BaseModel):
 class RobotDescription(Description):
     """A robot."""
 
-    arms: dict[Arm, ArmDescription] = {}
+    #: By side; ``none``: the robot has no arms, whatever its file looks like.
+    arms: Union[dict[Arm, ArmDescription], Literal['none']] = {}
     #: Subsystem by joint.
     subsystems: dict[Name, Subsystem] = {}
     #: A keyframe, or positions by joint [rad or m].
@@ -121,9 +122,14 @@ class RobotDescription(Description):
     #: By joint [rad/s or m/s].
     velocity_limits: dict[Name, Annotated[Number, Field(gt=0.0)]] = {}
 
+    @property
+    def by_arm(self) -> dict[Arm, ArmDescription]:
+        """The descriptions of arms."""
+        return {} if isinstance(self.arms, str) else self.arms
+
     def arm(self, side: str) -> ArmDescription | None:
         """Return the description of an arm, or None."""
-        return next((arm for name, arm in self.arms.items() if name == side), None)
+        return next((arm for name, arm in self.by_arm.items() if name == side), None)
 
 
 class BaseDescription(Description):

@@ -146,6 +146,7 @@ class RobotPlan:
     :ivar subsystems: by name of the joint, without joints of hands
     :ivar ends: the end effector body by arm; empty for a robot without arms
     :ivar hands: the file's own hands by arm
+    :ivar arms: where the arms were found
     :ivar still: names of the actuators that hold still
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
@@ -159,6 +160,7 @@ class RobotPlan:
     subsystems: dict[str, str]
     ends: dict[str, str]
     hands: dict[str, OwnHand]
+    arms: dict[str, FoundArm]
     still: set[str]
     inferred: list[str]
     keyframes: dict[str, dict[str, float]]
@@ -199,8 +201,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
-    return RobotPlan(file, description, where, spec, start, by_name, ends, own, still, notes,
-                     model_file.keyframes)
+    return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, still,
+                     notes, model_file.keyframes)
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
@@ -224,7 +226,7 @@ def _hand_description(arm: ArmDescription | None) -> OwnHandDescription | None:
 def _find_hands(tree: BodyTree, description: RobotDescription, where: str) -> list[FoundHand]:
     """Return the hands that the description names, else those that are found."""
     declared = []
-    for side, arm in description.arms.items():
+    for side, arm in description.by_arm.items():
         hand = _hand_description(arm)
         if hand is not None and hand.body is not None:
             bodies = {tree.name(body): body for body in range(1, tree.model.nbody)}
@@ -238,7 +240,10 @@ def _find_hands(tree: BodyTree, description: RobotDescription, where: str) -> li
 def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, str],
                hands: list[FoundHand], description: RobotDescription, where: str
                ) -> dict[str, FoundArm]:
-    declared = {str(side): arm for side, arm in description.arms.items() if arm.mount is not None}
+    if isinstance(description.arms, str):
+        return {}
+    declared = {str(side): arm for side, arm in description.by_arm.items()
+                if arm.mount is not None}
     arms: dict[str, FoundArm]
     if declared:
         arms = {side: _declared_arm(model_file.spec, tree, side, arm, hands, where)
@@ -249,7 +254,7 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
             model_file.inferred.append('; '.join(
                 f"{side} arm ends at {arm.kind} '{arm.name}': {arm.why}"
                 for side, arm in arms.items()))
-    for named in description.arms:
+    for named in description.by_arm:
         if named not in arms:
             raise UnknownNameError(f"arm in 'arms' of {where}", named, arms)
     if set(arms) == {'left'}:

@@ -1,0 +1,49 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What was inferred of a file, as a description that leaves nothing to infer."""
+
+import shutil
+
+from files_rig import ARM, ARM_WITH_HAND, TWO_ARMS, write
+import numpy as np
+import pytest
+import yaml
+
+from manip_sim.models import compose, load_robot
+from manip_sim.models.robots import ManipulatorModel
+from manip_sim.simulation import Simulation
+
+
+def again(file, description, folder):
+    """Return the robot of a file with a description beside it."""
+    folder.mkdir()
+    shutil.copy(file, folder)
+    write(folder / f'{file.stem}.yaml', description)
+    return load_robot(folder / file.name)
+
+
+@pytest.mark.parametrize('text', [ARM, ARM_WITH_HAND, TWO_ARMS], ids=['arm', 'hand', 'two arms'])
+def test_the_description_of_a_robot_gives_the_same_robot(text, tmp_path):
+    file = write(tmp_path / 'arm.xml', text)
+    first = load_robot(file)
+    other = again(file, yaml.safe_dump(first.described), tmp_path / 'other')
+    assert other.described == first.described
+    assert other.arm_joints == first.arm_joints and other.eef_name == first.eef_name
+    assert other.own_hands == first.own_hands
+    for one, two in zip(first.grippers.values(), other.grippers.values()):
+        np.testing.assert_array_equal(one.format_action([0.5]), two.format_action([0.5]))
+    np.testing.assert_array_equal(first.init_qpos, other.init_qpos)
+    states = []
+    for robot in (first, other):
+        simulation = Simulation(compose(robot))
+        simulation.advance(20)
+        states.append(simulation.data.qpos.tobytes())
+    assert states[0] == states[1]
+
+
+def test_a_robot_can_be_declared_to_have_no_arms(tmp_path):
+    file = write(tmp_path / 'arm.xml', ARM)
+    robot = again(file, 'arms: none', tmp_path / 'other')
+    assert not isinstance(robot, ManipulatorModel) and robot.described['arms'] == 'none'
+    assert list(Simulation(compose(robot)).robot.parts) != []
