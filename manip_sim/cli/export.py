@@ -28,19 +28,8 @@ _ARCHIVES = ('.mjz', '.zip')
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
     """Write the file or the package; return its name with notes on it, and the exit code 0."""
-    if options.moveit is not None:
-        from manip_sim.moveit import write_package
-        folder: Path = options.moveit
-        return '\n'.join([f'{folder}', *write_package(
-            compose_from(options).composition.world, folder)]), 0
-    if isinstance(options.ros2_control, Path):
-        from manip_sim.moveit.control_package import write_control_package
-        folder = options.ros2_control
-        composed = compose_from(options)
-        world = composed.composition.world
-        return '\n'.join([f'{folder}', *write_control_package(
-            world, folder, _hardware(composed, choose_robot(world).name_in_world),
-            composed.parameters.given)]), 0
+    if options.moveit is not None or isinstance(options.ros2_control, Path):
+        return '\n'.join(_write_packages(options)), 0
     file: Path = options.file
     ending = file.suffix.lower()
     if ending not in ('.xml', '.mjb', '.urdf', *_ARCHIVES):
@@ -71,6 +60,27 @@ def _said(world: World, load: Callable[[], mujoco.MjModel]) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
         return said_of_text(world.compile(), load())
+
+
+def _write_packages(options: argparse.Namespace) -> list[str]:
+    """Write packages for MoveIt and ros2_control, and return their names with notes on them."""
+    from manip_sim.moveit import write_package
+    from manip_sim.moveit.control_package import controlling, write_control_package
+    from manip_sim.moveit.ros_package import check_folder as check_package
+    composed, lines, controllers = compose_from(options), [], None
+    world = composed.composition.world
+    if isinstance(options.ros2_control, Path):
+        if options.moveit is not None:
+            check_package(options.moveit)
+            if options.moveit.resolve() == options.ros2_control.resolve():
+                raise ManipSimError(f'{options.moveit} cannot be both packages: give two folders')
+        hardware = _hardware(composed, choose_robot(world).name_in_world)
+        lines += [f'{options.ros2_control}', *write_control_package(
+            world, options.ros2_control, hardware, composed.parameters.given)]
+        controllers = controlling(world, hardware) if options.moveit is not None else None
+    if options.moveit is not None:
+        lines += [f'{options.moveit}', *write_package(world, options.moveit, controllers)]
+    return list(dict.fromkeys(lines))
 
 
 def _hardware(composed: Composed, name: str) -> Hardware:

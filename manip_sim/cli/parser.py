@@ -107,8 +107,8 @@ def _conflict(options: argparse.Namespace) -> str | None:
         return f'--params-file cannot be combined with --{given[0].replace("_", "-")}'
     if options.command == 'export':
         folder = isinstance(options.ros2_control, Path)
-        if (options.file is not None) + (options.moveit is not None) + folder != 1:
-            return 'give either a FILE, --moveit DIR or --ros2-control DIR'
+        if (options.file is not None) + (options.moveit is not None or folder) != 1:
+            return 'give either a FILE, or --moveit DIR, --ros2-control DIR, or both of them'
         if options.ros2_control and not folder and (
                 options.moveit or options.file.suffix.lower() != '.urdf'):
             return '--ros2-control without DIR is for a .urdf'
@@ -168,7 +168,7 @@ def _add_export(commands: Any) -> None:
         'model, exact to the last bit, for the same release of MuJoCo, and .urdf is a URDF of the '
         'robot with base and grippers. --moveit writes a package for MoveIt 2: URDF, SRDF, '
         'limits, controllers, launch file. --ros2-control DIR writes a package for ros2_control: '
-        'URDF, controllers, launch files.',
+        'URDF, controllers, launch files; with both, MoveIt uses these controllers.',
         'examples: manip_sim export panda.mjz --robot Panda --arena table\n'
         '          manip_sim export panda.urdf --robot Panda --prefix left_\n'
         '          manip_sim export --moveit panda_moveit_config --robot Panda\n'

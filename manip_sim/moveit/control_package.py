@@ -17,10 +17,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import choose_robot, Hardware, OWN_PLUGIN
-from manip_sim.moveit.package import as_yaml, check_folder, describe, write_files
+from manip_sim.moveit.package import Controlling, describe, GRIPPER_COMMANDS, TRAJECTORIES
+from manip_sim.moveit.ros_package import (
+    as_yaml, build_files, check_folder, Settings, write_files)
 from manip_sim.simulation import SimulatedRobot, Simulation
 
-Settings = dict[str, Any]
 #: Types of ros2_controllers, branch jazzy.
 TRAJECTORY = 'joint_trajectory_controller/JointTrajectoryController'
 GRIPPER = 'position_controllers/GripperActionController'
@@ -37,28 +38,6 @@ _VELOCITY_GAIN = 5.0
 _DEPENDENCIES = (
     'controller_manager', 'force_torque_sensor_broadcaster', 'gripper_controllers',
     'joint_state_broadcaster', 'joint_trajectory_controller', 'launch', 'launch_ros', 'manip_sim')
-
-_PACKAGE = """<?xml version="1.0"?>
-<package format="3">
-  <name>{package}</name>
-  <version>0.1.0</version>
-  <description>ros2_control of {robot}, written by manip_sim.</description>
-  <maintainer email="you@{package}.invalid">you</maintainer>
-  <license>Apache-2.0</license>
-  <buildtool_depend>ament_cmake</buildtool_depend>
-{dependencies}
-  <export>
-    <build_type>ament_cmake</build_type>
-  </export>
-</package>
-"""
-
-_CMAKE = """cmake_minimum_required(VERSION 3.22)
-project({package})
-find_package(ament_cmake REQUIRED)
-install(DIRECTORY config launch meshes DESTINATION share/${{PROJECT_NAME}})
-ament_package()
-"""
 
 _BRINGUP = '''"""{robot} simulated, the controller manager, and its controllers."""
 
@@ -147,11 +126,9 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     simulation = Simulation(world)
     robot, model = simulation.robot, simulation.model
     urdf, meshes = describe(model, choose_robot(world), folder.name, hardware)
-    root = ElementTree.fromstring(urdf.xml)
-    name = str(root.get('name'))
-    driven = {str(joint.get('name')) for joint in root.iterfind('ros2_control/joint')
-              if joint.find('command_interface') is not None}
-    groups = list(_controllers(robot, hardware, driven, effective_inertias(simulation)))
+    name = str(ElementTree.fromstring(urdf.xml).get('name'))
+    groups = list(_controllers(robot, hardware, _driven(urdf.xml),
+                               effective_inertias(simulation)))
     by_mode: dict[str, list[str]] = {}
     for controller, _, mode, _ in groups:
         if mode:
@@ -160,13 +137,13 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
         raise ModelError(f'{name} has no joints that ros2_control could move')
     names = {'package': folder.name, 'robot': name, 'mode': next(iter(by_mode)),
              'modes': list(by_mode), 'controllers': by_mode,
-             'always': [controller for controller, _, mode, _ in groups if not mode],
-             'dependencies': '\n'.join(f'  <exec_depend>{other}</exec_depend>' for other in
-                                       _dependencies(hardware))}
+             'always': [controller for controller, _, mode, _ in groups if not mode]}
     manager = {'update_rate': 100, **{other: {'type': kind} for other, kind, _, _ in groups}}
     texts = {path: template.format(**names) for path, template in (
-        ('package.xml', _PACKAGE), ('CMakeLists.txt', _CMAKE), ('README.md', _README),
-        ('launch/bringup.launch.py', _BRINGUP), ('launch/spawn.launch.py', _SPAWN))}
+        ('README.md', _README), ('launch/bringup.launch.py', _BRINGUP),
+        ('launch/spawn.launch.py', _SPAWN))}
+    texts |= build_files(folder.name, f'ros2_control of {name}', _dependencies(hardware),
+                         ('config', 'launch', 'meshes'))
     texts |= as_yaml({
         'config/controllers.yaml': {
             'controller_manager': {'ros__parameters': manager},
@@ -177,6 +154,32 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     texts[f'config/{name}.urdf'] = urdf.xml
     write_files(folder, {**{path: text.encode() for path, text in texts.items()}, **meshes})
     return list(urdf.notes)
+
+
+def controlling(world: World, hardware: Hardware) -> Controlling:
+    """
+    Return which controllers of the package MoveIt uses, those of the first mode, by joint.
+
+    :param world: with one robot
+    :param hardware: of the ``<ros2_control>`` tag
+    """
+    simulation = Simulation(world)
+    found: dict[str, tuple[str, str, list[str]]] = {}
+    urdf, _ = describe(simulation.model, choose_robot(world), 'unused', hardware)
+    for name, kind, _, settings in _controllers(
+            simulation.robot, hardware, _driven(urdf.xml), effective_inertias(simulation)):
+        joints = settings.get('joints') or [settings[key] for key in ('joint',) if key in settings]
+        for joint in joints:
+            found.setdefault(joint, (
+                name, GRIPPER_COMMANDS if kind == GRIPPER else TRAJECTORIES, [*joints]))
+    return found
+
+
+def _driven(urdf: str) -> set[str]:
+    """Return the joints of a URDF that ros2_control can command."""
+    return {str(joint.get('name'))
+            for joint in ElementTree.fromstring(urdf).iterfind('ros2_control/joint')
+            if joint.find('command_interface') is not None}
 
 
 def _dependencies(hardware: Hardware) -> list[str]:

@@ -7,34 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from manip_sim.moveit.ros_package import build_files
+
 _DEPENDENCIES = (
     'launch', 'launch_ros', 'moveit_configs_utils', 'moveit_kinematics', 'moveit_planners_ompl',
     'moveit_ros_move_group', 'moveit_ros_visualization', 'moveit_simple_controller_manager',
     'pilz_industrial_motion_planner', 'robot_state_publisher', 'rviz2', 'xacro')
 FOLDERS = ('config', 'launch', 'meshes', 'rviz')
-
-_PACKAGE = """<?xml version="1.0"?>
-<package format="3">
-  <name>{package}</name>
-  <version>0.1.0</version>
-  <description>MoveIt configuration of {robot}, written by manip_sim.</description>
-  <maintainer email="you@{package}.invalid">you</maintainer>
-  <license>Apache-2.0</license>
-  <buildtool_depend>ament_cmake</buildtool_depend>
-{dependencies}
-  <export>
-    <build_type>ament_cmake</build_type>
-  </export>
-</package>
-"""
-
-_CMAKE = """cmake_minimum_required(VERSION 3.22)
-project({package})
-find_package(ament_cmake REQUIRED)
-install(DIRECTORY {folders} DESTINATION share/${{PROJECT_NAME}})
-install(FILES .setup_assistant DESTINATION share/${{PROJECT_NAME}})
-ament_package()
-"""
 
 _LAUNCH = '''"""MoveIt for {robot}: move_group, RViz, and TF if nothing else publishes it."""
 
@@ -107,14 +86,11 @@ def text_files(package: str, robot: str) -> dict[str, str]:
     :param package: name of the package
     :param robot: name of the robot, as in URDF and SRDF
     """
-    dependencies = '\n'.join(f'  <exec_depend>{name}</exec_depend>' for name in _DEPENDENCIES)
-    folders = ' '.join(FOLDERS)
     return {
-        name: template.format(package=package, robot=robot, dependencies=dependencies,
-                              folders=folders)
-        for name, template in (
-            ('package.xml', _PACKAGE), ('CMakeLists.txt', _CMAKE), ('README.md', _README),
-            ('launch/moveit.launch.py', _LAUNCH))}
+        **build_files(package, f'MoveIt configuration of {robot}', _DEPENDENCIES, FOLDERS,
+                      'install(FILES .setup_assistant DESTINATION share/${PROJECT_NAME})\n'),
+        **{name: template.format(package=package, robot=robot) for name, template in (
+            ('README.md', _README), ('launch/moveit.launch.py', _LAUNCH))}}
 
 
 def setup_assistant(package: str, robot: str) -> dict[str, Any]:

@@ -7,15 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-import re
-import shutil
-import tempfile
 from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import yaml
 
 from manip_sim.errors import ModelError
 from manip_sim.models import World
@@ -25,12 +21,14 @@ from manip_sim.models.urdf_writer.link_shapes import (
     binary_stl, ELLIPSOID, MeshFile, stl_of, unit_sphere)
 from manip_sim.moveit import launch_files
 from manip_sim.moveit.collisions import disabled_pairs
+from manip_sim.moveit.ros_package import as_yaml, check_folder, Settings, write_files
 from manip_sim.moveit.srdf import find_groups, find_postures, Group, passive_joints, write_srdf
-from manip_sim.quoting import quoted
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot
 
-Settings = dict[str, Any]
+#: Name, kind and joints of the controller of each joint, for MoveIt.
+Controlling = Mapping[str, tuple[str, str, list[str]]]
+TRAJECTORIES, GRIPPER_COMMANDS = 'FollowJointTrajectory', 'GripperCommand'
 #: Default velocity and acceleration scaling factor of plans.
 _CAUTION = 0.1
 #: Time in which a finger accelerates to its velocity limit [s].
@@ -44,7 +42,6 @@ _REQUESTS = [f'default_planning_request_adapters/{name}' for name in (
     'CheckStartStateCollision')]
 _RESPONSES = [f'default_planning_response_adapters/{name}' for name in (
     'AddTimeOptimalParameterization', 'ValidateSolution', 'DisplayMotionPath')]
-_NAME = re.compile(r'[a-z][a-z0-9]*(_[a-z0-9]+)*')
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
@@ -83,28 +80,31 @@ def joint_limits(groups: Iterable[Group], robot: SimulatedRobot, velocity: Mappi
             'default_acceleration_scaling_factor': _CAUTION, 'joint_limits': limits}
 
 
-def controllers(groups: Iterable[Group], effort: Mapping[str, float]) -> Settings:
+def controllers(groups: Iterable[Group], effort: Mapping[str, float],
+                controlling: Controlling | None = None) -> Settings:
     """
     Return ``moveit_controllers.yaml``: which actions move which joints.
 
-    They are ``<part>/follow_joint_trajectory`` and ``<arm>/gripper/gripper_cmd``.
-
     :param effort: limits by joint, for grippers [N m or N]
+    :param controlling: of ros2_control; None for the node's own actions,
+        ``<part>/follow_joint_trajectory`` and ``<arm>/gripper/gripper_cmd``
     """
     manager: Settings = {'controller_names': []}
     for group in groups:
         joints = list(group.active if group.is_gripper else group.driven)
         if group.subgroups or not joints:
             continue
-        settings: Settings = {'type': 'FollowJointTrajectory',
-                              'action_ns': 'follow_joint_trajectory'}
-        if group.is_gripper:
-            settings = {'type': 'GripperCommand', 'action_ns': 'gripper_cmd',
+        name, kind = group.part, GRIPPER_COMMANDS if group.is_gripper else TRAJECTORIES
+        if controlling is not None:
+            name, kind, joints = controlling[joints[0]]
+        settings: Settings = {'type': kind, 'action_ns': 'follow_joint_trajectory'}
+        if kind == GRIPPER_COMMANDS:
+            settings = {'type': kind, 'action_ns': 'gripper_cmd',
                         'command_joint': joints[0], 'max_effort': effort[joints[0]],
                         # A grasped object keeps the fingers from their goal.
                         'allow_failure': True}
-        manager['controller_names'].append(group.part)
-        manager[group.part] = {**settings, 'default': True, 'joints': joints}
+        manager['controller_names'].append(name)
+        manager[name] = {**settings, 'default': True, 'joints': joints}
     return {'moveit_controller_manager':
             'moveit_simple_controller_manager/MoveItSimpleControllerManager',
             'moveit_simple_controller_manager': manager}
@@ -139,55 +139,25 @@ def pilz_cartesian_limits() -> Settings:
                                  'max_trans_dec': -1.0, 'max_rot_vel': 1.57}}
 
 
-def write_package(world: World, folder: Path) -> list[str]:
+def write_package(world: World, folder: Path, controlling: Controlling | None = None
+                  ) -> list[str]:
     """
     Write a MoveIt configuration package for the only robot of a world.
 
     :param world: with one robot
     :param folder: becomes the package and gives it its name; must be new or empty
+    :param controlling: the controllers of ros2_control; None for the node's own actions
     :returns: what was left out, in sentences
     :raises ModelError: if the folder cannot be used, or there is nothing to plan for
     """
     check_folder(folder)
-    files, notes = _contents(world, folder.name)
+    files, notes = _contents(world, folder.name, controlling)
     write_files(folder, files)
     return notes
 
 
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """
-    Write all files of a package, or none.
-
-    :param folder: new or empty
-    :param files: contents by path
-    """
-    with tempfile.TemporaryDirectory(dir=folder.parent) as unfinished:
-        for name, content in files.items():
-            file = Path(unfinished, folder.name, name)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
-        shutil.copytree(Path(unfinished, folder.name), folder, dirs_exist_ok=True)
-
-
-def check_folder(folder: Path) -> None:
-    """
-    Check that a folder can become a package.
-
-    :raises ModelError: if its name is that of no ROS package, or it is not empty
-    """
-    if not _NAME.fullmatch(folder.name):
-        raise ModelError(f'{quoted(folder.name)} cannot be the name of a ROS package: it needs '
-                         'lower-case letters, digits and single underscores, such as '
-                         'panda_moveit_config')
-    if not folder.parent.is_dir():
-        raise ModelError(f'no such folder: {folder.parent}')
-    if folder.exists() and not folder.is_dir():
-        raise ModelError(f'{folder} is a file, give the name of a folder')
-    if folder.is_dir() and any(folder.iterdir()):
-        raise ModelError(f'{folder} is not empty: give a new folder, or remove it first')
-
-
-def _contents(world: World, package: str) -> tuple[dict[str, bytes], list[str]]:
+def _contents(world: World, package: str, controlling: Controlling | None
+              ) -> tuple[dict[str, bytes], list[str]]:
     """Return the contents of all files by path, and what was left out."""
     model, robot = world.compile(), choose_robot(world)
     urdf, meshes = describe(model, robot, package)
@@ -202,7 +172,7 @@ def _contents(world: World, package: str) -> tuple[dict[str, bytes], list[str]]:
     srdf = write_srdf(name, groups, postures, passive_joints(model, simulated, urdf), disabled)
     texts = {f'config/{name}.urdf': urdf.xml, f'config/{name}.srdf': srdf,
              **launch_files.text_files(package, name),
-             **as_yaml(_settings(groups, simulated, velocity, effort)),
+             **as_yaml(_settings(groups, simulated, velocity, effort, controlling)),
              **as_yaml({'.setup_assistant': launch_files.setup_assistant(package, name),
                         'rviz/moveit.rviz': launch_files.rviz(groups[0].name)})}
     return {**{path: text.encode() for path, text in texts.items()}, **meshes}, list(urdf.notes)
@@ -227,19 +197,14 @@ def describe(model: mujoco.MjModel, robot: RobotModel, package: str,
 
 
 def _settings(groups: list[Group], robot: Any, velocity: Mapping[str, float],
-              effort: Mapping[str, float]) -> dict[str, Any]:
+              effort: Mapping[str, float], controlling: Controlling | None) -> dict[str, Any]:
     return {
         'config/kinematics.yaml': kinematics(groups),
         'config/joint_limits.yaml': joint_limits(groups, robot, velocity),
-        'config/moveit_controllers.yaml': controllers(groups, effort),
+        'config/moveit_controllers.yaml': controllers(groups, effort, controlling),
         'config/ompl_planning.yaml': ompl(groups),
         'config/pilz_industrial_motion_planner_planning.yaml': pilz(),
         'config/pilz_cartesian_limits.yaml': pilz_cartesian_limits()}
-
-
-def as_yaml(contents: Mapping[str, Any]) -> dict[str, str]:
-    """Return the text of YAML files, by path."""
-    return {path: yaml.safe_dump(content, sort_keys=False) for path, content in contents.items()}
 
 
 def _read(urdf: Urdf) -> tuple[str, dict[str, float], dict[str, float]]:

@@ -107,8 +107,8 @@ def test_a_urdf_for_ros2_control_has_the_default_control_modes(here, tmp_path):
     (['out.xml', '--ros2-control'], '--ros2-control without DIR is for a .urdf'),
     (['--moveit', 'config', '--ros2-control'], '--ros2-control without DIR is for a .urdf'),
     (['out.mjz', '--name', 'left'], '--name is for a .urdf'),
-    (['out.xml', '--moveit', 'config'], 'give either a FILE, --moveit DIR or --ros2-control DIR'),
-    ([], 'give either a FILE, --moveit DIR or --ros2-control DIR')])
+    (['out.xml', '--moveit', 'config'], 'give either a FILE, or --moveit DIR'),
+    ([], 'give either a FILE, or --moveit DIR, --ros2-control DIR, or both')])
 def test_options_that_do_not_go_together_are_told(arguments, what, rejected):
     assert what in rejected('export', *arguments, code=2)
 

@@ -18,7 +18,7 @@ from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN
 from manip_sim.moveit.control_package import (
-    effective_inertias, effort_gains, write_control_package)
+    effective_inertias, effort_gains, GRIPPER, TRAJECTORY, write_control_package)
 from manip_sim.simulation import Simulation
 
 #: One arm with the plugin from apt, one in velocity mode, two arms, an arm on a mobile base.
@@ -102,6 +102,39 @@ def test_the_node_is_started_as_the_package_was_written_for(package):
     assert plugin.partition('/')[0] in needed
     for module in (n for n in ast.walk(bringup) if isinstance(n, ast.ImportFrom)):
         assert module.module.partition('.')[0] in needed
+
+
+@pytest.mark.parametrize('given', [
+    *NODES.values(), {'robot': 'Jaco'}, {'robot': 'GR1', 'ros2_control_plugin': OWN_PLUGIN}],
+    ids=lambda given: given['robot'])
+def test_moveit_uses_the_controllers_of_the_package_written_with_its_own(given, tmp_path):
+    parameters = tmp_path / 'node.yaml'
+    parameters.write_text(yaml.safe_dump({'/**': {'ros__parameters': given}}))
+    assert main(['export', '--moveit', str(tmp_path / 'own_moveit'), '--ros2-control',
+                 str(tmp_path / 'own_control'), '--params-file', str(parameters)]) == 0
+    moveit = yaml.safe_load((tmp_path / 'own_moveit/config/moveit_controllers.yaml').read_text())[
+        'moveit_simple_controller_manager']
+    control = yaml.safe_load((tmp_path / 'own_control/config/controllers.yaml').read_text())
+    types = control['controller_manager']['ros__parameters']
+    assert moveit['controller_names']
+    for name in moveit['controller_names']:
+        action, settings = moveit[name], control[name]['ros__parameters']
+        assert action['joints'] == (settings.get('joints') or [settings['joint']])
+        assert (action['type'], action['action_ns']) == {
+            TRAJECTORY: ('FollowJointTrajectory', 'follow_joint_trajectory'),
+            GRIPPER: ('GripperCommand', 'gripper_cmd')}[types[name]['type']]
+    spawn = (tmp_path / 'own_control/launch/spawn.launch.py').read_text()
+    # Of the controllers that are active together at first: no joint twice.
+    joints = sum((moveit[name]['joints'] for name in moveit['controller_names']), [])
+    assert len(joints) == len(set(joints)) and all(
+        f"'{name}'" in spawn for name in moveit['controller_names'])
+
+
+def test_two_packages_need_two_folders(tmp_path, capsys):
+    folder = str(tmp_path / 'own')
+    assert main(['export', '--moveit', folder, '--ros2-control', folder]) == 1
+    assert 'cannot be both packages: give two folders' in capsys.readouterr().err
+    assert not (tmp_path / 'own').exists()
 
 
 @pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rcl reads the parameters')
