@@ -29,9 +29,9 @@ class Quantity:
     maximum: float
 
 
-#: Torques have the bias and drift of forces times this [m]: the ratio of the repeatabilities of
-#: torque and force of the sensor in the flange of the UR5e, 0.2 N m and 3.5 N. The two numbers
-#: have not been compared with the technical specification of Universal Robots.
+#: Torques have the bias and drift of forces times this [m]: the ratio of the precisions of torque
+#: and force of the sensor in the flange of the UR5e, 0.2 N m and 3.5 N in its data sheet, as
+#: others quote it.
 TORQUE_PER_FORCE_M = 0.2 / 3.5
 
 _SD = 'Standard deviation of the white noise on'

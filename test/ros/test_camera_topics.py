@@ -380,3 +380,17 @@ def test_exact_images_come_when_noise_is_set_and_states_have_none_beside_them(se
     exact = listen(client, 'truth/front/color/image_raw')
     client.spin_until(lambda: exact != [])
     assert node.count_publishers('truth/joint_states') == 0
+
+
+def test_noise_is_the_same_whatever_the_pace(serve_seen, client):
+    serve_seen(noise__pixel=8.0, seed=6, **{**LATE, 'stepping': 'free'})
+    color, exact = (listen(client, f'{begin}front/color/image_raw') for begin in ('', 'truth/'))
+
+    def common():
+        return ({nanoseconds(image) for image in color} & {nanoseconds(image) for image in exact})
+    client.spin_until(lambda: len(common()) > 2)
+    for stamp in sorted(common())[-3:]:
+        noise = ImageNoise('front', 6, 5 * (stamp // 10_000_000 - 1), 8.0, 0.0)
+        noisy, clean = (next(pixels(image) for image in images if nanoseconds(image) == stamp)
+                        for images in (color, exact))
+        np.testing.assert_array_equal(noisy, noise.on_colours(clean))
