@@ -12,6 +12,7 @@ import inspect
 from pathlib import Path
 import sys
 from typing import Any
+import warnings
 
 import numpy as np
 
@@ -178,7 +179,9 @@ def _torch_script(file: str) -> Callable[[Observation], FloatArray]:
                          ) from error
     torch.set_num_threads(1)
     try:
-        module = torch.jit.load(file, map_location='cpu').eval()
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')  # It is deprecated in favour of torch.export.
+            module = torch.jit.load(file, map_location='cpu').eval()
     except Exception as error:
         raise ModelError(f'policy {quoted(file)}: {one_line(str(error), 200)}') from error
     takes_dict = 'Dict' in str(module.forward.schema.arguments[1].type)
