@@ -275,7 +275,9 @@ def _add_run(commands: Any) -> None:
         'episode in which the policy fails is a row with the error, and the exit code is 1.',
         'examples: manip_sim run pick_cube --policy expert --seeds 0:100 --out results\n'
         '          manip_sim run reach --policy my_policy.py:Reach --latency 0.15 --seeds 0:1000 '
-        '--out late')
+        '--out late\n'
+        '          manip_sim run pick_cube --policy expert --seeds 0:12 --state-latency '
+        '0,0.05,0.1,0.15,0.25,0.4 --out sweep')
     parser.add_argument('task', metavar='TASK', help="as 'manip_sim list tasks' has it, or "
                         'the path of a YAML file that describes one')
     parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
@@ -295,10 +297,11 @@ def _add_run(commands: Any) -> None:
                         'joint_position, joint_velocity or joint_effort (default: osc_pose)')
     parser.add_argument('--control-hz', type=_number, default=20.0, metavar='HZ',
                         help='actions per second of simulated time (default: 20)')
-    parser.add_argument('--latency', type=_number, default=0.0, metavar='SECONDS', help='how much '
-                        'later a command takes effect, in simulated time (default: 0)')
-    parser.add_argument('--state-latency', type=_number, default=0.0, metavar='SECONDS',
-                        help='how old the observed state is (default: 0)')
+    parser.add_argument('--latency', type=_numbers, default=[0.0], metavar='SECONDS[,...]',
+                        help='how much later a command takes effect, in simulated time (default: '
+                        '0); several are runs in DIR/latency_SECONDS, with one table')
+    parser.add_argument('--state-latency', type=_numbers, default=[0.0], metavar='SECONDS[,...]',
+                        help='how old the observed state is (default: 0); several as above')
     for option, what in (('--latency-jitter', '--latency'),
                          ('--state-latency-jitter', '--state-latency')):
         parser.add_argument(option, type=_number, default=0.0, metavar='SECONDS',
@@ -377,6 +380,10 @@ def _number(text: str) -> float:
     if not math.isfinite(number):
         raise argparse.ArgumentTypeError(f'must be a finite number, got {text[:60]!r}')
     return number
+
+
+def _numbers(text: str) -> list[float]:
+    return [_number(part) for part in text.split(',')]
 
 
 def _positive(text: str) -> float:

@@ -9,6 +9,7 @@ import argparse
 from collections.abc import Iterator
 import contextlib
 import importlib.util
+import itertools
 from pathlib import Path
 import signal
 import sys
@@ -23,7 +24,7 @@ from manip_sim.experiments.processes import processors, run_in_processes
 from manip_sim.experiments.run_folder import read_json, RUN, Shard
 from manip_sim.experiments.summary import Row
 from manip_sim.models.randomization import Randomization
-from manip_sim.tasks import Setting
+from manip_sim.tasks import Latency, Setting
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -34,6 +35,48 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _run(options: argparse.Namespace) -> tuple[str, int]:
+    commands, states = options.latency, options.state_latency
+    if len(commands) == 1 and len(states) == 1:
+        summary = _run_one(options, commands[0], states[0], options.out)
+        return _interrupted(options) if summary is None else _summary_text(summary)
+    if len(commands) > 1 and len(states) > 1:
+        raise ModelError('only one of --latency and --state-latency can have several values')
+    if len({*commands}) < len(commands) or len({*states}) < len(states):
+        raise ModelError('the latencies must differ')
+    for late_s in (*commands, *states):
+        Latency.of(late_s)  # Before the first of them is run.
+    found = []
+    for command_s, state_s in itertools.product(commands, states):
+        late_s = command_s if len(commands) > 1 else state_s
+        summary = _run_one(options, command_s, state_s, options.out / f'latency_{late_s:g}')
+        if summary is None:
+            return _interrupted(options)
+        found.append((late_s, summary))
+    return _sweep_text(found, 'command' if len(commands) > 1 else 'state')
+
+
+def _interrupted(options: argparse.Namespace) -> tuple[str, int]:
+    return f'{options.out}: interrupted; the same command goes on', 130
+
+
+def _sweep_text(found: list[tuple[float, dict[str, Any]]], kind: str) -> tuple[str, int]:
+    """Return the table of runs with several latencies, and the exit code."""
+    rows = []
+    for late_s, summary in found:
+        low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
+        time_s = summary['median_time_of_success_s']
+        rows.append((f'{late_s:g} s', f'{summary["successes"]} of {summary["episodes"]}',
+                     f'{low} to {high} %', '-' if time_s is None else f'{time_s:.2f} s',
+                     str(sum(summary['errors'].values()))))
+    title = f'{found[0][1]["task"]}, {found[0][1]["policy"]}'
+    heads = f'latency of a {kind}', 'success', '95 % interval', 'median time', 'failed'
+    return (table(title, heads, rows, terminal_width()),
+            int(any(summary['errors'] for _, summary in found)))
+
+
+def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out: Path
+             ) -> dict[str, Any] | None:
+    """Run all seeds with a latency; return the summary, or None after an interruption."""
     seeds = parse_seeds(options.seeds)
     number, count = parse_shard(options.shard)
     if options.address is not None and options.engine != 'ray':
@@ -44,7 +87,7 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
     if ros and (options.engine == 'ray' or options.worlds not in (None, 1)):
         raise ModelError('a ROS node acts in one episode at a time: it needs --worlds 1, and no '
                          '--engine ray')
-    latency = {'command': options.latency, 'state': options.state_latency,
+    latency = {'command': command_s, 'state': state_s,
                'command_jitter': options.latency_jitter,
                'state_jitter': options.state_latency_jitter}
     setting = Setting(
@@ -52,11 +95,11 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         latency, tuple(options.cameras or ()), options.image_size,
         {} if options.randomization is None else {
             'randomization': Randomization(options.randomization)})
-    records = options.out / 'records' if options.record else None
+    records = out / 'records' if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
     # What cannot be used is said here, before anything is written.
     period_s = experiment.create_worker().period_s
-    folder = RunFolder(options.out, experiment.description(), seeds, period_s)
+    folder = RunFolder(out, experiment.description(), seeds, period_s)
     with folder.shard(number, count) as shard:
         if options.engine == 'ray':
             rows = run_on_ray(experiment, shard.left, options.address, options.worlds)
@@ -68,8 +111,8 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
                 _collect(rows, shard)
         except KeyboardInterrupt:
             folder.finish()
-            return f'{folder.path}: interrupted; the same command goes on', 130
-    return _summary_text(folder.finish())
+            return None
+    return folder.finish()
 
 
 @contextlib.contextmanager

@@ -275,3 +275,25 @@ def test_rows_of_randomized_runs_are_those_of_shards_and_of_episodes_by_hand(tmp
     file.write_text('bodies:\n  robot0_linc1: {mass: {uniform: [1, 2]}}\n')
     assert run(tmp_path / 'other', *more, seeds='0:4') == 1
     assert "line 2: no body matches 'robot0_linc1': did you mean" in capsys.readouterr().err
+
+
+def test_a_sweep_over_latencies_is_one_command_that_repeats_to_the_last_bit(
+        whole, tmp_path, capsys):
+    for name in ('one', 'two'):
+        assert run(tmp_path / name, '--state-latency', '0,0.4', seeds='0:2', worlds='1') == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert any('latency of a state' in line for line in lines)
+        assert [line.split()[0] for line in lines if ' of 2 ' in line] == ['0', '0.4']
+    late = [rows(tmp_path / 'one' / f'latency_{late}') for late in ('0', '0.4')]
+    assert late == [rows(tmp_path / 'two' / f'latency_{late}') for late in ('0', '0.4')]
+    assert late[0] == rows(whole)[:2] and late[1] != late[0]
+
+
+@pytest.mark.parametrize('more, text', [
+    (['--latency', '0,0'], 'the latencies must differ'),
+    (['--latency', '0,1', '--state-latency', '0,1'], 'only one of --latency and'),
+    (['--latency', '0,-1'], 'latency of a command must be from 0 to 10 s')])
+def test_latencies_that_make_no_sense_are_rejected(more, text, tmp_path, capsys):
+    assert run(tmp_path / 'out', *more, seeds='0:1', worlds='1') == 1
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / 'out').exists()
