@@ -3,6 +3,7 @@
 
 """What was inferred of a file, as a description that leaves nothing to infer."""
 
+from pathlib import Path
 import shutil
 
 from files_rig import ARM, ARM_WITH_HAND, TWO_ARMS, write
@@ -13,6 +14,8 @@ import yaml
 from manip_sim.models import compose, load_robot
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.simulation import Simulation
+
+LASER = Path(__file__).resolve().parents[1] / 'data/files/turning_laser.xml'
 
 
 def again(file, description, folder):
@@ -46,4 +49,19 @@ def test_a_robot_can_be_declared_to_have_no_arms(tmp_path):
     file = write(tmp_path / 'arm.xml', ARM)
     robot = again(file, 'arms: none', tmp_path / 'other')
     assert not isinstance(robot, ManipulatorModel) and robot.described['arms'] == 'none'
-    assert list(Simulation(compose(robot)).robot.parts) != []
+    assert list(Simulation(compose(robot)).robot.parts) == ['other']
+
+
+def test_what_belongs_to_no_arm_is_not_driven_as_the_arm(tmp_path):
+    robot = load_robot(LASER)
+    assert 'other: tilt' in robot.inferred
+    simulation = Simulation(compose(robot))
+    parts = {name: part.joints for name, part in simulation.robot.parts.items()}
+    arm = ('robot0_joint1', 'robot0_joint2', 'robot0_joint3')
+    assert parts == {'arm': arm, 'right': arm, 'other': ('robot0_tilt',)}
+    simulation.robot.apply(*simulation.robot.parse.joint_command(
+        ['robot0_tilt'], [0.4], [], [], 'other'))
+    for _ in range(200):
+        simulation.advance(5)
+    assert simulation.data.joint('robot0_tilt').qpos[0] == pytest.approx(0.4, abs=5e-3)
+    assert again(LASER, 'subsystems: {tilt: arm}', tmp_path / 'declared').other_joints == []

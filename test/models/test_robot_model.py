@@ -75,8 +75,9 @@ def test_subsystem_lists_are_copies(robot_with):
 
 
 def test_unknown_subsystem_is_told_what_there_is(robot_with):
-    with pytest.raises(UnknownNameError, match=r"^unknown subsystem 'hed': did you mean 'head'\? "
-                                               r'available: arm, base, torso, head, legs$'):
+    with pytest.raises(UnknownNameError, match=r"^unknown subsystem 'hed': did you mean 'head' or "
+                                               r"'other'\? "
+                                               r'available: arm, base, torso, head, legs, other$'):
         robot_with('joint1').joints_of('hed')
 
 

@@ -81,3 +81,14 @@ def test_a_mocap_body_goes_where_its_topic_says(serve, client):
     assert poses[-1].pose.position.y == 0.0 and poses[-1].pose.orientation.w == 1.0
     assert client.call(Trigger, 'manip_sim/reset').success
     client.spin_until(lambda: poses[-1].pose.position.y == 1.0)
+
+
+def test_what_belongs_to_no_arm_has_topics_of_its_own(serve, client):
+    serve(stepping='free', robot=str(FILES / 'turning_laser.xml'))
+    states = client.listen(JointState, 'other/joint_states')
+    arm = client.listen(JointState, 'right/joint_states')
+    commands = client.node.create_publisher(JointState, 'other/joint_command', 10)
+    client.spin_until(lambda: states and arm and commands.get_subscription_count())
+    assert list(states[0].name) == ['robot0_tilt'] and 'robot0_tilt' not in arm[0].name
+    commands.publish(JointState(name=['robot0_tilt'], position=[0.4]))
+    client.spin_until(lambda: abs(states[-1].position[0] - 0.4) < 5e-3)

@@ -128,6 +128,19 @@ class BodyTree:
         tied = np.flatnonzero((model.eq_type == joint) & (model.eq_obj2id >= 0))
         return [{int(model.eq_obj1id[i]), int(model.eq_obj2id[i])} for i in tied]
 
+    def bodies_in_loops(self) -> set[int]:
+        """Return the bodies that connect and weld constraints tie to another body."""
+        model, kinds = self.model, mujoco.mjtEq
+        tied = np.flatnonzero(np.isin(
+            model.eq_type, [int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)]))
+        found: set[int] = set()
+        for equality in tied.tolist():
+            ids = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+            if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
+                ids = int(model.site_bodyid[ids[0]]), int(model.site_bodyid[ids[1]])
+            found |= set(ids)
+        return found - {0}
+
     def is_scalar(self, joint: int) -> bool:
         """Return whether a joint is a hinge or a slide."""
         return int(self.model.jnt_type[joint]) in SCALAR

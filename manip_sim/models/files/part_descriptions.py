@@ -18,7 +18,7 @@ from manip_sim.quoting import quoted
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
-Subsystem = Literal['arm', 'base', 'torso', 'head', 'legs']
+Subsystem = Literal['arm', 'base', 'torso', 'head', 'legs', 'other']
 Arm = Literal['right', 'left']
 Name = Annotated[str, Field(strict=True, min_length=1)]
 

@@ -188,6 +188,8 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
                                  {joint for hand in found for joint in hand.joints})
     arms = _find_arms(model_file, tree, subsystems, found, description, where)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
+    if arms or isinstance(description.arms, str):
+        _sort_others(tree, subsystems, arms, description.subsystems)
     of_hands = {a for hand in hands.values() for a in hand.actuators}
     others = [a for a in range(tree.model.nu) if a not in of_hands]
     still, changes = own_each_joint(spec, tree, others, start)
@@ -203,6 +205,23 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     notes += _subsystem_notes(by_name)
     return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, still,
                      notes, model_file.keyframes)
+
+
+def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, FoundArm],
+                 declared: Mapping[str, str]) -> None:
+    """Take from the arms the joints that neither lead to an end nor belong to its hand."""
+    model, own = tree.model, set()
+    for arm in arms.values():
+        end = (model.site(arm.name).bodyid[0] if arm.kind == 'site' else model.body(arm.name).id)
+        own |= set(tree.joints(tree.path(int(end))))
+        own |= set(() if arm.hand is None else arm.hand.joints)
+    own = tree.coupled(own)
+    loops = tree.bodies_in_loops()
+    for joint, part in subsystems.items():
+        # A joint below which a loop is closed may drive the arm, as the crank of a parallel one.
+        if (part == 'arm' and joint not in own and str(model.joint(joint).name) not in declared
+                and not tree.below(int(model.jnt_bodyid[joint])) & loops):
+            subsystems[joint] = 'other'
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
@@ -310,7 +329,7 @@ def _limit_velocities(spec: mujoco.MjSpec, limits: Mapping[str, float]) -> None:
 
 def _subsystem_notes(subsystems: Mapping[str, str]) -> list[str]:
     notes = []
-    for part in ('base', 'torso', 'head', 'legs'):
+    for part in ('base', 'torso', 'head', 'legs', 'other'):
         joints = [joint for joint, of in subsystems.items() if of == part]
         if joints:
             notes.append(f'{part}: {", ".join(joints)}')

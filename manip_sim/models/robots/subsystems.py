@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sort joints and actuators into arm, base, torso, head and legs, by name or driven joint."""
+"""Sort joints and actuators into arm, base, torso, head, legs and other, by name or joint."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from manip_sim.models.bases import RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.validation import finite_numbers
 
-SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs')
+SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs', 'other')
 #: In the order in which they are tried; a name without any of them is arm.
 KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
@@ -59,6 +59,11 @@ class Subsystems(MujocoXMLModel):
         return list(self._joints_of['legs'])
 
     @property
+    def other_joints(self) -> list[str]:
+        """Joints of the robot's file that belong to no other subsystem."""
+        return list(self._joints_of['other'])
+
+    @property
     def arm_actuators(self) -> list[str]:
         """Actuators of the arms, in the order of the file."""
         return list(self._actuators_of['arm'])
@@ -82,6 +87,11 @@ class Subsystems(MujocoXMLModel):
     def legs_actuators(self) -> list[str]:
         """Actuators of the legs."""
         return list(self._actuators_of['legs'])
+
+    @property
+    def other_actuators(self) -> list[str]:
+        """Actuators of the joints of no other subsystem."""
+        return list(self._actuators_of['other'])
 
     def joints_of(self, subsystem: str) -> list[str]:
         """
@@ -149,7 +159,7 @@ class Subsystems(MujocoXMLModel):
         """
         Map an abstract action to commands of a subsystem's actuators, clamping it to [-1, 1].
 
-        :param subsystem: ``arm``, ``base``, ``torso``, ``head`` or ``legs``
+        :param subsystem: ``arm``, ``base``, ``torso``, ``head``, ``legs`` or ``other``
         :param action: -1 is the low, +1 the high end of a control range, shape (n,)
         :param ctrlrange: ranges in place of the files', shape (n, 2)
         :returns: commands in the actuators' units, shape (n,), a copy
