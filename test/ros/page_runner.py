@@ -44,7 +44,7 @@ OTHERS = {
 TOOLS = {'rviz2': 'rviz2', 'ros2 bag': 'rosbag2', 'ros2 security': 'sros2', 'sudo nft': 'nftables',
          'docker': 'docker', 'sudo apt': 'apt', 'colcon': 'colcon', 'rosdep': 'rosdep',
          'git': 'git', 'pre-commit': 'pre-commit', '.ci/run': 'bash', 'unshare': 'unshare',
-         'nsenter': 'nsenter', 'srun': 'slurm'}
+         'nsenter': 'nsenter', 'srun': 'slurm', 'kubectl': 'kubectl'}
 #: Of a shell; nothing that could fail here.
 SHELL = {'source', 'mkdir', 'cd', 'for', 'do', 'done'}
 
