@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from manip_sim.errors import describe_choices, ModelError
-from manip_sim.models.objects import create_object
+from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, checked, ConfigDict, Field, model_validator, Number, StrictBool)
 from manip_sim.quoting import quoted, shown
@@ -240,9 +240,8 @@ class Described:
         self.where = where
         self.about = checked(TaskDescription, self.values, where)
         self.values['objects'] = [_absolute(entry, folder) for entry in self.about.objects]
-        self.objects = [create_object(entry) if isinstance(entry, dict) else _not_mapping(
-            f'{where}: object {number}', entry)
-            for number, entry in enumerate(self.values['objects'], start=1)]
+        self.objects = [_object(entry, f'{where}: object {number}')
+                        for number, entry in enumerate(self.values['objects'], start=1)]
         self.goals = [checked(Goal, _mapping(entry, f'{where}: goal {number}'),
                               f'{where}: goal {number}')
                       for number, entry in enumerate(self.about.goals, start=1)]
@@ -280,6 +279,13 @@ def _absolute(entry: Any, folder: Path) -> Any:
     if isinstance(entry, dict) and isinstance(entry.get('file'), str):
         return {**entry, 'file': str((folder / entry['file']).resolve())}
     return entry
+
+
+def _object(entry: Any, where: str) -> ObjectModel:
+    try:
+        return create_object(_mapping(entry, where))
+    except ModelError as error:
+        raise ModelError(str(error) if where in str(error) else f'{where}: {error}') from None
 
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:

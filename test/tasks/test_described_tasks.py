@@ -7,6 +7,7 @@ import json
 import math
 from pathlib import Path
 
+from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 import yaml
@@ -19,6 +20,7 @@ from manip_sim.models.sources import set_model_path  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.tasks import create_task, Episode, task_names  # noqa: E402
 from manip_sim.tasks.placing import place  # noqa: E402
+from manip_sim.tasks.task_description import Described  # noqa: E402
 
 PLATE = """
 instruction: Put the red cube onto the green disc, and let go of it.
@@ -213,7 +215,7 @@ def changed(**values):
     ({'arena': {'name': 'table', 'frction': 1.0}}, "'frction': did you mean 'friction'"),
     ({'arena': {'friction': 1.0}}, "'arena' needs 'name'"),
     ({'gripper': 'Robotiq'}, "unknown gripper 'Robotiq': did you mean"),
-    ({'objects': [{'name': 'cube', 'shape': 'bxo', 'size': 1}]}, "did you mean 'box'"),
+    ({'objects': [{'name': 'cube', 'shape': 'bxo', 'size': 1}]}, "1: object 'cube': 'shape'"),
     ({'objects': [3]}, 'object 1 must be keys and values, got 3'),
     ({'goals': [{'name': 'disc', 'radus': 1}]}, "goal 1: unknown key 'radus'"),
     ({'goals': [{'name': 'disc'}, {'name': 'disc'}]}, "goal 'disc': there is a body of this"),
@@ -241,6 +243,36 @@ def test_what_is_wrong_is_one_line(values, message):
         task = create_task('plate', description=changed(**values))
         Episode(task, Simulation(task.world)).reset(0)
     assert message in str(raised.value) and '\n' not in str(raised.value)
+
+
+KEYS = st.sampled_from([*yaml.safe_load(PLATE), 'low', 'high', 'distance', 'contact', 'weight',
+                        'position', 'yaw', 'name', 'below', 'axes', 'radius', 'x'])
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4) | KEYS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4),
+    max_leaves=8)
+
+
+def spoilt(data, value):
+    """Return a description of which one part is replaced by something else."""
+    if isinstance(value, (dict, list)) and value and data.draw(st.integers(0, 3)):
+        keys = sorted(value) if isinstance(value, dict) else list(range(len(value)))
+        key, copy = data.draw(st.sampled_from(keys)), value.copy()
+        copy[key] = spoilt(data, value[key])
+        return copy
+    return data.draw(ANYTHING)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_no_description_raises_anything_but_one_line(data):
+    values = spoilt(data, changed())
+    if not isinstance(values, dict):
+        return
+    try:
+        Described(values, 'task plate', name='plate')
+    except ModelError as error:
+        assert '\n' not in str(error) and len(str(error)) < 1000
 
 
 def test_a_robot_that_cannot_and_a_missing_file_are_said(tmp_path, plate):
