@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from manip_sim.models import World
+from manip_sim.sensing.delays import Measurements
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import Simulation
 
@@ -124,3 +125,12 @@ def test_jitter_has_its_deviation_and_what_is_newest_is_shown(robot):
     assert 38 < found.mean() < 50
     assert np.diff(found).max() <= 1  # Never back in time.
     assert list(found) == ages(robot, 5000, 1)[200:]
+
+
+def test_what_is_measured_again_at_an_instant_replaces_what_was_measured_then_or_later():
+    found = Measurements()
+    for count, value in ((0, 'start'), (5, 'first'), (10, 'late'), (5, 'again')):
+        found.record(count, value, 3)
+    assert [measured for _, measured in found] == [(0, 'start'), (5, 'again')]
+    assert found.newest(7) == (0, 'start')
+    assert found.newest(8) == (5, 'again')

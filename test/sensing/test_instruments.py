@@ -11,7 +11,9 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.robots import robot_names
+from manip_sim.sensing.channels import InstrumentChannel
 from manip_sim.sensing.instruments import find_instruments
+from manip_sim.sensing.settings import SensingSettings
 from manip_sim.simulation import Simulation
 
 #: A box that turns about z with 0.5 rad/s, with one sensor of many kinds.
@@ -157,3 +159,15 @@ def test_sensors_are_read_by_name_and_an_unknown_name_is_an_error():
         assert not np.shares_memory(value, simulation.data.sensordata)
     with pytest.raises(UnknownNameError, match="unknown sensor 'robot0_right_imu_gryo'"):
         sensors['robot0_right_imu_gryo']
+
+
+def test_own_noise_is_only_where_an_instrument_has_a_sensor():
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><worldbody><body><geom size="0.1"/><site name="imu"/></body></worldbody>
+        <sensor><accelerometer site="imu"/></sensor></mujoco>""")
+    (found,) = find_instruments(model)
+    channel = InstrumentChannel(found, np.zeros(10), 0.5)
+    channel.adapt(SensingSettings())
+    measured = channel.measure(np.zeros(10), 3, 0.002)
+    assert not measured[:7].any()
+    assert measured[7:].all()
