@@ -281,18 +281,20 @@ private:
         topic->second, rclcpp::QoS(10), [this, name](Imu::ConstSharedPtr message) {
           std::lock_guard<std::mutex> lock(mutex_);
           imus_[name] = std::move(message);
+          arrived_.notify_all();
         }));
     }
   }
 
-  //! Tell whether the state of an instant has come, and the wrenches that belong to it.
+  //! Tell whether the state of an instant has come, and the measurements that belong to it.
   bool complete(std::int64_t now) const
   {
     if (!state_ || stamp_ns_ < now) {return false;}
-    return std::all_of(
-      wrenches_.begin(), wrenches_.end(), [this](const auto & named) {
+    const auto has_come = [this](const auto & named) {
         return !named.second || nanoseconds(named.second->header.stamp) >= stamp_ns_;
-      });
+      };
+    return std::all_of(wrenches_.begin(), wrenches_.end(), has_come) &&
+           std::all_of(imus_.begin(), imus_.end(), has_come);
   }
 
   void take_state(JointState::ConstSharedPtr message)

@@ -9,6 +9,7 @@ from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
+from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -99,6 +100,20 @@ def test_the_broadcaster_publishes_the_wrench_of_the_node(controlled):
         time_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         row = np.argmin(np.abs(wrenches.time_s - time_s))
         assert message.wrench.force.z == wrenches.force[row, 2]
+
+
+def test_the_broadcaster_publishes_what_the_imu_of_the_hand_measures(controlled):
+    sim, _ = controlled()
+    received, measured = [], {}
+    sim.node.create_subscription(Imu, 'imu_broadcaster/imu', received.append, 100)
+    sim.node.create_subscription(Imu, 'sensors/robot0_right_imu/imu', lambda imu: measured.update(
+        {(imu.header.stamp.sec, imu.header.stamp.nanosec): imu}), 100)
+    spawn(sim, 'imu_broadcaster')
+    sim.wait_for(lambda: len(received) > 20)
+    for message in received[-10:]:
+        imu = measured[message.header.stamp.sec, message.header.stamp.nanosec]
+        assert message.linear_acceleration == imu.linear_acceleration
+        assert message.orientation == imu.orientation
 
 
 def test_the_admittance_controller_keeps_the_arm_where_nothing_pushes(controlled):

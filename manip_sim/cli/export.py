@@ -86,13 +86,14 @@ def _write_packages(options: argparse.Namespace) -> list[str]:
 def _hardware(composed: Composed, name: str) -> Hardware:
     """Return the ros2_control hardware of a robot, in the control modes of its parameters."""
     composition, value = composed.composition, composed.parameters.value
-    robots = Simulation(composition.world).robots
+    simulation = Simulation(composition.world)
+    robots = simulation.robots
     robot = robots[name]
     scope = dict(zip(robots, composition.scopes))[name]
     for part in commanded_parts(robot.parts):
         if robot.parts[part].atomic == (part,):
             robot.set_control_mode(part, value(scope.parameter(f'control_mode.{part}')))
-    return hardware_of(robot, scope, value('ros2_control_plugin'),
+    return hardware_of(simulation, robot, scope, value('ros2_control_plugin'),
                        value('stepping') == 'lockstep', remapped)
 
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from manip_sim.interface.instruments import served_instruments
 from manip_sim.interface.topics import Scope
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN, TOPIC_PLUGIN
-from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: What the topics of a robot are called for ros2_control, whose joint_state_broadcaster and whose
 #: controllers use the other names.
@@ -25,11 +26,13 @@ def remapped(topic: str) -> str:
     return f'/{space}{slash}{REMAPPED.get(name, name)}'
 
 
-def hardware_of(robot: SimulatedRobot, scope: Scope, plugin: str, lockstep: bool,
-                resolve: Callable[[str], str], node: str = '/manip_sim') -> Hardware:
+def hardware_of(simulation: Simulation, robot: SimulatedRobot, scope: Scope, plugin: str,
+                lockstep: bool, resolve: Callable[[str], str], node: str = '/manip_sim'
+                ) -> Hardware:
     """
     Return the hardware of the ``<ros2_control>`` tag, in the present control modes.
 
+    :param simulation: of the world
     :param robot: the robot
     :param scope: of its topics and parameters
     :param plugin: the hardware component
@@ -41,6 +44,10 @@ def hardware_of(robot: SimulatedRobot, scope: Scope, plugin: str, lockstep: bool
              if part.gripper is None and part.atomic == (name,) for joint in part.joints}
     wrenches = {f'{arm}_{topic}': resolve(scope.topic(f'{arm}/{topic}'))
                 for arm in robot.end_effectors for topic in ('wrench', 'external_wrench')}
+    own = set(robot.sensor_names)
+    imus = {served.instrument.name: resolve(served.topic.name)
+            for served in served_instruments(simulation, {scope: robot})
+            if served.instrument.kind == 'imu' and served.instrument.sensors[0] in own}
     return Hardware(
         robot.command_interfaces(), resolve(scope.topic('joint_states')),
-        resolve(scope.topic('joint_command')), plugin, node, modes, wrenches, lockstep)
+        resolve(scope.topic('joint_command')), plugin, node, modes, wrenches, lockstep, imus)

@@ -26,6 +26,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 TRAJECTORY = 'joint_trajectory_controller/JointTrajectoryController'
 GRIPPER = 'position_controllers/GripperActionController'
 BROADCASTER = 'joint_state_broadcaster/JointStateBroadcaster'
+IMU = 'imu_sensor_broadcaster/IMUSensorBroadcaster'
 WRENCH = 'force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster'
 _MODES = ('position', 'velocity', 'effort')
 #: Stands for a mode where every controller can be active at the same time.
@@ -37,7 +38,8 @@ _FREQUENCY, _DAMPING = 8.0, 1.0
 _VELOCITY_GAIN = 5.0
 _DEPENDENCIES = (
     'controller_manager', 'force_torque_sensor_broadcaster', 'gripper_controllers',
-    'joint_state_broadcaster', 'joint_trajectory_controller', 'launch', 'launch_ros', 'manip_sim')
+    'imu_sensor_broadcaster', 'joint_state_broadcaster', 'joint_trajectory_controller', 'launch',
+    'launch_ros', 'manip_sim')
 
 _BRINGUP = '''"""{robot} simulated, the controller manager, and its controllers."""
 
@@ -235,6 +237,8 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
         arm = sensor.partition('_')[0]
         yield f'{sensor}_broadcaster', WRENCH, '', {
             'sensor_name': sensor, 'frame_id': robot.end_effectors[arm].ft_frame}
+    for sensor in hardware.imu_topics if own else ():
+        yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': sensor}
 
 
 def _gripper(name: str, joints: list[str]) -> tuple[str, str, str, Settings]:

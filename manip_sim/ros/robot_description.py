@@ -49,14 +49,16 @@ class DescriptionPublisher:
 
     :param node: the node
     :param world: the world of the robots
+    :param simulation: of it
     :param robots: by their scope
     :param plugin: hardware component of a ``<ros2_control>`` tag for the present control modes,
         which names the topics as they are called after remapping; empty for no tag
     :param lockstep: whether the physics waits for commands
     """
 
-    def __init__(self, node: Any, world: World, robots: Mapping[Scope, SimulatedRobot],
-                 plugin: str = '', lockstep: bool = False) -> None:
+    def __init__(self, node: Any, world: World, simulation: Simulation,
+                 robots: Mapping[Scope, SimulatedRobot], plugin: str = '',
+                 lockstep: bool = False) -> None:
         self._node = node
         self._world = world
         self._robots = robots
@@ -67,7 +69,7 @@ class DescriptionPublisher:
         self._hardware = {}
         if plugin:
             self._hardware = {robot.name: hardware_of(
-                robot, scope, plugin, lockstep, node.resolve_topic_name,
+                simulation, robot, scope, plugin, lockstep, node.resolve_topic_name,
                 node.get_fully_qualified_name()) for scope, robot in robots.items()}
 
     def publish(self) -> None:

@@ -187,7 +187,7 @@ class SimNode(Node):
         self._dynamics = DynamicsPublisher(self, self.simulation, value('gravity_compensation'))
         self._descriptions: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
             model, DescriptionPublisher(
-                self, world, self._robots,
+                self, world, self.simulation, self._robots,
                 value('ros2_control_plugin') if value('ros2_control_tag') else '',
                 value('stepping') == 'lockstep'),
             self._dynamics]

@@ -359,7 +359,7 @@ def test_the_tag_for_the_own_plugin_has_all_modes_and_the_sensors():
     hardware = Hardware(
         {'robot0_joint1': 'position', 'gripper0_right_finger_joint1': 'position'}, '/s', '/c',
         OWN_PLUGIN, '/cell/sim', {'robot0_joint1': 'control_mode.arm'},
-        {'right_wrench': '/right/wrench'}, lockstep=True)
+        {'right_wrench': '/right/wrench'}, lockstep=True, imu_topics={'imu': '/sensors/imu/imu'})
     tag = ElementTree.fromstring(urdf_of(compose('Panda'), hardware=hardware).xml).find(
         'ros2_control')
     assert tag.find('hardware/plugin').text == 'manip_sim_hardware/ManipSimSystem'
@@ -373,7 +373,12 @@ def test_the_tag_for_the_own_plugin_has_all_modes_and_the_sensors():
         'mode_parameter': 'control_mode.arm'}
     assert [c.get('name') for c in finger.findall('command_interface')] == ['position']
     assert finger.find('param') is None
-    (sensor,) = tag.findall('sensor')
+    sensor, imu = tag.findall('sensor')
+    assert (imu.get('name'), imu.find('param').text) == ('imu', '/sensors/imu/imu')
+    assert [s.get('name') for s in imu.findall('state_interface')] == [
+        'orientation.x', 'orientation.y', 'orientation.z', 'orientation.w',
+        'angular_velocity.x', 'angular_velocity.y', 'angular_velocity.z',
+        'linear_acceleration.x', 'linear_acceleration.y', 'linear_acceleration.z']
     assert (sensor.get('name'), sensor.find('param').text) == ('right_wrench', '/right/wrench')
     assert [s.get('name') for s in sensor.findall('state_interface')] == [
         'force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z']

@@ -74,7 +74,7 @@ def test_every_controller_has_a_type_and_is_spawned(package):
     assert {*values['ALWAYS'], *sum(values['CONTROLLERS'].values(), [])} == names
 
 
-def test_wrenches_are_broadcast_in_the_frame_of_the_sensor(package):
+def test_wrenches_and_imus_are_broadcast_in_the_frame_of_the_sensor(package):
     tag = package.urdf.find('ros2_control')
     sensors = {sensor.get('name') for sensor in tag.findall('sensor')}
     frames = {settings['ros__parameters']['sensor_name']: settings['ros__parameters']['frame_id']

@@ -96,7 +96,7 @@ def test_the_tag_of_ros2_control_is_that_of_this_node(node, client):
             f'/{robot}/joint_states', f'/{robot}/joint_command'}
 
 
-def test_the_tag_for_the_own_plugin_names_parameters_and_wrenches_of_this_node(serve, client):
+def test_the_tag_for_the_own_plugin_names_parameters_and_sensors_of_this_node(serve, client):
     serve(robots=['left', 'right'], stepping='lockstep', ros2_control_tag=True,
           ros2_control_plugin='manip_sim_hardware/ManipSimSystem')
     tag = description(client, 'left/robot_description').find('ros2_control')
@@ -105,7 +105,9 @@ def test_the_tag_for_the_own_plugin_names_parameters_and_wrenches_of_this_node(s
     assert {p.text for p in tag.findall('joint/param')} == {'left.control_mode.arm'}
     assert {s.get('name'): s.find('param').text for s in tag.findall('sensor')} == {
         'right_wrench': '/left/right/wrench',
-        'right_external_wrench': '/left/right/external_wrench'}
+        'right_external_wrench': '/left/right/external_wrench',
+        'left_base_imu': '/left/sensors/left_base_imu/imu',
+        'left_right_imu': '/left/sensors/left_right_imu/imu'}
     # What the tag names exists.
     known = {name for name, _ in client.node.get_topic_names_and_types()}
     client.spin_until(lambda: known.update(
@@ -147,6 +149,6 @@ def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, 
     node = SimpleNamespace(notes=notes, create_publisher=lambda kind, topic, qos: SimpleNamespace(
         publish=lambda message: published.append((topic, message.data))))
     robot_description.DescriptionPublisher(
-        node, None, {Scope(scope): SimpleNamespace(name='robot0')}).publish()
+        node, None, None, {Scope(scope): SimpleNamespace(name='robot0')}).publish()
     assert notes == [note]
     assert published == [(f'{scope}/robot_description'.lstrip('/'), '<robot/>')]

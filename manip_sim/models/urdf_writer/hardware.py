@@ -19,6 +19,8 @@ PLUGINS = (TOPIC_PLUGIN, OWN_PLUGIN)
 _ALWAYS = '-1'
 _STATES = ('position', 'velocity', 'effort')
 _WRENCH = tuple(f'{kind}.{axis}' for kind in ('force', 'torque') for axis in 'xyz')
+_IMU = (*(f'orientation.{axis}' for axis in 'xyzw'), *(
+    f'{kind}.{axis}' for kind in ('angular_velocity', 'linear_acceleration') for axis in 'xyz'))
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Hardware:
     :ivar mode_parameters: the parameter ``control_mode.<part>`` of each joint that has one
     :ivar wrench_topics: topics of wrenches, by name of the sensor
     :ivar lockstep: whether the physics waits for commands
+    :ivar imu_topics: topics of IMUs, by name of the sensor
     """
 
     interfaces: Mapping[str, str]
@@ -44,6 +47,7 @@ class Hardware:
     mode_parameters: Mapping[str, str] = field(default_factory=dict)
     wrench_topics: Mapping[str, str] = field(default_factory=dict)
     lockstep: bool = False
+    imu_topics: Mapping[str, str] = field(default_factory=dict)
 
 
 def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequence[str],
@@ -80,8 +84,9 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
                 ElementTree.SubElement(joint, 'command_interface', name=command)
         for state in _STATES:
             ElementTree.SubElement(joint, 'state_interface', name=state)
-    for name, topic in hardware.wrench_topics.items() if own else ():
-        sensor = ElementTree.SubElement(tag, 'sensor', name=name)
-        ElementTree.SubElement(sensor, 'param', name='topic').text = topic
-        for axis in _WRENCH:
-            ElementTree.SubElement(sensor, 'state_interface', name=axis)
+    for topics, interfaces in ((hardware.wrench_topics, _WRENCH), (hardware.imu_topics, _IMU)):
+        for name, topic in topics.items() if own else ():
+            sensor = ElementTree.SubElement(tag, 'sensor', name=name)
+            ElementTree.SubElement(sensor, 'param', name='topic').text = topic
+            for interface in interfaces:
+                ElementTree.SubElement(sensor, 'state_interface', name=interface)
