@@ -3,6 +3,7 @@
 
 """Files as labs have them: links that overlap, inertias of no body, references to what is not."""
 
+from pathlib import Path
 import re
 
 import mujoco
@@ -222,3 +223,12 @@ def test_an_object_that_rests_on_a_table_is_left_out_without_a_trace(tmp_path):
     assert said(robot, "'obj'")
     model = Simulation(compose(robot)).model
     assert model.npair == 0
+
+
+def test_masses_that_follow_from_shapes_are_told_one_by_one():
+    robot = load_robot(Path(__file__).resolve().parents[1] / 'data/files/masses.urdf')
+    assert said(robot, 'no <inertial>') == [
+        "link 'upper' has no <inertial>: 2 kg from its collision shapes at 1000 kg/m^3"]
+    model = robot.compile()
+    assert model.body('robot0_upper').mass[0] == pytest.approx(2.0)
+    assert model.body('robot0_lower').mass[0] == pytest.approx(0.7)

@@ -222,6 +222,24 @@ def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
     return [f'1 g for links without inertia and shape: {", ".join(light)}'] if light else []
 
 
+def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """
+    Say which moving links of a URDF have a mass that follows from their shapes.
+
+    :param spec: from :func:`load_urdf`
+    :param model: the same, compiled
+    """
+    notes = []
+    for body in spec.bodies[1:]:
+        made = model.body(body.name)
+        densities = {float(geom.density) for geom in body.geoms
+                     if geom.contype or geom.conaffinity}
+        if not body.explicitinertial and densities and model.body_weldid[made.id]:
+            notes.append(f"link '{body.name}' has no <inertial>: {made.mass[0]:.4g} kg from its "
+                         f'collision shapes at {max(densities):g} kg/m^3')
+    return notes
+
+
 def _has_mass(body: Any, without_inertia: set[str]) -> bool:
     return body.name not in without_inertia or any(
         geom.contype or geom.conaffinity for geom in body.geoms)
