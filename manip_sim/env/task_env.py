@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import os
 import sys
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -49,6 +51,8 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
     :param render_mode: ``rgb_array``, or ``human`` where there is a screen
     :param render_camera: what ``rgb_array`` shows
     :param render_size: its width and height [pixels]
+    :param noise: of what is observed, by the names of the node's parameters, such as
+        ``noise.joint_position``
     :param composition: what else ``compose`` takes, such as ``timestep_s``
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar episode: the episode, with its simulation
@@ -63,11 +67,12 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
                  cameras: tuple[CameraLike, ...] | list[CameraLike] = (),
                  image_size: tuple[int, int] | None = None, render_mode: str | None = None,
                  render_camera: str = 'frontview', render_size: tuple[int, int] = (480, 360),
+                 noise: Mapping[str, float] = MappingProxyType({}),
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
-                          image_size, composition)
+                          image_size, composition, noise)
         self.episode = setting.create_episode()
         self.metadata = {**self.metadata, 'render_fps': control_hz}
         self.render_mode = render_mode

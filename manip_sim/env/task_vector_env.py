@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -47,6 +48,8 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
     :param render_mode: ``rgb_array``, or None
     :param render_camera: what ``rgb_array`` shows
     :param render_size: its width and height [pixels]
+    :param noise: of what is observed, by the names of the node's parameters, such as
+        ``noise.joint_position``
     :param composition: what else ``compose`` takes
     :raises ManipSimError: if something cannot be used, with what fits
     :ivar worlds: the worlds, one for each episode
@@ -62,11 +65,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                  cameras: Sequence[CameraLike] = (), image_size: tuple[int, int] | None = None,
                  render_mode: str | None = None, render_camera: str = 'frontview',
                  render_size: tuple[int, int] = (480, 360), threads: int | None = None,
+                 noise: Mapping[str, float] = MappingProxyType({}),
                  **composition: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
-                          image_size, composition)
+                          image_size, composition, noise)
         made = setting.create_task()
         self.worlds = Worlds(made.world, checked_count(num_envs), threads)
         pictures = setting.create_pictures(self.worlds.simulations[0], made)

@@ -51,6 +51,7 @@ class Experiment:
             'cameras': [_plain(camera) for camera in setting.cameras],
             'image_size': _plain(setting.image_size),
             'composition': _plain(setting.plain_composition),
+            **({'noise': dict(setting.noise)} if setting.noise else {}),
             'policy': self.policy,
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}

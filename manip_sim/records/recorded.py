@@ -252,8 +252,8 @@ def _check(about: Mapping[str, str]) -> None:
         json.loads(about['action_names'])
         int(about['number']), int(about['seed']), int(about['steps']), float(about['period_s'])
         are_objects = all(isinstance(json.loads(about[key]), dict)
-                          for key in ('arguments', 'latency', 'robots', 'settings', 'drawn')
-                          if key in about)
+                          for key in ('arguments', 'latency', 'robots', 'settings', 'drawn',
+                                      'noise') if key in about)
     except (ValueError, RecursionError) as error:
         raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
                           ) from error

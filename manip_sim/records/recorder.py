@@ -74,6 +74,7 @@ class EpisodeRecorder:
                 'robots': json.dumps(_joints(episode.simulation)),
                 'period_s': repr(episode.period_s), 'action': episode.kind,
                 'action_names': json.dumps(episode.actions.names),
+                **({'noise': json.dumps(episode.noise)} if episode.noise else {}),
                 'latency': json.dumps(episode.latency.as_mapping()),
                 'settings': json.dumps(dict(settings or {})), 'manip_sim': package_version(),
                 'mujoco': mujoco.mj_versionString(), 'numpy': np.__version__,

@@ -87,18 +87,18 @@ class Replay:
 
     def _fresh(self, recorded: RecordedEpisode) -> Episode:
         about = recorded.about
-        key = tuple(about[name] for name in (
-            'task', 'arguments', 'period_s', 'action', 'latency'))
+        key = tuple(about.get(name) for name in (
+            'task', 'arguments', 'period_s', 'action', 'latency', 'noise'))
         try:
             if self._episode is None or key != self._key:
                 task = create_task(about['task'], **recorded.json('arguments'))
                 self._episode, self._key = Episode(
                     task, Simulation(task.world), recorded.period_s, about['action'],
-                    recorded.json('latency')), key
+                    recorded.json('latency'), noise=recorded.json('noise')), key
             # Time goes on over the episodes of a record.
             self._episode.simulation.step_count = int(about['steps'])
             self._episode.reset(recorded.seed, recorded.json('drawn') or None)
-        except (ModelError, TypeError) as error:
+        except (CommandError, ModelError, TypeError) as error:
             raise RecordError(f'episode {recorded.number} cannot be repeated here: {error}'
                               ) from error
         return self._episode

@@ -250,6 +250,8 @@ class RobotSensing:
         for channel in self._external.values():
             parts += [b'-' if channel.filtered is None else channel.filtered.tobytes(),
                       channel.tare.tobytes()]
+        if self._history:  # What nobody wants again must not count, read or not.
+            self._history.newest(self.count)
         for arrival, (count, measured) in self._history:
             parts.append(b'%d %d' % (count, arrival))
             parts += [name.encode() + value.tobytes() for name, value in measured.items()]

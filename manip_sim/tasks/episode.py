@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,10 +36,13 @@ class Episode:
     :param action: what actions mean, one of :data:`ACTIONS`
     :param latency: of commands and states, in simulated time, whole numbers of timesteps
     :param pictures: renders the images of observations; None for no images
+    :param noise: of all robots, by the names of ``manip_sim.sensing.settings.QUANTITIES``
     :raises ModelError: if a duration cannot be used
+    :raises CommandError: if a number of noise is out of range
     :raises UnknownNameError: if there is no such kind of actions
     :ivar kind: what actions mean
     :ivar latency: of commands and states
+    :ivar noise: of all robots, by name
     :ivar actions: what :meth:`step` takes
     :ivar observer: what :attr:`observation` is made of
     :ivar periods: control periods since the last reset
@@ -46,7 +50,8 @@ class Episode:
 
     def __init__(self, task: Task, simulation: Simulation, period_s: float = 0.05,
                  action: str = 'osc_pose', latency: LatencyLike = NO_LATENCY,
-                 pictures: Pictures | None = None) -> None:
+                 pictures: Pictures | None = None,
+                 noise: Mapping[str, float] = MappingProxyType({})) -> None:
         self.task = task
         self.simulation = simulation
         self.period_s = period_s
@@ -65,6 +70,10 @@ class Episode:
         self._offsets = {self._state_offset, self._steps} - {0}
         if not late.command_jitter_s:
             self._offsets |= {self._command_delay.mean_steps % self._steps} - {0}
+        self.noise = dict(noise)
+        for robot in simulation.robots.values():
+            for quantity, value in self.noise.items():
+                robot.sensing.set(quantity, value)
         self.actions = create_actions(action, simulation)
         self.observer = Observer(task, simulation, pictures)
         self.periods = 0

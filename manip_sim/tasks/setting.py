@@ -35,6 +35,8 @@ class Setting:
     :ivar latency: of commands and states, in simulated time [s], see :class:`Latency`
     :ivar cameras: whose images are observed: names, or descriptions as for ``compose``
     :ivar image_size: width and height of images [pixels]; None for those of the cameras
+    :ivar noise: of all robots, by the names of the node's parameters, such as
+        ``noise.joint_position``
     :ivar composition: what else ``compose`` takes, such as ``timestep_s``
     """
 
@@ -47,6 +49,7 @@ class Setting:
     cameras: tuple[CameraLike, ...] = ()
     image_size: tuple[int, int] | None = None
     composition: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rate = self.control_hz
@@ -89,7 +92,8 @@ class Setting:
         task = self.create_task() if task is None else task
         simulation = Simulation(task.world) if simulation is None else simulation
         return Episode(task, simulation, 1.0 / self.control_hz, self.action, self.latency,
-                       self.create_pictures(simulation, task) if pictures is None else pictures)
+                       self.create_pictures(simulation, task) if pictures is None else pictures,
+                       self.noise)
 
     def create_pictures(self, simulation: Simulation, task: Task) -> Pictures | None:
         """

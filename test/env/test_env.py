@@ -161,6 +161,8 @@ def test_what_cannot_be_used_is_said(reach):
     ({'cameras': ['agentview'], 'image_size': (0, 3)}, 'image_size must be width and height'),
     ({'latency': -0.1}, 'latency of a command must be from 0 to 10 s, got -0.1'),
     ({'latency': {'states': 0.1}}, "unknown key of latency 'states': did you mean 'state'"),
+    ({'noise': {'noise.joint_positon': 0.1}}, "did you mean 'noise.joint_position'"),
+    ({'noise': {'noise.joint_position': -0.1}}, 'noise.joint_position must be a number from 0'),
     ({'latency': 0.0011}, 'latency of a command must be a whole number of timesteps'),
     ({'control_hz': 0}, 'control_hz must be above 0 Hz'),
     ({'control_hz': 30}, 'a control period must be a whole number of timesteps'),
@@ -183,6 +185,7 @@ def test_an_episode_whose_physics_diverges_is_truncated(reach):
 
 @pytest.mark.parametrize('task, arguments', [
     ('Reach', {'latency': {'command': 0.03, 'state': 0.04}}),
+    ('Reach', {'noise': {'noise.joint_velocity': 0.01, 'latency.state': 0.06}}),
     ('Reach', {'latency': {'command': 0.05, 'command_jitter': 0.03, 'state_jitter': 0.02}}),
     ('PickCube', {'robot': 'UR5e', 'action': 'joint_velocity'})])
 def test_a_vector_environment_equals_as_many_environments(task, arguments):

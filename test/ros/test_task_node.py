@@ -61,6 +61,23 @@ def test_an_episode_in_a_node_is_that_in_this_process_to_the_last_bit(pick_cube)
         assert rest[1] and rest[3]['digest'] == here.digest()
 
 
+def test_an_episode_with_noise_in_a_node_is_that_in_this_process(serve):
+    noise = {'noise.joint_position': 0.001, 'noise.wrench_bias': 0.5}
+    serve(task='reach', lockstep_parts=['arm', 'right/gripper'], **noise, **LOCKSTEP)
+    over_topics, here = NodeEnv('reach', domain_id=DOMAIN), TaskEnv('reach', noise=noise)
+    (seen, info), (expected, its_info) = over_topics.reset(seed=3), here.reset(seed=3)
+    assert info == its_info
+    for number in range(4):
+        equal(seen, expected)
+        action = 0.3 * np.cos(np.arange(over_topics.action_space.shape[0]) + number)
+        (seen, *_), (expected, *_) = over_topics.step(action), here.step(action)
+    assert over_topics.digest() == here.digest()
+    exact = here.episode.simulation.robot.exact()[:len(seen['joint_position'])]
+    assert 0.0 < np.abs(seen['joint_position'] - exact).max() < 0.01
+    over_topics.close()
+    here.close()
+
+
 def test_bad_actions_over_topics_change_nothing(pick_cube):
     over_topics, _ = pick_cube
     with pytest.raises(gymnasium.error.ResetNeeded):

@@ -37,6 +37,19 @@ def action(simulation, value=0.5):
     return command
 
 
+def test_a_digest_does_not_depend_on_whether_late_states_were_read(simulation):
+    simulation.robot.sensing.set('latency.state', 3 * PERIOD_S)
+    digests = []
+    for reads in (True, False):
+        simulation.reset(1)
+        for _ in range(10):
+            simulation.advance(STEPS)
+            if reads:
+                simulation.robot.state()
+        digests.append(simulation.digest())
+    assert digests[0] == digests[1]
+
+
 def test_commands_that_are_under_way_are_a_part_of_saved_states(simulation):
     robot = simulation.robot
     robot.sensing.set('latency.command', 0.05)
