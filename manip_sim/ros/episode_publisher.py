@@ -49,7 +49,7 @@ class EpisodePublisher:
         self._digests: dict[str, str] = {}
         self._published: tuple[int, Any] = (-1, None)
         thread.restart_by(self._restart)
-        thread.observe(self._look)
+        thread.observe(self._follow, look=self._is_another)
 
     def begin(self) -> None:
         """Publish the first episode, before the thread starts; parameters do not undo draws."""
@@ -61,8 +61,12 @@ class EpisodePublisher:
         self._restart_simulation(seed)
         self._publish(self._simulation.digest())
 
-    def _look(self, simulation: Simulation) -> None:
-        if (simulation.seed, simulation.randomized.drawn) != self._published:
+    def _is_another(self) -> bool:
+        """Return whether a state of another episode was restored."""
+        return (self._simulation.seed, self._simulation.randomized.drawn) != self._published
+
+    def _follow(self, simulation: Simulation) -> None:
+        if self._is_another():
             self._publish(self._digests.get(self._key(), ''))
 
     def _key(self) -> str:
