@@ -58,7 +58,7 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('lidars', [''], 'Lidars: descriptions such as {name: scan, position: '
                       '[0.5, 0.0, 0.2], samples: 720, rings: 1, range_max: 10.0, rate: 10.0}.'),
         ParameterSpec('sensors', [''], 'Rate and noise of single sensors: descriptions such as '
-                      '{name: robot0_right_imu, rate: 50.0, noise: 0.01}.'),
+                      '{name: wrist_imu, rate: 50.0, noise: 0.01}.'),
         ParameterSpec('initialization_noise.type', 'gaussian', "Distribution of the noise on "
                       "the start positions of the robots' own joints.", choices=TYPES),
         ParameterSpec('initialization_noise.magnitude', 0.0, 'Standard deviation (gaussian) '
