@@ -46,7 +46,7 @@ nitpick_ignore_regex = [
     ('py:.*', r'(gymnasium|mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
     ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence)'),
     ('py:.*', 'Union'),
-    ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT)'),
+    ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT|(.*\.)?Sent)'),
     # Fields of instances are part of the text of their class.
     ('py:(attr|data)', '.*'),
     # Classes and functions that the documented ones use.
@@ -55,7 +55,8 @@ nitpick_ignore_regex = [
                         r'|InitializationNoise|create_camera|Files|FilesBelow|ActuatorEfforts'
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hand|Hold'
                         r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike'
-                        r'|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard)'),
+                        r'|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard|Base'
+                        r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.

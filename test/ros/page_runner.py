@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import redirect_stdout
 import importlib
 from pathlib import Path
 import re
@@ -151,7 +152,12 @@ class PageRunner:
             subprocess.run([sys.executable, '-m', 'manip_sim.cli', *rest], check=True,
                            timeout=300.0, stdout=subprocess.DEVNULL)
         elif first == 'manip_sim':
-            assert manip_sim(rest) == 0, words
+            if '>' in rest:
+                *rest, _, file = rest
+                with open(self._folder / file, 'w') as output, redirect_stdout(output):
+                    assert manip_sim(rest) == 0, words
+            else:
+                assert manip_sim(rest) == 0, words
         elif first == 'sim_node':
             self._serve(rest)
         elif first in PROGRAMS:
