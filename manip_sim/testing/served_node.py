@@ -75,15 +75,17 @@ class NodeInProcess:
             raise ManipSimError(f'the node has ended: {self.node.thread.error}')
 
     def close(self) -> None:
-        """End the node."""
+        """End the node; after a signal, rclpy has shut its context down already."""
+        interrupted = not self._context.ok()
         self.node.end_goals()
         self._executor.end()
         self._thread.join(_END_S)
         self._executor.shutdown()
         self.node.stop()
         self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
-        self.check()
+        rclpy.try_shutdown(context=self._context)
+        if not interrupted:
+            self.check()
 
 
 class NodeProcess:

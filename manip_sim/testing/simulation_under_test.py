@@ -362,7 +362,7 @@ class SimulationUnderTest:
             thread.join()
         self._executor.shutdown()
         self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
+        rclpy.try_shutdown(context=self._context)
         self.server.close()
 
 

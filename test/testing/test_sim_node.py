@@ -112,3 +112,12 @@ def test_what_a_test_asks_wrongly_is_told(sim_node):
         sim.states('leg/joint_states')
     with pytest.raises(ManipSimError, match='pause_at out of range'):
         sim.set_parameter('pause_at', -1.0)
+
+
+def test_a_simulation_ends_after_a_signal_has_shut_its_contexts_down(sim_node):
+    sim = sim_node()
+    sim.run_for(0.1)
+    # As rclpy's handlers of signals do.
+    for context in (sim.server._context, sim._context):
+        context.shutdown()
+    sim.close()
