@@ -66,7 +66,7 @@ def test_every_part_with_shapes_is_in_the_gallery_of_the_documentation():
     from manip_sim.models.bases import base_names, create_base
     from manip_sim.models.grippers import create_gripper, gripper_names
     from manip_sim.models.robots import robot_names
-    from manip_sim.tasks import task_names
+    from manip_sim.tasks.task import TASKS
     shown = {str(file.relative_to(SOURCE / 'docs' / 'gallery').with_suffix(''))
              for file in (SOURCE / 'docs' / 'gallery').rglob('*.png')
              if file.name != 'contact_sheet.png'}
@@ -74,7 +74,9 @@ def test_every_part_with_shapes_is_in_the_gallery_of_the_documentation():
         ('grippers', gripper_names(), create_gripper), ('bases', base_names(), create_base))
         for name in names if any(geom.group < 3 for geom in create(name).spec.geoms)]
     assert shown == {*robot_names(), *(f'{folder}/{name}' for folder, name in with_shapes),
-                     *(f'tasks/{name}' for name in task_names())}
+                     # The documentation's own task is registered where its page has run.
+                     *(f'tasks/{name}' for name in TASKS.names()
+                       if TASKS.get(name).__module__.startswith('manip_sim.'))}
 
 
 def test_a_robot_is_rendered_small_and_in_colour(gallery):

@@ -93,6 +93,7 @@ class PlanningScenePublisher:
             self._release(stamp)
             scene = self._scene_of(simulation)
         changes = scene.look(simulation.data)
+        attached: Mapping[str, Hold] = changes.attached
         due, self._whole_in = self._whole_in, max(self._whole_in - 1, -1)
         for name in changes.detached:
             self._detach(name, stamp)
@@ -101,12 +102,11 @@ class PlanningScenePublisher:
             self._world.publish(moveit_msgs.PlanningSceneWorld(collision_objects=[
                 _added(scene.obstacles[name], WORLD, pose, stamp)
                 for name, pose in scene.poses(simulation.data).items()]))
-            changes.attached = dict(scene.holds)
-            places = {}
+            attached, places = scene.holds, {}
         for name, pose in places.items():
             self._object.publish(_added(scene.obstacles[name], WORLD, pose, stamp)
                                  if name in changes.added else _moved(name, pose, stamp))
-        for name, hold in changes.attached.items():
+        for name, hold in attached.items():
             self._attached.publish(_attached(scene.obstacles[name], hold, stamp))
 
     def _scene_of(self, simulation: Simulation) -> PlanningScene:

@@ -80,7 +80,7 @@ class Hold:
     pose: FloatArray
 
 
-@dataclass
+@dataclass(frozen=True)
 class Changes:
     """
     What differs from the scene as it was at the look before.

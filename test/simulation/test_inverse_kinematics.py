@@ -236,3 +236,9 @@ def _of(case):
 def test_a_stop_brakes_with_the_limit():
     state = joints([0.0] * 6, np.array([0.5, -0.01, 0, 0, 0, 0]))
     np.testing.assert_allclose(stop(state, 0.01), [0.46, 0.0, 0, 0, 0, 0])
+
+
+def test_a_joint_beyond_its_range_comes_back_where_nothing_is_wanted():
+    high = np.array([-1e-4, *[1.0] * 5])
+    found = displace(GANTRY, np.zeros(6), np.full(6, -1.0), high, np.zeros(6))
+    np.testing.assert_allclose(found.step, [-1e-4, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-9)

@@ -116,7 +116,7 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
     rests = False
     if not possible:
         nearer, moved = dot(pull, step), length(step)
-        drift = min(max(nearer / whole**2 / _PROGRESS, 0.0), 1.0)**2 * drift
+        drift = min(max(nearer / max(whole**2, 1e-18) / _PROGRESS, 0.0), 1.0)**2 * drift
         # The posture must not hold up the motion for the task: the arm would hardly move.
         drift = np.clip(drift - min(dot(drift, step), 0.0) / max(moved**2, 1e-18) * step,
                         low - step, high - step)
