@@ -49,7 +49,7 @@ def make() -> Any:
         Way(TaskEnv('reach')), lambda action: np.concatenate([action, np.zeros(4)]),
         gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32))
     # Rewards are below 1 before success, so minus 1 makes every period cost something.
-    return gymnasium.wrappers.TransformReward(env, lambda reward: reward - 1.0)
+    return gymnasium.wrappers.TransformReward(env, lambda reward: float(reward) - 1.0)
 
 
 class Curve(BaseCallback):

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 import time
 
@@ -18,7 +18,7 @@ from manip_sim.interface.topics import BY_NAME
 from manip_sim.quoting import one_line
 from manip_sim.ros.cameras import Cameras
 from manip_sim.ros.cartesian import counts_of, reports_of
-from manip_sim.ros.commands import CommandSubscribers
+from manip_sim.ros.commands import CommandStatistics, CommandSubscribers
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.neighbours import Neighbours
 from manip_sim.runtime import SimulationThread
@@ -96,15 +96,18 @@ class Diagnostics:
     :param thread: its progress is published
     :param commands: count the commands for each robot
     :param cameras: count the images
+    :param surroundings: counts of the commands for the arena and for mocap bodies, by name
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 commands: Sequence[CommandSubscribers], cameras: Cameras) -> None:
+                 commands: Sequence[CommandSubscribers], cameras: Cameras,
+                 surroundings: Mapping[str, CommandStatistics]) -> None:
         self._node = node
         self._simulation = simulation
         self._thread = thread
         self._commands = commands
         self._cameras = cameras
+        self._surroundings = surroundings
         self._pace = Pace(thread)
         self._neighbours = Neighbours(node, [c.scope for c in commands])
         self._last_accepted: dict[str, int] = {}
@@ -123,6 +126,9 @@ class Diagnostics:
             self._physics(f'{name}: simulation'),
             *(self._part(f'{name}: {commands.scope.topic(part)}', commands, part, now_s, elapsed_s)
               for commands in self._commands for part in commands.statistics),
+            *(_status(f'{name}: {of}', 'commands',
+                      self._counts(f'{name}: {of}', statistics, now_s, elapsed_s))
+              for of, statistics in self._surroundings.items()),
             *self._images(f'{name}: cameras', elapsed_s),
             self._others(f'{name}: other nodes')])
         message.header.stamp = stamp_of(self._thread.progress.time_ns)
@@ -180,16 +186,20 @@ class Diagnostics:
             self._reported = status.message
             self._node.get_logger().error(f'{status.message}; call ~/reset')
 
+    def _counts(self, name: str, statistics: CommandStatistics, now_s: float, elapsed_s: float
+                ) -> dict[str, object]:
+        came = statistics.accepted - self._last_accepted.get(name, 0)
+        self._last_accepted[name] = statistics.accepted
+        return {
+            'rate': f'{came / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0',
+            'age': 'never' if statistics.last_s is None else f'{now_s - statistics.last_s:.3f}',
+            'accepted': statistics.accepted, 'dropped': statistics.rejected}
+
     def _part(self, name: str, commands: CommandSubscribers, part: str, now_s: float,
               elapsed_s: float) -> DiagnosticStatus:
         robot, statistics = commands.robot, commands.statistics[part]
-        came = statistics.accepted - self._last_accepted.get(name, 0)
-        self._last_accepted[name] = statistics.accepted
-        values: dict[str, object] = {
-            'rate': f'{came / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0',
-            'age': 'never' if statistics.last_s is None else f'{now_s - statistics.last_s:.3f}',
-            'accepted': statistics.accepted, 'dropped': statistics.rejected,
-            'clamped': statistics.clamped, 'slowed': statistics.slowed}
+        values = {**self._counts(name, statistics, now_s, elapsed_s),
+                  'clamped': statistics.clamped, 'slowed': statistics.slowed}
         if part in robot.grippers:
             values['control_mode'] = POSITION.name
             values['command_interface'] = POSITION.field

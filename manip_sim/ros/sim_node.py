@@ -141,7 +141,8 @@ class SimNode(Node):
         SimulationServices(self, self.simulation, self.thread, self._take_commands)
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
                                     spawn_files(value('spawn_roots')))
-        Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras)
+        Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras,
+                    self._surroundings.statistics)
         self._publish_truth()
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
@@ -168,10 +169,10 @@ class SimNode(Node):
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish, look=self.objects.look)
-        surroundings = SurroundingsTopics(
+        self._surroundings = SurroundingsTopics(
             self, self.simulation.surroundings, self.thread, self.rejections, self._inbox,
             frame_prefix)
-        self.thread.observe(surroundings.publish, look=surroundings.look)
+        self.thread.observe(self._surroundings.publish, look=self._surroundings.look)
         model = ModelPublisher(self, world)
         instruments = InstrumentPublishers(
             self, self._robots, self.rejections, frame_prefix, self.simulation)

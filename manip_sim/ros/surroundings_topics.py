@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+import time
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -18,7 +19,7 @@ from manip_sim.interface.topics import PUBLISHED, Topic, topics_of_surroundings
 from manip_sim.quoting import quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
-from manip_sim.ros.commands import CommandSubscription
+from manip_sim.ros.commands import CommandStatistics, CommandSubscription
 from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.outputs import create_output, message_class, Publication, Publications
 from manip_sim.ros.reading import read_command
@@ -37,6 +38,7 @@ class SurroundingsTopics(Publications):
     :param log: counts and logs what is rejected or could not be published
     :param inbox: takes the messages; None: the executor does
     :param frame_prefix: prefix of the names of frames, which commands may leave out
+    :ivar statistics: counts of the commands, for ``arena`` and ``objects/<name>``
     """
 
     def __init__(self, node: Node, surroundings: Surroundings, thread: SimulationThread,
@@ -45,6 +47,7 @@ class SurroundingsTopics(Publications):
         self._node, self._log, self._inbox = node, log, inbox
         self._surroundings, self._thread = surroundings, thread
         self._prefix = frame_prefix
+        self.statistics: dict[str, CommandStatistics] = {}
         rows = topics_of_surroundings(surroundings)
         self.replace(tuple(self._publication(row) for row in rows if row.direction == PUBLISHED))
         take: dict[str, Callable[[str, Any], None]] = {
@@ -63,11 +66,14 @@ class SurroundingsTopics(Publications):
 
     def _subscribe(self, row: Topic, use: Callable[[Any], None]) -> None:
         message_type = message_class(row)
+        counts = self.statistics[row.name.rpartition('/')[0]] = CommandStatistics()
 
         def take(data: bytes) -> None:
             try:
                 use(read_command(message_type, data))
+                counts.accepted, counts.last_s = counts.accepted + 1, time.monotonic()
             except (CommandError, UnknownNameError) as error:
+                counts.rejected += 1
                 self._log.warn(row.name, kind_of(error),
                                f'rejected a message on {row.name}: {error}')
 

@@ -6,6 +6,7 @@
 import math
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -60,6 +61,14 @@ def test_a_drawer_of_the_arena_opens_by_command_and_says_so(serve, client):
     client.spin_until(lambda: node.simulation.data.ctrl[node.simulation.model.actuator(
         'drawer').id] == 0.3)
     client.spin_until(lambda: abs(states[-1].position[1] - 0.3) < 1e-3)
+    statuses = client.listen(DiagnosticArray, '/diagnostics')
+
+    def counted():
+        values = [{pair.key: pair.value for pair in status.values}
+                  for message in statuses for status in message.status
+                  if status.name == 'manip_sim: arena']
+        return values and (values[-1]['accepted'], values[-1]['dropped']) == ('2', '4')
+    client.spin_until(counted)
 
 
 def test_a_mocap_body_goes_where_its_topic_says(serve, client):
