@@ -347,7 +347,7 @@ def offer_cameras(node: Any, chosen: Mapping[str, ImageSettings], simulation: Si
     scopes = {id(robot.sensing): scope for scope, robot in robots.items()}
     model, publishers = simulation.model, []
     for name, images in chosen.items():
-        sensing = simulation.sensing_of(int(model.cam_bodyid[model.camera(name).id]))
+        sensing = simulation.instruments.sensing_of(int(model.cam_bodyid[model.camera(name).id]))
         publishers.append(CameraPublishers(
             node, name, intrinsics_of(model, name, images.width, images.height), images.depth,
             f'{frame_prefix}{name}{OPTICAL}', CameraSensing(name, sensing)))

@@ -52,7 +52,7 @@ class InstrumentPublishers(Publications):
         settings = SensorSettings(node.get_parameter('sensors').value, served,
                                   1.0 / node.thread.period_s)
         if settings.noise:
-            simulation.set_sensor_noise(settings.noise)
+            simulation.instruments.set_noise(settings.noise)
         self._every = settings.every
         self._node = node
         self._robots = robots
@@ -115,7 +115,8 @@ class InstrumentPublishers(Publications):
         found = simulation.sensors.instrument(served.instrument.name)
         if found is None:
             return None
-        return found.read(simulation.data) if served.exact else simulation.measured(found)
+        return (found.read(simulation.data) if served.exact
+                else simulation.instruments.measured(found))
 
 
 def _alike(one: ServedInstrument, other: ServedInstrument) -> bool:

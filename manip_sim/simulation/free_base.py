@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.models.robots import RobotModel
+from manip_sim.simulation.physics import Physics
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 #: Subsystems with gravity compensation; what carries a robot, such as legs, has none.
@@ -50,11 +51,16 @@ class FreeRoots:
     """
     The weight of compensated links, given back to the joints of free robots that carry it.
 
-    :param model: the compiled ``mujoco.MjModel``
+    :param physics: of the world
     :param roots: names of the root bodies of the robots
     """
 
-    def __init__(self, model: mujoco.MjModel, roots: Iterable[str]) -> None:
+    def __init__(self, physics: Physics, roots: Iterable[str]) -> None:
+        self._physics, self._roots = physics, tuple(roots)
+        physics.on_change(self._look_at_model)
+
+    def _look_at_model(self) -> None:
+        model, roots = self._physics.model, self._roots
         free_trees = {int(model.body_rootid[body]) for body in model.jnt_bodyid[
             model.jnt_type == _FREE]} & {int(model.body(root).id) for root in roots}
         joint = model.dof_jntid
@@ -67,11 +73,8 @@ class FreeRoots:
         """Whether there is weight to give back."""
         return self._dofs.size > 0
 
-    def apply(self, data: mujoco.MjData) -> None:
-        """
-        Apply the weight as of the last ``mj_forward`` or step.
-
-        :param data: the ``mujoco.MjData``
-        """
+    def apply(self) -> None:
+        """Apply the weight as of the last ``mj_forward`` or step."""
         if self._dofs.size:
+            data = self._physics.data
             data.qfrc_applied[self._dofs] = -data.qfrc_gravcomp[self._dofs]

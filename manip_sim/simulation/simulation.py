@@ -5,31 +5,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-import functools
+from collections.abc import Iterator
 import hashlib
 import pickle
 
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
 from manip_sim.errors import DivergenceError, ModelError
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
-from manip_sim.sensing.channels import file_noise, InstrumentChannel
-from manip_sim.sensing.instruments import Instrument
 from manip_sim.sensing.lidars import Lidars
-from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.sensing.sensors import Sensors
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.command_parser import CommandParser
+from manip_sim.simulation.control_period import ControlPeriods, Interval
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
+from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.physics_steps import PhysicsSteps
 from manip_sim.simulation.randomized import Drawn, Randomized
@@ -43,33 +39,6 @@ from manip_sim.simulation.velocity_laws import VelocityLaws
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5
-#: Longest interval in which moving setpoints are linear [s].
-_INTERVAL_S = 0.004
-#: What the names of the channels of instruments begin with.
-_INSTRUMENTS = 'sensors/'
-
-
-class Interval:
-    """
-    An interval of a control period: what control has to do in it, and then physics.
-
-    :param robots: whose controls are written
-    :param duration_s: length of the interval [s]
-    :param compute: computes the physics; it may be called in another thread, and spends most of
-        its time without Python's global interpreter lock
-    """
-
-    __slots__ = ('robots', 'duration_s', 'compute')
-
-    def __init__(self, robots: Sequence[SimulatedRobot], duration_s: float,
-                 compute: Callable[[], None]) -> None:
-        self.robots, self.duration_s, self.compute = robots, duration_s, compute
-
-    def run(self) -> None:
-        """Run control and physics."""
-        for robot in self.robots:
-            robot.tick(self.duration_s)
-        self.compute()
 
 
 class Simulation:
@@ -86,7 +55,8 @@ class Simulation:
     :ivar physics: the only holder of model and data
     :ivar robots: the robots, with their commands and states, by name
     :ivar efforts: of the actuators in the last physics step
-    :ivar sensors: values of all sensors of the model, by name
+    :ivar instruments: what is measured of the sensors of the model
+    :ivar sensors: values of all of these sensors, by name
     :ivar lidars: the lidars, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar surroundings: mocap bodies, and joints of the arena
@@ -115,11 +85,8 @@ class Simulation:
         self._start = world.init_qpos()
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self._timestep_s = float(self.model.opt.timestep)
-        self._interval_steps = max(1, round(_INTERVAL_S / self._timestep_s))
-        #: When the intervals of a control period end, by its number of steps: the last one used.
-        self._ends_of: dict[int, FloatArray] = {}
         self._roots = [robot.root_body for robot in world.robots]
-        self._free_roots = FreeRoots(self.model, self._roots)
+        self._free_roots = FreeRoots(self.physics, self._roots)
         self.seed = world.seed
         self.randomized = Randomized(None, self.physics, {})
         self._to_start()
@@ -132,11 +99,13 @@ class Simulation:
         self._steps = PhysicsSteps(self.physics, self._clock, self.efforts, [
             reader.external for robot in robots for reader in robot.end_effectors.values()],
             VelocityLaws(self.physics, laws) if laws else None)
-        self.sensors = Sensors(self.physics, self.measured)
-        self._sensor_noise: dict[str, float] = {}
+        self._periods = ControlPeriods(self._steps, robots, self._free_roots, self._timestep_s)
+        self.instruments = MeasuredInstruments(self.physics, robots)
+        self.sensors = self.instruments.sensors
         self.physics.on_change(self._look_at_model)
-        self.lidars = Lidars(self.physics, world.lidars if robots else (),
-                             lambda body: self.sensing_of(int(self.model.body(body).id)))
+        self.lidars = Lidars(
+            self.physics, world.lidars if robots else (),
+            lambda body: self.instruments.sensing_of(int(self.model.body(body).id)))
         self.randomized = Randomized(
             world.randomization, self.physics, {robot.name: robot.sensing for robot in robots},
             [name for name, law in laws.items() if np.isfinite(law.stribeck_velocity)])
@@ -148,69 +117,11 @@ class Simulation:
             self.model, self.data, self._roots)
 
     def _look_at_model(self) -> None:
-        self._free_roots = FreeRoots(self.model, self._roots)
         self.entities = Entities(self.model, {
             robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
         self._control = ControlState(
             [self.efforts, *self.robots.values()],
             (Clock, Physics, CartesianParser, CommandParser))
-        self._add_instruments()
-
-    def _add_instruments(self) -> None:
-        """Let each instrument have the noise of its robot, those of the world of the first."""
-        self._sensing: dict[str, RobotSensing] = {}
-        if not self.robots:
-            return
-        owners = {name: robot for robot in self.robots.values() for name in robot.sensor_names}
-        first = next(iter(self.robots.values()))
-        for robot in self.robots.values():
-            robot.sensing.forget(_INSTRUMENTS)
-        for found in self.sensors.instruments:
-            sensing = self._sensing[found.name] = owners.get(found.sensors[0], first).sensing
-            sensing.add(_INSTRUMENTS + found.name, functools.partial(self._exact, found.name),
-                        InstrumentChannel(found, file_noise(self.model, found),
-                                          self._sensor_noise.get(found.name, 0.0)))
-
-    def set_sensor_noise(self, noise: Mapping[str, float]) -> None:
-        """
-        Add white noise to single instruments, whatever the settings of their robots are.
-
-        :param noise: standard deviation on each number that is read, in its unit, by the name of
-            the instrument
-        """
-        self._sensor_noise = dict(noise)
-        self._add_instruments()
-
-    def sensing_of(self, body: int) -> RobotSensing:
-        """
-        Return what is measured of the robot that has a body, or of the first one.
-
-        :param body: its id
-        """
-        names = set()
-        while body:
-            names.add(self.model.body(body).name)
-            body = int(self.model.body_parentid[body])
-        robots = list(self.robots.values())
-        return next((robot for robot in robots if robot.robot_model.root_body in names),
-                    robots[0]).sensing
-
-    def _exact(self, name: str) -> FloatArray:
-        found = self.sensors.instrument(name)
-        assert found is not None
-        return found.read(self.data)
-
-    def measured(self, found: Instrument) -> FloatArray:
-        """
-        Return what an instrument of the model measures, with noise and latency.
-
-        :param found: one of those of :attr:`sensors`
-        :returns: as ``Instrument.read``
-        """
-        sensing = self._sensing.get(found.name)
-        if sensing is None or not (sensing.settings.measures or found.name in self._sensor_noise):
-            return found.read(self.data)
-        return sensing.measured(_INSTRUMENTS + found.name)
 
     def change_objects(self, plan: Plan) -> None:
         """
@@ -255,7 +166,7 @@ class Simulation:
             self.surroundings.hold(joint, position)
         self.randomized.place(self.data)
         mujoco.mj_forward(self.model, self.data)
-        self._free_roots.apply(self.data)
+        self._free_roots.apply()
 
     def _settle_linkages(self) -> None:
         """
@@ -304,12 +215,8 @@ class Simulation:
     @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
-        return (self.diverged is None and self._steps.resumes() and self._rests()
+        return (self.diverged is None and self._steps.resumes() and self._periods.rest
                 and not any([robot.sensing.settings.measures for robot in self.robots.values()]))
-
-    def _rests(self) -> bool:
-        return not self._free_roots.is_needed and all([
-            robot.resting for robot in self.robots.values()])
 
     def advance(self, steps: int) -> None:
         """
@@ -332,76 +239,16 @@ class Simulation:
         :raises DivergenceError: as :meth:`advance`
         """
         self._check_not_diverged()
-        period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
-        for robot in self.robots.values():
-            robot.begin_period(period_s, ends_s)
-        physics = self._steps
-        untouched = physics.begin() and self._rests() and physics.stays_untouched
-        if untouched:
-            yield Interval((), steps * self._timestep_s,
-                           functools.partial(physics.run_untouched, steps))
-            untouched = physics.was_untouched
-            if not untouched:
-                physics.undo()
-        if not untouched:
-            yield from self._intervals(steps)
-        reason = physics.divergence.reason()
+        yield from self._periods.intervals(steps)
+        reason = self._steps.divergence.reason()
         if reason is None:
-            for tool in physics.tools:
+            for tool in self._steps.tools:
                 tool.end_period(self.data, steps, steps * self._timestep_s)
             for robot in self.robots.values():
                 if robot.sensing.settings.measures:
                     robot.end_period(steps * self._timestep_s)
         else:
             self._hold(reason)
-
-    def _intervals(self, steps: int) -> Iterator[Interval]:
-        """Divide a period into intervals, each of which control begins."""
-        self._steps.begin_run()
-        robots = tuple(self.robots.values())
-        left = steps
-        while left:
-            awake = [robot for robot in robots if not robot.resting]
-            if left < steps and awake and all([robot.plans for robot in awake]):
-                yield Interval((), left * self._timestep_s,
-                               functools.partial(self._compute_plans, awake, left))
-                return
-            chunk = left
-            if any([robot.moving for robot in awake]):
-                chunk = self._chunk(left)
-            left -= chunk
-            yield Interval(awake, chunk * self._timestep_s,
-                           functools.partial(self._compute, chunk, not left))
-
-    def _compute_plans(self, robots: Sequence[SimulatedRobot], left: int) -> None:
-        """Compute the rest of a period, in whose intervals robots do what they have planned."""
-        for writes in zip(*[robot.joints.take_plan() for robot in robots]):
-            for write in writes:
-                write()
-            chunk = self._chunk(left)
-            left -= chunk
-            self._compute(chunk, not left)
-
-    def _chunk(self, left: int) -> int:
-        """Return the steps of the next interval; they divide what is left of a period evenly."""
-        return -(-left // -(-left // self._interval_steps))
-
-    def _ends_s(self, steps: int) -> FloatArray:
-        """Return when the intervals of a period end in which setpoints move [s], shape (k, 1)."""
-        if steps not in self._ends_of:
-            ends, left = [], steps
-            while left:
-                left -= self._chunk(left)
-                ends.append([(steps - left) * self._timestep_s])
-            self._ends_of = {steps: np.array(ends)}
-        return self._ends_of[steps]
-
-    def _compute(self, steps: int, ends: bool) -> None:
-        """Compute the physics of an interval, and all of the new instant if a period ends."""
-        self._free_roots.apply(self.data)
-        self._steps.run(steps)
-        if ends:
-            self._steps.finish()
 
     def _hold(self, reason: str) -> None:
         self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import contextlib
 
 from manip_sim.simulation import SimulatedRobot
-from manip_sim.simulation.simulation import Interval
+from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.joint_rows import JointRows, takes
 
 #: With fewer worlds, one by one is as fast.

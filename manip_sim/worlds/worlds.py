@@ -17,7 +17,7 @@ from manip_sim.errors import DivergenceError, ModelError, UnknownNameError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
-from manip_sim.simulation.simulation import Interval
+from manip_sim.simulation.control_period import Interval
 from manip_sim.worlds.control_together import ControlTogether
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds

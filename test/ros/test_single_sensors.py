@@ -63,18 +63,19 @@ def served(simulation):
 
 
 def test_noise_of_a_sensor_is_repeated_by_its_seed_and_is_only_where_it_measures(simulation):
-    simulation.set_sensor_noise({HAND: 0.5})
+    instruments = simulation.instruments
+    instruments.set_noise({HAND: 0.5})
     found = simulation.sensors.instrument(HAND)
     exact, drawn = found.read(simulation.data), []
     for seed in (2, 3, 2):
         simulation.reset(seed)
-        drawn.append(simulation.measured(found) - exact)
+        drawn.append(instruments.measured(found) - exact)
     np.testing.assert_array_equal(drawn[0], drawn[2])
     assert (drawn[0] != drawn[1])[4:].all()
     other = simulation.sensors.instrument(FOOT)
-    np.testing.assert_array_equal(simulation.measured(other), other.read(simulation.data))
-    simulation.set_sensor_noise({})
-    np.testing.assert_array_equal(simulation.measured(found), found.read(simulation.data))
+    np.testing.assert_array_equal(instruments.measured(other), other.read(simulation.data))
+    instruments.set_noise({})
+    np.testing.assert_array_equal(instruments.measured(found), found.read(simulation.data))
 
 
 @pytest.mark.parametrize('given, what', [

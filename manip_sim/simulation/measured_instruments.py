@@ -1,0 +1,90 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is measured of the sensors of a model: each has the noise and latency of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from manip_sim.arrays import FloatArray
+from manip_sim.sensing.channels import file_noise, InstrumentChannel
+from manip_sim.sensing.instruments import Instrument
+from manip_sim.sensing.robot_sensing import RobotSensing
+from manip_sim.sensing.sensors import Sensors
+from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.robot import SimulatedRobot
+
+#: What the names of the channels of instruments begin with.
+_CHANNELS = 'sensors/'
+
+
+class MeasuredInstruments:
+    """
+    The instruments of a model, with the noise of their robots; the world's with the first one's.
+
+    :param physics: of the world
+    :param robots: the robots, whose sensing measures; without one, all values are exact
+    :ivar sensors: values of all sensors of the model, by name
+    """
+
+    def __init__(self, physics: Physics, robots: Sequence[SimulatedRobot]) -> None:
+        self._physics, self._robots = physics, robots
+        self._noise: dict[str, float] = {}
+        self.sensors = Sensors(physics, self.measured)
+        physics.on_change(self._look_at_model)
+
+    def _look_at_model(self) -> None:
+        self._sensing: dict[str, RobotSensing] = {}
+        if not self._robots:
+            return
+        owners = {name: robot for robot in self._robots for name in robot.sensor_names}
+        for robot in self._robots:
+            robot.sensing.forget(_CHANNELS)
+        for found in self.sensors.instruments:
+            owner = owners.get(found.sensors[0], self._robots[0])
+            sensing = self._sensing[found.name] = owner.sensing
+            sensing.add(_CHANNELS + found.name, partial(self._exact, found.name),
+                        InstrumentChannel(found, file_noise(self._physics.model, found),
+                                          self._noise.get(found.name, 0.0)))
+
+    def set_noise(self, noise: Mapping[str, float]) -> None:
+        """
+        Add white noise to single instruments, whatever the settings of their robots are.
+
+        :param noise: standard deviation on each number that is read, in its unit, by the name of
+            the instrument
+        """
+        self._noise = dict(noise)
+        self._look_at_model()
+
+    def sensing_of(self, body: int) -> RobotSensing:
+        """
+        Return what is measured of the robot that has a body, or of the first one.
+
+        :param body: its id
+        """
+        model, names = self._physics.model, set()
+        while body:
+            names.add(model.body(body).name)
+            body = int(model.body_parentid[body])
+        return next((robot for robot in self._robots if robot.robot_model.root_body in names),
+                    self._robots[0]).sensing
+
+    def _exact(self, name: str) -> FloatArray:
+        found = self.sensors.instrument(name)
+        assert found is not None
+        return found.read(self._physics.data)
+
+    def measured(self, found: Instrument) -> FloatArray:
+        """
+        Return what an instrument of the model measures, with noise and latency.
+
+        :param found: one of those of :attr:`sensors`
+        :returns: as ``Instrument.read``
+        """
+        sensing = self._sensing.get(found.name)
+        if sensing is None or not (sensing.settings.measures or found.name in self._noise):
+            return found.read(self._physics.data)
+        return sensing.measured(_CHANNELS + found.name)
