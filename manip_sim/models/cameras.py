@@ -76,7 +76,9 @@ class CameraModel:
         """
         for kind, elements in (('camera', spec.cameras), ('body', spec.bodies)):
             if any(element.name == self.name for element in elements):
-                raise ModelError(f"camera '{self.name}': there is a {kind} of this name already")
+                hint = '; write its name alone to take that one' if kind == 'camera' else ''
+                raise ModelError(f"camera '{self.name}': there is a {kind} of this name already"
+                                 f'{hint}')
         body = spec.body(self.body)
         if body is None:
             raise UnknownNameError(f"body of the camera '{self.name}'", self.body,

@@ -255,7 +255,8 @@ def test_diagnostics_tell_rate_and_cost(serve_seen, client):
     ({'cameras': ['{name: front']}, "one of 'cameras' is invalid or unsafe YAML"),
     ({'cameras': ['{name: front, fovi: 45}']}, "unknown key 'fovi': did you mean 'fovy'"),
     ({'cameras': ['{name: front, body: hand}']}, "unknown body of the camera 'front' 'hand'"),
-    ({'cameras': ['{name: birdview}']}, 'there is a camera of this name already'),
+    ({'cameras': ['{name: birdview}']}, 'there is a camera of this name already; '
+     'write its name alone to take that one'),
     ({'cameras': ['birdview'], 'camera__birdview__width': 0},
      r"'camera\.birdview\.width' must be from 1 to 4096 pixels, got 0"),
     ({'cameras': ['birdview'], 'camera__birdview__height': 5000}, 'to 4096 pixels, got 5000'),
