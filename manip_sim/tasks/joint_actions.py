@@ -72,13 +72,14 @@ class JointActions:
 
     :param simulation: whose robots they move; the control mode of their arms is changed
     :param mode: ``position`` [rad], ``velocity`` [rad/s] or ``effort`` [N m]
+    :ivar mode: the same
+    :ivar arms: of each arm, the names of its joints, and where their goals and the gripper's are
     :ivar size: length of an action
     """
 
     def __init__(self, simulation: Simulation, mode: str) -> None:
-        self._mode = mode
-        #: Of each arm, the names of its joints, and where their goals and the gripper's are.
-        self._arms: list[tuple[ArmAction, list[str], slice, slice]] = []
+        self.mode = mode
+        self.arms: list[tuple[ArmAction, list[str], slice, slice]] = []
         self.size = 0
         for item in PoseActions(simulation).arms:
             item.robot.set_control_mode(item.arm, mode)
@@ -86,20 +87,20 @@ class JointActions:
             names = [joints.names[index] for index in joints.indices_of(item.arm)]
             goals = slice(self.size, self.size + len(names))
             gripper = slice(goals.stop, goals.stop + item.gripper.stop - item.gripper.start)
-            self._arms.append((item, names, goals, gripper))
+            self.arms.append((item, names, goals, gripper))
             self.size = gripper.stop
 
     @property
     def names(self) -> list[str]:
         """Names of the joints, and those of the grippers' parts, in the order of an action."""
-        return [name for item, names, _, gripper in self._arms for name in (
+        return [name for item, names, _, gripper in self.arms for name in (
             *names, *[gripper_name(item)] * (gripper.stop - gripper.start))]
 
     @property
     def bounds(self) -> FloatArray:
         """Ranges of the joints in the mode, and [-1, 1] for grippers, shape (size, 2)."""
         found = np.tile([-1.0, 1.0], (self.size, 1))
-        for item, _, goals, _ in self._arms:
+        for item, _, goals, _ in self.arms:
             found[goals] = item.robot.limits(item.arm)
         return found
 
@@ -113,7 +114,7 @@ class JointActions:
             changes
         """
         numbers = finite_numbers(action, self.size, 'an action')
-        for item, names, goals, gripper in self._arms:
+        for item, names, goals, gripper in self.arms:
             item.robot.apply(*item.robot.parse.joint_command(
-                names, **{self._mode: numbers[goals]}, part=item.arm), period_s=period_s)
+                names, **{self.mode: numbers[goals]}, part=item.arm), period_s=period_s)
             close(item, numbers[gripper], period_s)

@@ -78,6 +78,25 @@ def test_an_episode_with_noise_in_a_node_is_that_in_this_process(serve):
     here.close()
 
 
+@pytest.mark.parametrize('action', ['joint_position', 'joint_velocity', 'joint_effort'])
+def test_actions_of_joints_do_the_same_in_a_node_as_in_this_process(serve, action):
+    serve(task='reach', lockstep_parts=['arm', 'right/gripper'], **LOCKSTEP)
+    over_topics = NodeEnv('reach', domain_id=DOMAIN, action=action)
+    here = TaskEnv('reach', action=action)
+    assert over_topics.action_space == here.action_space
+    (seen, info), (expected, its_info) = over_topics.reset(seed=3), here.reset(seed=3)
+    start = expected['joint_position'][:7] if action == 'joint_position' else 0.0
+    assert info == its_info
+    for number in range(6):
+        equal(seen, expected)
+        goals = start + 0.1 * np.cos(np.arange(7) + number)
+        (seen, *_), (expected, *_) = (env.step([*goals, -0.5]) for env in (over_topics, here))
+    assert over_topics.digest() == here.digest()
+    assert np.abs(expected['joint_velocity']).max() > 0.01
+    over_topics.close()
+    here.close()
+
+
 def test_bad_actions_over_topics_change_nothing(pick_cube):
     over_topics, _ = pick_cube
     with pytest.raises(gymnasium.error.ResetNeeded):

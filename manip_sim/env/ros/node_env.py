@@ -24,6 +24,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
+from manip_sim.arrays import FloatArray
 from manip_sim.env.spaces import action_space, observation_space
 from manip_sim.env.task_env import SEEDS, TaskEnv
 from manip_sim.errors import CommandError, ManipSimError
@@ -40,7 +41,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
     Episodes of a task in a running node; observations, actions and digests are those of TaskEnv.
 
     The node must have been started with ``task``, ``stepping:=lockstep``, the ``publish_rate``
-    ``control_hz``, and as ``lockstep_parts`` the arm and its gripper. Actions are ``osc_pose``.
+    ``control_hz``, and as ``lockstep_parts`` the arm and its gripper. Actions of joints set the
+    ``control_mode`` of the arms, and switch their ``command_timeout`` off.
 
     :param task: its name, as the node has it
     :param control_hz: actions per second of simulated time [Hz]
@@ -58,8 +60,6 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             raise ManipSimError(f'{name} cannot be used with a node')
         # What is observed and how long an episode may be; it is not advanced.
         self._like = TaskEnv(task, control_hz=control_hz, **arguments).episode
-        if self._like.kind != 'osc_pose':
-            raise ManipSimError(f'actions with a node are osc_pose, not {self._like.kind}')
         self.action_space = action_space(self._like)
         self.observation_space = observation_space(self._like.observation)
         self._context = rclpy.Context()
@@ -78,8 +78,10 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         robots = self._like.simulation.robots
         self._keys: dict[str, list[str]] = {key: [] for key in (
             'joint_states', 'eef_pose', 'eef_twist', 'external_wrench', 'object_pose')}
-        #: Publishers, their numbers of an action, and how often each is repeated.
-        self._commands: list[tuple[Any, slice, int]] = []
+        #: Publishers, and what makes their message of an action.
+        self._commands: list[tuple[Any, Callable[[FloatArray], Any]]] = []
+        #: Parameters of the node that the actions need.
+        self._settings: dict[str, Any] = {}
         for name, robot in robots.items():
             scope = f'{namespace}/{name}' if len(robots) > 1 else namespace
             self._subscribe('joint_states', f'{scope}/joint_states', JointState, _joints)
@@ -88,15 +90,7 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
                                            ('eef_twist', TwistStamped, _twist),
                                            ('external_wrench', WrenchStamped, _wrench)):
                     self._subscribe(key, f'{scope}/{arm}/{key}', kind, numbers)
-        actions: Any = self._like.actions
-        for item in actions.arms:
-            scope = f'{namespace}/{item.robot.name}' if len(robots) > 1 else namespace
-            dof = item.robot.grippers[f'{item.arm}/gripper'].dof
-            for topic, part, times in ((f'{item.arm}/pose_command', item.pose, 1),
-                                       (f'{item.arm}/gripper/command', item.gripper, dof)):
-                if times:
-                    self._commands.append((self._node.create_publisher(
-                        Float64MultiArray, f'{scope}/{topic}', 10), part, times))
+        self._offer_actions(namespace, len(robots) > 1)
         for name in self._like.simulation.entities.free_names:
             self._subscribe('object_pose', f'{namespace}/objects/{name}/pose', PoseStamped, _pose)
         self._node.create_subscription(String, f'{self._name}/task', self._see_task, _LATCHED)
@@ -113,6 +107,31 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             self.close()
             raise ManipSimError(f'{self._name} does {found[0]} with {found[1]}, not {asked[0]} '
                                 f'with {asked[1]}')
+
+    def _offer_actions(self, namespace: str, several: bool) -> None:
+        actions: Any = self._like.actions
+        if self._like.kind == 'osc_pose':
+            rows = [(item, item.gripper, 'pose_command', Float64MultiArray,
+                     functools.partial(_array, item.pose, 1)) for item in actions.arms]
+        else:
+            rows = [(item, gripper, 'joint_command', JointState,
+                     functools.partial(_joint_command, names, actions.mode, goals))
+                    for item, names, goals, gripper in actions.arms]
+        for item, gripper, topic, kind, make in rows:
+            prefix = f'{item.robot.name}/' if several else ''
+            if self._like.kind != 'osc_pose':
+                of = prefix.replace('/', '.')
+                # Actions come in each period; in this process arms have no timeout.
+                self._settings |= {f'{of}control_mode.{item.arm}': actions.mode,
+                                   f'{of}command_timeout.{item.arm}': 0.0}
+            self._command(f'{namespace}/{prefix}{item.arm}/{topic}', kind, make)
+            dof = item.robot.grippers[f'{item.arm}/gripper'].dof
+            if dof:
+                self._command(f'{namespace}/{prefix}{item.arm}/gripper/command', Float64MultiArray,
+                              functools.partial(_array, gripper, dof))
+
+    def _command(self, topic: str, kind: Any, make: Callable[[FloatArray], Any]) -> None:
+        self._commands.append((self._node.create_publisher(kind, topic, 10), make))
 
     def _subscribe(self, key: str, topic: str, kind: Any, numbers: Callable[[Any], Any]) -> None:
         self._keys[key].append(topic)
@@ -168,10 +187,11 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """
         super().reset(seed=seed)
         own = int(self.np_random.integers(SEEDS)) if seed is None else int(seed)
-        answer = self._call(self._set, SetParameters.Request(
-            parameters=[Parameter('seed', value=own).to_parameter_msg()]))
-        if not answer.results[0].successful:
-            raise ManipSimError(f'seed {own}: {answer.results[0].reason}')
+        for name, value in {'seed': own, **self._settings}.items():
+            answer = self._call(self._set, SetParameters.Request(
+                parameters=[Parameter(name, value=value).to_parameter_msg()]))
+            if not answer.results[0].successful:
+                raise ManipSimError(f'{name} {value}: {answer.results[0].reason}')
         before = self._task['stamp_ns']
         self._call(self._reset, Trigger.Request())
         self._periods = 0
@@ -191,8 +211,8 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._periods < 0:
             raise gymnasium.error.ResetNeeded('call reset() before step()')
         numbers = finite_numbers(action, self._like.actions.size, 'an action')
-        for publisher, part, times in self._commands:
-            publisher.publish(Float64MultiArray(data=np.repeat(numbers[part], times).tolist()))
+        for publisher, make in self._commands:
+            publisher.publish(make(numbers))
         observation = self._observe(self._stamp_ns)
         self._periods += 1
         self._like.periods = self._periods
@@ -215,6 +235,14 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
             self._executor.shutdown()
             self._node.destroy_node()
             self._context.shutdown()
+
+
+def _array(part: slice, times: int, numbers: FloatArray) -> Float64MultiArray:
+    return Float64MultiArray(data=np.repeat(numbers[part], times).tolist())
+
+
+def _joint_command(names: list[str], mode: str, goals: slice, numbers: FloatArray) -> JointState:
+    return JointState(name=names, **{mode: numbers[goals].tolist()})
 
 
 def _joints(message: JointState) -> list[Any]:
