@@ -12,6 +12,10 @@ from typing import Any
 _COLOURS = {'node': '#0072B2', 'plain loop': '#E69F00'}
 
 
+#: A legend right of the axes, because the lines fill them.
+_BESIDE: dict[str, Any] = {'loc': 'center left', 'bbox_to_anchor': (1.0, 0.5)}
+
+
 def draw(series: dict[str, Any], folder: Path) -> list[Path]:
     """
     Draw what there is data for.
@@ -29,7 +33,7 @@ def draw(series: dict[str, Any], folder: Path) -> list[Path]:
             figure, axes = pyplot.subplots(figsize=(6.4, 3.6), layout='constrained')
             function(axes, series[name])
             axes.spines[['top', 'right']].set_visible(False)
-            axes.legend(frameon=False)
+            axes.legend(frameon=False, **({} if name != 'worlds' else _BESIDE))
             drawn.append(folder / f'{name}.png')
             figure.savefig(drawn[-1], dpi=120, metadata={'Software': None})
             pyplot.close(figure)
