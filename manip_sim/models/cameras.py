@@ -14,9 +14,9 @@ import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.models.spec_edits import body_for
 from manip_sim.quoting import quoted
 
 MAX_PIXELS = 4096
@@ -74,15 +74,8 @@ class CameraModel:
         :raises ModelError: if a camera or a body has its name already
         :raises UnknownNameError: if there is no such body
         """
-        for kind, elements in (('camera', spec.cameras), ('body', spec.bodies)):
-            if any(element.name == self.name for element in elements):
-                hint = '; write its name alone to take that one' if kind == 'camera' else ''
-                raise ModelError(f"camera '{self.name}': there is a {kind} of this name already"
-                                 f'{hint}')
-        body = spec.body(self.body)
-        if body is None:
-            raise UnknownNameError(f"body of the camera '{self.name}'", self.body,
-                                   [body.name for body in spec.bodies])
+        body = body_for(spec, f"camera '{self.name}'", self.name, self.body, {
+            'camera': '; write its name alone to take that one', 'body': ''})
         body.add_camera(name=self.name, pos=self.position, quat=self.quat_wxyz,
                         fovy=self.fovy_deg)
 

@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.errors import ModelError
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.models.spec_edits import body_for
 from manip_sim.quoting import quoted
 from manip_sim.sensing.lidars import Rays
 
@@ -57,14 +58,8 @@ class LidarModel:
         :raises ModelError: if a site, a camera or a body has its name already
         :raises UnknownNameError: if there is no such body
         """
-        for kind, elements in (('site', spec.sites), ('camera', spec.cameras),
-                               ('body', spec.bodies)):
-            if any(element.name == self.name for element in elements):
-                raise ModelError(f"lidar '{self.name}': there is a {kind} of this name already")
-        body = spec.body(self.body)
-        if body is None:
-            raise UnknownNameError(f"body of the lidar '{self.name}'", self.body,
-                                   [body.name for body in spec.bodies])
+        body = body_for(spec, f"lidar '{self.name}'", self.name, self.body,
+                        {'site': '', 'camera': '', 'body': ''})
         body.add_site(name=self.name, pos=self.position, quat=self.quat_wxyz,
                       size=[_SITE_SIZE_M] * 3, group=_SITE_GROUP)
 

@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
+
+from manip_sim.errors import ModelError, UnknownNameError
 
 _SIZES = ('memory', 'nuserdata')
 _OLD_SIZES = ('nkey', 'njmax', 'nconmax', 'nstack')
@@ -51,6 +53,28 @@ def _references_to_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[Any, str]]:
             yield sensor, 'objname'
         if int(sensor.reftype) in bodies:
             yield sensor, 'refname'
+
+
+def body_for(spec: mujoco.MjSpec, what: str, name: str, body: str, others: Mapping[str, str]
+             ) -> mujoco.MjsBody:
+    """
+    Return the body that a new element of a spec is fixed to.
+
+    :param what: the element, for messages
+    :param name: its name, and ``body`` that of the body
+    :param others: kinds of elements that may not have its name, and what to do if one has
+    :raises ModelError: if one has
+    :raises UnknownNameError: if there is no such body
+    """
+    elements = {'body': spec.bodies, 'camera': spec.cameras, 'site': spec.sites}
+    for kind, hint in others.items():
+        if any(element.name == name for element in elements[kind]):
+            raise ModelError(f'{what}: there is a {kind} of this name already{hint}')
+    found = spec.body(body)
+    if found is None:
+        raise UnknownNameError(f'body of the {what}', body,
+                               [element.name for element in spec.bodies])
+    return found
 
 
 def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:
