@@ -9,6 +9,7 @@ import time
 
 import pytest
 import rclpy
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -130,10 +131,12 @@ def test_commands_are_used_whoever_takes_them(serve, client, monkeypatch, steppi
 
 def test_a_command_that_came_before_a_step_is_used_in_it(serve, client):
     node = serve(stepping='lockstep', start_paused=True, control_mode__arm='effort')
-    client.publisher(JointState, 'arm/joint_command')
+    publisher = client.publisher(JointState, 'arm/joint_command')
     effort = JointState(name=['robot0_joint1'], effort=[5.0])
     for count in range(1, 6):
-        client.publish('arm/joint_command', effort)
+        publisher.publish(effort)
+        # Topics and services have no common order: only what was acknowledged has come.
+        assert publisher.wait_for_all_acked(Duration(seconds=60.0))
         effort.effort[0] += 1.0
         assert client.call(Trigger, 'manip_sim/step').success
         assert node.commands[0].statistics['arm'].accepted == count
