@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import contextlib
+import itertools
 import math
 from pathlib import Path
 import subprocess
@@ -38,6 +39,8 @@ _AT_ONCE = 5
 _PATIENCE = 600
 #: Longest wait for a message at once; what is waited for may also come about otherwise [s].
 _LOOK_S = 0.05
+#: A question that has no answer after so many looks is asked again.
+_LOOKS = 100
 _MOST_MESSAGES = 100_000
 
 
@@ -90,8 +93,7 @@ class SimulationUnderTest:
             raise
 
     def _begin(self) -> None:
-        values = self.call(GetParameters, 'manip_sim/get_parameters',
-                           GetParameters.Request(names=['publish_rate', 'robots'])).values
+        values = self._parameters('publish_rate', 'robots')
         self.period_s = 1.0 / float(values[0].double_value)
         spaces = [f'{name}/' for name in values[1].string_array_value if name] or ['']
         wanted = [f'/{space}joint_states' for space in spaces]
@@ -103,6 +105,20 @@ class SimulationUnderTest:
         self._spin_until(lambda: self._repeats > 2 and all(self._messages[t] for t in wanted))
         self._topics = [topic for topic, messages in self._messages.items() if messages]
         self._now_ns = nanoseconds_of(self._messages[wanted[0]][0].header.stamp)
+
+    def _parameters(self, *names: str) -> Any:
+        """Ask for parameters until an answer comes: DDS may lose the first one of a new client."""
+        client = self.node.create_client(GetParameters, 'manip_sim/get_parameters')
+        futures: list[Any] = []
+        looks = itertools.count()
+
+        def answered() -> bool:
+            if client.service_is_ready() and next(looks) % _LOOKS == 0:
+                futures.append(client.call_async(GetParameters.Request(names=list(names))))
+            return any(future.done() for future in futures)
+        self._spin_until(answered)
+        self.node.destroy_client(client)
+        return next(future.result() for future in futures if future.done()).values
 
     def _record(self, topic: str, message_type: Any) -> None:
         messages = self._messages[topic] = []
