@@ -67,7 +67,7 @@ class StreamEstimator:
 
     @property
     def usual_acceleration(self) -> FloatArray:
-        """Size of the acceleration of the last dozen messages on average, shape (n,)."""
+        """Size of the acceleration, an exponential mean over messages, shape (n,)."""
         return np.asarray(self._curves[1])
 
     def begun_anew(self) -> StreamEstimator:
