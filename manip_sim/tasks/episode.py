@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.sensing.delays import InTransit
 from manip_sim.simulation import Simulation
@@ -71,6 +71,9 @@ class Episode:
         if not late.command_jitter_s:
             self._offsets |= {self._command_delay.mean_steps % self._steps} - {0}
         self.noise = dict(noise)
+        for name in self.noise.keys() & {'latency.image', 'latency.image_jitter'}:
+            raise CommandError(f"{name} cannot be used here: give latency={{'state': ...}}, which "
+                               'is that of images too')
         for robot in simulation.robots.values():
             for quantity, value in self.noise.items():
                 robot.sensing.set(quantity, value)

@@ -91,8 +91,21 @@ def whole_steps(duration_s: float, timestep_s: float, what: str) -> int:
     :param what: what the duration is, for the message
     :raises ModelError: if it is no whole number of timesteps
     """
-    steps = duration_s / timestep_s
-    if not math.isfinite(steps) or abs(steps - round(steps)) > ROUNDING:
-        raise ModelError(f'{what} must be a whole number of timesteps of {timestep_s:g} s, got '
+    return whole_number(duration_s, timestep_s, what, 'timesteps')
+
+
+def whole_number(duration_s: float, part_s: float, what: str, parts: str) -> int:
+    """
+    Return the number of parts in a duration.
+
+    :param duration_s: [s]
+    :param part_s: length of a part [s]
+    :param what: what the duration is, for the message
+    :param parts: what the parts are, for the message
+    :raises ModelError: if it is no whole number of parts
+    """
+    count = duration_s / part_s
+    if not math.isfinite(count) or abs(count - round(count)) > ROUNDING:
+        raise ModelError(f'{what} must be a whole number of {parts} of {part_s:g} s, got '
                          f'{duration_s:g} s')
-    return round(steps)
+    return round(count)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.pictures import Pictures
 from manip_sim.tasks.task import Task
@@ -68,8 +69,16 @@ class Observer:
         found = {key: read() for key, read in self._readers.items()}
         if self.pictures is not None:
             for camera, image in self.pictures.take(self._simulation).items():
-                found[f'{IMAGE}{camera}'] = image
+                found[f'{IMAGE}{camera}'] = self._measured(camera, image)
         return found
+
+    def _measured(self, camera: str, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return an image with the noise that the node gives it."""
+        model = self._simulation.model
+        sensing = self._simulation.instruments.sensing_of(
+            int(model.cam_bodyid[model.camera(camera).id]))
+        pixel = sensing.settings['noise.pixel']
+        return ImageNoise(camera, sensing.seed, sensing.count, pixel, 0.0).on_colours(image)
 
     def _joints(self, row: int) -> NDArray[Any]:
         return np.concatenate([robot.measured().reshape(3, -1)[row]

@@ -162,6 +162,7 @@ def test_what_cannot_be_used_is_said(reach):
     ({'latency': -0.1}, 'latency of a command must be from 0 to 10 s, got -0.1'),
     ({'latency': {'states': 0.1}}, "unknown key of latency 'states': did you mean 'state'"),
     ({'noise': {'noise.joint_positon': 0.1}}, "did you mean 'noise.joint_position'"),
+    ({'noise': {'latency.image': 0.1}}, "give latency={'state': ...}"),
     ({'noise': {'noise.joint_position': -0.1}}, 'noise.joint_position must be a number from 0'),
     ({'latency': 0.0011}, 'latency of a command must be a whole number of timesteps'),
     ({'control_hz': 0}, 'control_hz must be above 0 Hz'),

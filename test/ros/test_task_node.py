@@ -78,6 +78,50 @@ def test_an_episode_with_noise_in_a_node_is_that_in_this_process(serve):
     here.close()
 
 
+@pytest.mark.parametrize('latency', [{'command': 0.1}, {'state': 0.05}, {
+    'command': 0.05, 'state': 0.15}])
+def test_late_episodes_with_noisy_images_in_a_node_are_those_in_this_process(serve, gl, latency):
+    top = {'name': 'top', 'position': [0.0, 0.0, 2.0], 'look_at': [0.0, 0.0, 0.8]}
+    alike = {'latency': latency, 'cameras': ['agentview', top], 'image_size': (40, 30),
+             'noise': {'noise.joint_velocity': 0.01, 'noise.pixel': 8.0}}
+    serve(task='pick_cube', lockstep_parts=['arm', 'right/gripper'], **LOCKSTEP,
+          cameras=['agentview', json.dumps({**top, 'width': 40, 'height': 30})],
+          camera__agentview__width=40, camera__agentview__height=30)
+    over_topics, here = (NodeEnv('pick_cube', domain_id=DOMAIN, **alike),
+                         TaskEnv('pick_cube', **alike))
+    assert over_topics.observation_space == here.observation_space
+    for seed in (3, 4):
+        (seen, info), (expected, its_info) = over_topics.reset(seed=seed), here.reset(seed=seed)
+        equal(seen, expected)
+        assert info == its_info
+        for number in range(6):
+            action = np.cos(np.arange(7.0) + number)
+            (seen, *rest), (expected, *its_rest) = over_topics.step(action), here.step(action)
+            equal(seen, expected)
+            assert rest == its_rest
+            assert over_topics.digest() == here.digest()
+    over_topics.close()
+    here.close()
+
+
+@pytest.mark.parametrize('given, text', [
+    ({'latency': 0.03}, 'latency of a command with a node must be a whole number of control peri'),
+    ({'latency': {'state': 0.02}}, 'latency of a state with a node must be a whole number of'),
+    ({'latency': {'command': 0.1, 'command_jitter': 0.01}}, 'latency with jitter cannot be used'),
+    ({'render_mode': 'rgb_array'}, 'render_mode cannot be used')])
+def test_what_an_environment_over_topics_cannot_do_is_said(given, text):
+    with pytest.raises(ManipSimError, match=text):
+        NodeEnv('reach', domain_id=DOMAIN, **given)
+
+
+def test_images_of_another_size_than_the_nodes_are_said(serve, gl):
+    serve(task='reach', lockstep_parts=['arm', 'right/gripper'], cameras=['agentview'], **LOCKSTEP)
+    env = NodeEnv('reach', domain_id=DOMAIN, cameras=['agentview'], image_size=(40, 30))
+    with pytest.raises(ManipSimError, match='640 x 480 pixels, not 40 x 30; see image_size'):
+        env.reset(seed=1)
+    env.close()
+
+
 @pytest.mark.parametrize('action', ['joint_position', 'joint_velocity', 'joint_effort'])
 def test_actions_of_joints_do_the_same_in_a_node_as_in_this_process(serve, action):
     serve(task='reach', lockstep_parts=['arm', 'right/gripper'], **LOCKSTEP)

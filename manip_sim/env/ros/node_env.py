@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 import functools
 import json
@@ -20,16 +21,17 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.arrays import FloatArray
 from manip_sim.env.spaces import action_space, observation_space
 from manip_sim.env.task_env import SEEDS, TaskEnv
 from manip_sim.errors import CommandError, ManipSimError
 from manip_sim.simulation.numbers import finite_numbers
-from manip_sim.tasks.observation import Observation
+from manip_sim.tasks.latency import whole_number
+from manip_sim.tasks.observation import IMAGE, Observation
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: How long the node may take for an answer, wall time [s].
@@ -42,7 +44,9 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     The node must have been started with ``task``, ``stepping:=lockstep``, the ``publish_rate``
     ``control_hz``, and as ``lockstep_parts`` the arm and its gripper. Actions of joints set the
-    ``control_mode`` of the arms, and switch their ``command_timeout`` off.
+    ``control_mode`` of the arms, and switch their ``command_timeout`` off. ``noise`` sets those
+    parameters of the node. ``cameras`` are among the node's, with its size and a rate of
+    ``control_hz``. Latencies are whole control periods, without jitter.
 
     :param task: its name, as the node has it
     :param control_hz: actions per second of simulated time [Hz]
@@ -56,12 +60,25 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     def __init__(self, task: str, control_hz: float = 20.0, node: str = '/manip_sim',
                  domain_id: int | None = None, **arguments: Any) -> None:
-        for name in {'latency', 'cameras', 'render_mode'} & {*arguments}:
-            raise ManipSimError(f'{name} cannot be used with a node')
+        if 'render_mode' in arguments:
+            raise ManipSimError('render_mode cannot be used with a node')
         # What is observed and how long an episode may be; it is not advanced.
-        self._like = TaskEnv(task, control_hz=control_hz, **arguments).episode
+        like = TaskEnv(task, control_hz=control_hz, **arguments)
+        self._like = like.episode
         self.action_space = action_space(self._like)
-        self.observation_space = observation_space(self._like.observation)
+        seen = self._like.observation
+        self.observation_space = observation_space(seen)
+        like.close()
+        late, period_s = self._like.latency, self._like.period_s
+        if late.command_jitter_s or late.state_jitter_s:
+            raise ManipSimError('latency with jitter cannot be used with a node')
+        self._command_periods, state_periods = (
+            whole_number(late_s, period_s, f'latency of a {kind} with a node', 'control periods')
+            for kind, late_s in (('command', late.command_s), ('state', late.state_s)))
+        self._images = {key: value.shape for key, value in seen.items() if key.startswith(IMAGE)}
+        #: Actions and observations that are on their way.
+        self._actions: deque[FloatArray] = deque()
+        self._states: deque[Observation] = deque(maxlen=state_periods + 1)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain_id)
         self._node = rclpy.create_node('task_env', context=self._context)
@@ -93,12 +110,19 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._offer_actions(namespace, len(robots) > 1)
         for name in self._like.simulation.entities.free_names:
             self._subscribe('object_pose', f'{namespace}/objects/{name}/pose', PoseStamped, _pose)
+        for key, shape in self._images.items():
+            self._keys[key] = []
+            self._subscribe(key, f'{namespace}/{key[len(IMAGE):]}/color/image_raw', Image,
+                            functools.partial(_pixels, shape))
         self._node.create_subscription(String, f'{self._name}/task', self._see_task, _LATCHED)
         self._reset = self._node.create_client(Trigger, f'{self._name}/reset')
         self._save = self._node.create_client(Trigger, f'{self._name}/save_state')
+        self._step = self._node.create_client(Trigger, f'{self._name}/step')
+        self._pause = self._node.create_client(SetBool, f'{self._name}/pause')
         self._set = self._node.create_client(SetParameters, f'{self._name}/set_parameters')
         self._spin_until(lambda: bool(self._task) and all(
-            client.service_is_ready() for client in (self._reset, self._save, self._set))
+            client.service_is_ready() for client in (
+                self._reset, self._save, self._set, self._step, self._pause))
             and all(publisher.get_subscription_count() for publisher, *_ in self._commands),
             f'there is no node {self._name} with a task')
         asked = (self._like.task.name, self._like.task.robot.name)
@@ -110,6 +134,9 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     def _offer_actions(self, namespace: str, several: bool) -> None:
         actions: Any = self._like.actions
+        self._settings |= {f'{robot}.{name}' if several else name: value
+                           for robot in self._like.simulation.robots
+                           for name, value in self._like.noise.items()}
         if self._like.kind == 'osc_pose':
             rows = [(item, item.gripper, 'pose_command', Float64MultiArray,
                      functools.partial(_array, item.pose, 1)) for item in actions.arms]
@@ -165,16 +192,19 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         def is_whole() -> bool:
             stamps = {self._seen[topic][0] if topic in self._seen else -1 for topic in topics}
             return stamps == {self._task['stamp_ns']} and self._task['stamp_ns'] > after_ns
-        self._spin_until(is_whole, f'{self._name} does not advance; see its lockstep_parts')
+        self._spin_until(is_whole, f'{self._name} does not publish all that is observed; see its '
+                         'lockstep_parts, cameras and their rates')
         self._stamp_ns = self._task['stamp_ns']
         values = {key: [self._seen[topic][1] for topic in topics]
                   for key, topics in self._keys.items() if topics}
+        images = {key: values.pop(key)[0].copy() for key in [*values] if key.startswith(IMAGE)}
         joints = np.concatenate(values.pop('joint_states'), axis=1)
         found = dict(zip(('joint_position', 'joint_velocity', 'joint_effort'), joints.copy()))
         found |= {key: np.stack(rows) for key, rows in values.items()}
         if self._task['goal']:
             found['goal'] = np.array(self._task['goal'])
-        return found
+        self._states.append(found | images)
+        return {key: value.copy() for key, value in self._states[0].items()}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[Observation, dict[str, Any]]:
@@ -192,6 +222,10 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
                 parameters=[Parameter(name, value=value).to_parameter_msg()]))
             if not answer.results[0].successful:
                 raise ManipSimError(f'{name} {value}: {answer.results[0].reason}')
+        # Lock-step waits for commands; before the first of them takes effect, steps are called.
+        self._call(self._pause, SetBool.Request(data=self._command_periods > 0))
+        self._actions.clear()
+        self._states.clear()
         before = self._task['stamp_ns']
         self._call(self._reset, Trigger.Request())
         self._periods = 0
@@ -211,8 +245,15 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._periods < 0:
             raise gymnasium.error.ResetNeeded('call reset() before step()')
         numbers = finite_numbers(action, self._like.actions.size, 'an action')
-        for publisher, make in self._commands:
-            publisher.publish(make(numbers))
+        self._actions.append(numbers)
+        if len(self._actions) <= self._command_periods:
+            self._call(self._step, Trigger.Request())
+        else:
+            if self._periods == self._command_periods > 0:
+                self._call(self._pause, SetBool.Request(data=False))
+            due = self._actions.popleft()
+            for publisher, make in self._commands:
+                publisher.publish(make(due))
         observation = self._observe(self._stamp_ns)
         self._periods += 1
         self._like.periods = self._periods
@@ -243,6 +284,14 @@ def _array(part: slice, times: int, numbers: FloatArray) -> Float64MultiArray:
 
 def _joint_command(names: list[str], mode: str, goals: slice, numbers: FloatArray) -> JointState:
     return JointState(name=names, **{mode: numbers[goals].tolist()})
+
+
+def _pixels(shape: tuple[int, ...], message: Image) -> NDArray[np.uint8]:
+    found = message.height, message.width, 3
+    if found != shape:
+        raise ManipSimError(f'{message.header.frame_id}: the node has images of {found[1]} x '
+                            f'{found[0]} pixels, not {shape[1]} x {shape[0]}; see image_size')
+    return np.frombuffer(message.data, np.uint8).reshape(shape)
 
 
 def _joints(message: JointState) -> list[Any]:
