@@ -33,8 +33,9 @@ def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
     Save the joint states and the model, and render a picture in a process of its own.
 
     :param folder: is created
-    :returns: a line for each file
+    :returns: a line about the nodes in the domain, and one for each file
     """
+    lines = [f'nodes in ROS domain {simulation.domain}: {", ".join(simulation.nodes())}']
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {}
     for topic in simulation.recorded(JointState):
@@ -48,7 +49,7 @@ def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
             pose.orientation.x, pose.orientation.y, pose.orientation.z])
     np.savez(folder / _STATES, **arrays)
     (folder / _ARCHIVE).write_bytes(_archive(simulation))
-    lines = [f'states at each control period: {folder / _STATES}']
+    lines.append(f'states at each control period: {folder / _STATES}')
     done = subprocess.run([sys.executable, '-m', __name__, str(folder)], capture_output=True,
                           text=True, check=False, env={'MUJOCO_GL': 'egl', **os.environ})
     error = (done.stderr.strip().splitlines() or ['it ended without output'])[-1]

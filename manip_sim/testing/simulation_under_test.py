@@ -242,6 +242,11 @@ class SimulationUnderTest:
         return [name[1:] for name, messages in self._messages.items()
                 if messages and isinstance(messages[0], message_type)]
 
+    def nodes(self) -> list[str]:
+        """Return the full names of the nodes in the domain; one that is there twice is twice."""
+        return sorted(f'{space.rstrip("/")}/{name}'
+                      for name, space in self.node.get_node_names_and_namespaces())
+
     def receive(self, message_type: Any, topic: str, qos: Any = 10) -> Any:
         """
         Return the next message of any topic; of a latched one the last that was published.
@@ -360,7 +365,7 @@ class SimulationUnderTest:
         Save what was recorded, and a picture of the present instant.
 
         :param folder: is created
-        :returns: a line for each file
+        :returns: a line about the nodes in the domain, and one for each file
         """
         return save_evidence(self, folder)
 

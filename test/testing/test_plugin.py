@@ -55,6 +55,7 @@ def test_a_failed_test_leaves_states_model_and_picture(tmp_path, renderer):
     assert done.returncode == 1
     folder = tmp_path / 'left' / 'test_of_mine.py_test_that_fails'
     assert f'the last instant: {folder}/picture.png' in done.stdout
+    assert ': /manip_sim, /test_of_a_controller\n' in done.stdout
     with np.load(folder / 'states.npz') as states:
         assert states['joint_states/position'].shape == (21, 6)
         assert states['joint_states/time_s'][-1] == pytest.approx(0.21)
