@@ -5,13 +5,17 @@
 
 import math
 from pathlib import Path
+import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))
+from opened_files import OpenedFiles  # noqa: E402
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'
 
@@ -101,3 +105,22 @@ def test_what_belongs_to_no_arm_has_topics_of_its_own(serve, client):
     assert list(states[0].name) == ['robot0_tilt'] and 'robot0_tilt' not in arm[0].name
     commands.publish(JointState(name=['robot0_tilt'], position=[0.4]))
     client.spin_until(lambda: abs(states[-1].position[0] - 0.4) < 5e-3)
+
+
+def test_no_parameter_that_is_set_later_reads_a_file(serve, client, tmp_path):
+    serve(start_paused=True, robot=str(FILES / 'keyframes.xml'), arena=str(FILES / 'room.xml'),
+          cameras=['overview'], lidars=['{name: flat}'], randomization='', spawn_roots=[''])
+    for name in ('secret.yaml', 'secret.xml', 'secret'):
+        (tmp_path / name).write_text('<mujoco/>')
+    opened = OpenedFiles(tmp_path)
+    (tmp_path / 'secret').read_text()
+    assert opened.take() == {'secret'}
+    names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
+    assert {'robot', 'task', 'objects', 'randomization', 'spawn_roots', 'keyframe'} <= set(names)
+    for path in (str(tmp_path / 'secret.yaml'), str(tmp_path / 'secret.xml'), str(tmp_path)):
+        for value in (path, [path], f'{{file: {path}}}'):
+            results = client.call(SetParameters, 'manip_sim/set_parameters', SetParameters.Request(
+                parameters=[Parameter(name, value=value).to_parameter_msg() for name in names]))
+            assert not any(result.successful for result in results.results)
+    assert not opened.take()
+    opened.close()

@@ -3,8 +3,10 @@
 
 """The policy for SROS2 allows what the node has, and nothing else."""
 
+from fnmatch import fnmatch
 import importlib.metadata
 import os
+from pathlib import Path
 import re
 import subprocess
 import sys
@@ -14,12 +16,16 @@ from harness import Served
 import pytest
 from rclpy.node import Node
 
-from manip_sim.interface.topics import actions_of
+from manip_sim.interface.topics import actions_of, PUBLISHED, SERVICES, TOPICS
 from manip_sim.resources import share_directory
 from manip_sim.ros import planning_scene_publisher, standard_services, transforms
 
-#: Together they have all parts that there are.
-ROBOTS = ('PandaOmron', 'GR1')
+#: Together they have all parts that there are, objects, and what an arena moves.
+WORLDS = ({'robot': 'PandaOmron', 'arena': 'table', 'cameras': ['birdview']},
+          {'robot': 'GR1', 'arena': 'table', 'cameras': ['birdview']},
+          {'task': 'open_drawer', 'cameras': ['birdview']},
+          {'arena': str(Path(__file__).parents[1] / 'data/files/room.xml'),
+           'cameras': ['overview']})
 #: With or without the package in this environment.
 STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
     'get_simulator_features', 'get_simulation_state', 'set_simulation_state', 'step_simulation',
@@ -48,9 +54,8 @@ def granted(enclave, kind, permission):
 def graph():
     """Return what the node publishes, subscribes to and serves, over several robots."""
     names = {'publish': set(), 'subscribe': set(), 'reply': set(), 'execute': set()}
-    for robot in ROBOTS:
-        served = Served({'robot': robot, 'arena': 'table', 'cameras': ['birdview'],
-                         'lidars': ['{name: flat}', '{name: round, rings: 2}'],
+    for world in WORLDS:
+        served = Served({**world, 'lidars': ['{name: flat}', '{name: round, rings: 2}'],
                          'noise.wrench_force': 1.0})
         try:
             node: Node = served.node
@@ -58,8 +63,9 @@ def graph():
                     ('publish', node.get_publisher_names_and_types_by_node),
                     ('subscribe', node.get_subscriber_names_and_types_by_node),
                     ('reply', node.get_service_names_and_types_by_node)):
-                names[permission] |= {re.sub('^/(birdview|flat|round)/', '/*/', re.sub(
-                    '^/(objects|sensors|truth)/.*', r'/\1/*', name))
+                names[permission] |= {re.sub('^/(birdview|overview|flat|round)/', '/*/', re.sub(
+                    '^/(objects|sensors|truth)/.*', r'/\1/*', name) if permission == 'publish'
+                    else re.sub('^/objects/.*/', '/objects/*/', name))
                     for name, _ in entities('manip_sim', '/') if '/_action/' not in name}
             # With or without control_msgs in this environment.
             names['execute'] |= {f'/{action.name}' for action in actions_of(
@@ -85,6 +91,46 @@ def test_the_node_may_do_what_it_does_and_nothing_else(kind, permission, graph):
         if planning_scene_publisher.moveit_msgs is None:
             allowed -= SCENE
     assert allowed == graph[permission]
+
+
+@pytest.mark.parametrize('row', TOPICS, ids=lambda row: f'{row.direction} {row.name}')
+def test_each_topic_of_the_interface_is_allowed(row):
+    name = re.sub('<(arm|part)>', 'left', row.name)
+    if row.per not in ('<arm>', '<part>'):
+        name = re.sub('<.*>', 'anything', name)
+    name = name if name[0] == '/' else f'/manip_sim{name[1:]}' if name[0] == '~' else f'/{name}'
+    to_node, to_controller = (('publish', 'subscribe') if row.direction == PUBLISHED else
+                              ('subscribe', 'publish'))
+    for enclave, permission in ('sim_node', to_node), ('controller', to_controller):
+        assert any(fnmatch(name, pattern)
+                   for pattern in granted(f'/manip_sim/{enclave}', 'topic', permission))
+
+
+def test_each_service_of_the_interface_is_allowed():
+    names = {service.name.replace('~', '/manip_sim') for service in SERVICES}
+    assert names <= granted('/manip_sim/sim_node', 'service', 'reply')
+    assert names <= granted('/manip_sim/controller', 'service', 'request')
+
+
+@pytest.mark.parametrize('enclave', ['/manip_sim/sim_node', '/manip_sim/controller'])
+@pytest.mark.filterwarnings('ignore')
+def test_sros2_makes_signed_permissions_of_it(enclave, tmp_path):
+    keystore = pytest.importorskip('sros2.keystore', reason='the package sros2 is not installed')
+    keystore.create_keystore(tmp_path)
+    keystore.create_enclave(tmp_path, enclave)
+    keystore.create_permission(tmp_path, enclave,
+                               share_directory() / 'config/security_policy.xml')
+    folder = tmp_path / 'enclaves' / enclave[1:]
+    grant = ElementTree.parse(folder / 'permissions.xml').find('permissions/grant')
+    assert grant.findtext('subject_name') == f'CN={enclave}'
+    assert grant.findtext('default') == 'DENY'
+    for kind, permission, way, form in (
+            ('topic', 'publish', 'publish', 'rt{}'), ('topic', 'subscribe', 'subscribe', 'rt{}'),
+            ('service', 'reply', 'subscribe', 'rq{}Request'),
+            ('service', 'reply', 'publish', 'rr{}Reply')):
+        permitted = {topic.text for topic in grant.iterfind(f'allow_rule/{way}/topics/topic')}
+        assert {form.format(name) for name in granted(enclave, kind, permission)} <= permitted
+    assert (folder / 'permissions.p7s').read_bytes().startswith(b'MIME-Version')
 
 
 def test_a_controller_may_command_and_observe_but_not_change_parameters():
