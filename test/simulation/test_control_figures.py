@@ -214,14 +214,17 @@ def test_mean_speed_is_the_commanded_one(name, share):
     simulation = whole_robot(name)
     arm = Driven(simulation, 'right')
     simulation.robot.set_control_mode('arm', 'velocity')
+    joints = simulation.robot.joints
+    accelerations = joints.acceleration_limits([joints.names.index(name) for name in arm.names])
     for joint, limit in enumerate(arm.velocity_limit):
         simulation.reset()
         up = arm.high[joint] - arm.position[joint] > arm.position[joint] - arm.low[joint]
         speed = share * limit * (1.0 if up else -1.0)
         way = min(abs((arm.high if up else arm.low)[joint] - arm.position[joint]), 4.0)
         arm.command('velocity', [speed], [arm.names[joint]])
-        run(simulation, 0.4, 20)
-        time_s = min(0.3, 0.6 * way / abs(speed) - 0.4)
+        speeds_up_s = max(0.4, round(abs(speed) / accelerations[joint] + 0.1, 1))
+        run(simulation, speeds_up_s, 20)
+        time_s = min(0.3, 0.6 * way / abs(speed) - speeds_up_s)
         if time_s < 0.02:
             continue
         before = arm.position

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.models.registry import import_submodules
 from manip_sim.models.robots.catalogue_robots import (
-    Baxter, GR1, IIWA, Jaco, Kinova3, Panda, PandaOmron, Sawyer, UR5e)
+    Baxter, FR3, GR1, IIWA, Jaco, Kinova3, Panda, PandaOmron, Sawyer, UR5e)
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import RobotModel, ROBOTS
 
@@ -52,5 +52,5 @@ if not TYPE_CHECKING:
 
 
 __all__ = [
-    'Baxter', 'GR1', 'IIWA', 'Jaco', 'Kinova3', 'ManipulatorModel', 'Panda', 'PandaOmron',
+    'Baxter', 'FR3', 'GR1', 'IIWA', 'Jaco', 'Kinova3', 'ManipulatorModel', 'Panda', 'PandaOmron',
     'RobotModel', 'Sawyer', 'UR5e', 'create_robot', 'robot_names']

@@ -75,6 +75,12 @@ class Baxter(CatalogueRobot):
     _folder = 'baxter'
 
 
+class FR3(CatalogueRobot):
+    """Seven-joint arm, 3 kg payload, 0.855 m reach, with faster joints than the Panda."""
+
+    _folder = 'fr3'
+
+
 class GR1(CatalogueRobot):
     """Humanoid of 1.65 m: torso, head, two seven-joint arms and two six-joint legs."""
 
