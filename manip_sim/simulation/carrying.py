@@ -14,6 +14,7 @@ from collections.abc import Callable
 from functools import lru_cache
 import itertools
 from typing import Any
+import weakref
 
 import mujoco
 import numpy as np
@@ -30,6 +31,8 @@ _NAMED = {
 #: How many positions and velocities a joint that is not scalar has.
 _QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
 _DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
+#: Return where the rows of each element of a model begin, and how many there are.
+Spans = Callable[[Any], tuple[IntArray, IntArray]]
 #: Compiled from the element's own tree, but rounded differently if there is another tree.
 _DERIVED = frozenset((
     'body_invweight0', 'dof_invweight0', 'tendon_invweight0', 'dof_M0', 'actuator_acc0'))
@@ -51,8 +54,10 @@ class ElementMap:
     """
 
     def __init__(self, old: Any, new: Any) -> None:
+        self._old = weakref.ref(old)
         self._places: dict[str, tuple[IntArray, IntArray]] = {}
-        self._add_named(old, new)
+        for size, kind in _NAMED.items():
+            self._add(size, _keys(old, kind), _keys(new, kind))
         self._add_parts(old, new, 'njnt', 'nq', _spans_of_joints('qpos', _QPOS_OF_JOINT))
         self._add_parts(old, new, 'njnt', 'nv', _spans_of_joints('dof', _DOFS_OF_JOINT))
         # Several controls of one actuator came with MuJoCo 4.
@@ -64,9 +69,9 @@ class ElementMap:
             self._add_parts(old, new, actuators, 'nout', _spans_of_actuators('out'))
         self._add_parts(old, new, 'nbody', 'nmocap', _mocap_of_body)
 
-    def _add_named(self, old: Any, new: Any) -> None:
-        for size, kind in _NAMED.items():
-            self._add(size, _keys(old, kind), _keys(new, kind))
+    def begins_with(self, model: mujoco.MjModel) -> bool:
+        """Return whether it was made of a model, as the one with the old elements."""
+        return self._old() is model
 
     def _add(self, size: str, old: list[Any], new: list[Any]) -> None:
         place = {key: index for index, key in enumerate(new)}
@@ -74,13 +79,13 @@ class ElementMap:
         pairs = np.array(both, dtype=np.int64).reshape(-1, 2)
         self._places[size] = pairs[:, 0], pairs[:, 1]
 
-    def _add_parts(self, old: Any, new: Any, whole: str, size: str,
-                   span: Callable[[Any, int], range]) -> None:
-        both: list[tuple[int, int]] = []
-        for one, other in zip(*self._places[whole]):
-            both += zip(span(old, int(one)), span(new, int(other)))
-        pairs = np.array(both, dtype=np.int64).reshape(-1, 2)
-        self._places[size] = pairs[:, 0], pairs[:, 1]
+    def _add_parts(self, old: Any, new: Any, whole: str, size: str, spans: Spans) -> None:
+        one, other = self._places[whole]
+        (first, count), (new_first, new_count) = spans(old), spans(new)
+        counts = np.minimum(count[one], new_count[other])
+        within = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
+        self._places[size] = (np.repeat(first[one], counts) + within,
+                              np.repeat(new_first[other], counts) + within)
 
     def rows(self, size: str, old: Any, new: Any) -> tuple[IntArray, IntArray]:
         """
@@ -176,20 +181,19 @@ def _keys(model: mujoco.MjModel, kind: str) -> list[Any]:
     return [names[address:names.index(b'\0', address)] or next(unnamed) for address in addresses]
 
 
-def _spans_of_joints(array: str, widths: dict[int, int]) -> Callable[[Any, int], range]:
-    def span(model: mujoco.MjModel, joint: int) -> range:
-        first = int(getattr(model, f'jnt_{array}adr')[joint])
-        return range(first, first + widths.get(int(model.jnt_type[joint]), 1))
-    return span
+def _spans_of_joints(array: str, widths: dict[int, int]) -> Spans:
+    def spans(model: mujoco.MjModel) -> tuple[IntArray, IntArray]:
+        return getattr(model, f'jnt_{array}adr'), np.array(
+            [widths.get(kind, 1) for kind in model.jnt_type.tolist()], dtype=np.int64)
+    return spans
 
 
-def _spans_of_actuators(array: str) -> Callable[[Any, int], range]:
-    def span(model: mujoco.MjModel, actuator: int) -> range:
-        first = int(getattr(model, f'actuator_{array}adr')[actuator])
-        return range(first, first + int(getattr(model, f'actuator_{array}num')[actuator]))
-    return span
+def _spans_of_actuators(array: str) -> Spans:
+    def spans(model: mujoco.MjModel) -> tuple[IntArray, IntArray]:
+        return (getattr(model, f'actuator_{array}adr'),
+                np.maximum(getattr(model, f'actuator_{array}num'), 0))
+    return spans
 
 
-def _mocap_of_body(model: mujoco.MjModel, body: int) -> range:
-    index = int(model.body_mocapid[body])
-    return range(index, index + 1) if index >= 0 else range(0)
+def _mocap_of_body(model: mujoco.MjModel) -> tuple[IntArray, IntArray]:
+    return model.body_mocapid, (model.body_mocapid >= 0).astype(np.int64)

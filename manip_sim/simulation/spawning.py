@@ -32,13 +32,17 @@ class Plan:
     :ivar base: ``mujoco.MjSpec`` of arena and robots, without objects
     :ivar objects: in the order of the world
     :ivar spec: ``mujoco.MjSpec`` of the whole world
+    :ivar taken: the names in it
     :ivar compiled: its ``mujoco.MjModel``, which is never changed
+    :ivar since: what it has in common with the plan that it was made from, or None
     """
 
     base: Any
     objects: tuple[ObjectModel, ...]
     spec: mujoco.MjSpec
+    taken: TakenNames
     compiled: mujoco.MjModel
+    since: ElementMap | None = None
 
     @property
     def object_names(self) -> list[str]:
@@ -72,16 +76,16 @@ def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world')
     :raises ModelError: if names collide or MuJoCo cannot compile it
     """
     check_object_names(objects)
-    spec = _composed(base, objects)
-    return Plan(base, tuple(objects), spec, compile_spec(spec, name))
+    spec, taken = _composed(base, objects)
+    return Plan(base, tuple(objects), spec, taken, compile_spec(spec, name))
 
 
-def _composed(base: Any, objects: Iterable[ObjectModel]) -> Any:
+def _composed(base: Any, objects: Iterable[ObjectModel]) -> tuple[Any, TakenNames]:
     spec = base.copy()
     taken = TakenNames(spec)
     for item in objects:
         item.attach(spec, taken)
-    return spec
+    return spec, taken
 
 
 def compile_visual(plan: Plan) -> Any:
@@ -94,7 +98,7 @@ def compile_visual(plan: Plan) -> Any:
     """
     base = plan.base.copy()
     base.compiler.discardvisual = False
-    return compile_spec(_composed(base, plan.objects), 'the world with its visual shapes')
+    return compile_spec(_composed(base, plan.objects)[0], 'the world with its visual shapes')
 
 
 def plan_with(plan: Plan, item: ObjectModel) -> Plan:
@@ -105,8 +109,16 @@ def plan_with(plan: Plan, item: ObjectModel) -> Plan:
     """
     objects = (*plan.objects, item)
     check_object_names(objects)
-    spec = _composed(plan.spec, [item])
-    return Plan(plan.base, objects, spec, compile_spec(spec, f"the world with '{item.name}'"))
+    spec = plan.spec.copy()
+    taken = plan.taken.copy(spec)
+    item.attach(spec, taken)
+    return _follow(plan, objects, spec, taken, f"the world with '{item.name}'")
+
+
+def _follow(plan: Plan, objects: tuple[ObjectModel, ...], spec: Any, taken: TakenNames, name: str
+            ) -> Plan:
+    compiled = compile_spec(spec, name)
+    return Plan(plan.base, objects, spec, taken, compiled, ElementMap(plan.compiled, compiled))
 
 
 def plan_without(plan: Plan, name: str) -> Plan:
@@ -118,7 +130,12 @@ def plan_without(plan: Plan, name: str) -> Plan:
     if name not in plan.object_names:
         raise UnknownNameError('object', name, plan.object_names)
     left = tuple(item for item in plan.objects if item.name != name)
-    return plan_world(plan.base, left, f"the world without '{name}'")
+    gone = plan.objects[plan.object_names.index(name)]
+    spec = plan.spec.copy()
+    taken = plan.taken.copy(spec)
+    if not gone.detach(spec, taken):
+        spec, taken = _composed(plan.base, left)
+    return _follow(plan, left, spec, taken, f"the world without '{name}'")
 
 
 def start_live(plan: Plan) -> LiveWorld:
@@ -144,7 +161,9 @@ def carry_over(live: LiveWorld, plan: Plan) -> LiveWorld:
     :param plan: of the same arena and robots
     """
     model = copy.copy(plan.compiled)
-    both = ElementMap(live.model, model)
+    both = plan.since
+    if both is None or not both.begins_with(live.plan.compiled):
+        both = ElementMap(live.plan.compiled, model)
     carry_edits(live.plan.compiled, live.model, model, both)
     data = mujoco.MjData(model)
     carry_data(live.data, data, both)

@@ -347,3 +347,35 @@ def test_a_hundred_objects_come_and_go_without_a_trace(live):
         now = delete(spawn(now, box(f'box{number}')), f'box{number}')
     assert now.plan.spec.to_xml() == xml
     assert now.data.qpos.tobytes() == live.data.qpos.tobytes()
+
+
+def test_objects_that_stay_are_not_attached_again(live, monkeypatch):
+    grown = plan_with(live.plan, box('third'))
+
+    def attach(*_):
+        raise AssertionError('another object was attached')
+
+    monkeypatch.setattr(ObjectModel, 'attach', attach)
+    assert plan_without(grown, 'second').object_names == ['first', 'third']
+
+
+def test_names_are_collected_once(live, monkeypatch):
+    item = box('third')
+    monkeypatch.delattr('manip_sim.models.naming.TakenNames.__init__')
+    grown = plan_with(live.plan, item)
+    item.spec.bodies[1].name = 'arm'
+    with pytest.raises(ModelError, match="'third'"):
+        plan_with(grown, item)
+    assert plan_with(plan_without(grown, 'third'), item).object_names[-1] == 'third'
+
+
+@pytest.mark.parametrize('name', ['first', 'second', 'cart'])
+def test_a_world_that_shrank_is_the_one_that_is_composed_at_once(live, name):
+    grown = live
+    for item in (ObjectModel('cart', mujoco.MjSpec.from_string(CART)), box('last')):
+        grown = spawn(grown, item)
+    left = delete(grown, name).plan
+    whole = plan_world(live.plan.base, left.objects)
+    assert left.spec.to_xml() == whole.spec.to_xml()
+    for field, old, new in arrays(left.compiled, whole.compiled):
+        np.testing.assert_array_equal(old, new, err_msg=field)
