@@ -141,3 +141,9 @@ class UR5e(CatalogueRobot):
     """Six-joint arm, 5 kg payload, 0.85 m reach."""
 
     _folder = 'ur5e'
+
+
+class XArm7(CatalogueRobot):
+    """Seven-joint arm, 3.5 kg payload, 0.7 m reach; four of its joints turn twice around."""
+
+    _folder = 'xarm7'
