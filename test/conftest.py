@@ -5,6 +5,7 @@
 
 from collections import Counter
 import functools
+import gc
 import importlib.util
 import json
 import os
@@ -64,6 +65,17 @@ LONGEST = (
     'ros/test_commands.py', 'test_gallery.py', 'ros/test_watch_only.py', 'ros/test_bad_input.py',
     'test_install.py', 'ros/test_topic_hardware.py', 'rendering/test_catalogue_cameras.py',
     'test_typing.py')
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let the collector of garbage never look at what thousands of tests are made of."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config, items):
