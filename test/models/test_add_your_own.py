@@ -25,7 +25,8 @@ SCRIPT = re.compile(r'^```python\n(from .*?)```$', re.DOTALL | re.MULTILINE)
 def package(tmp_path_factory):
     """Copy the package with its model tests, and add the files of the document."""
     copy = tmp_path_factory.mktemp('package')
-    not_needed = shutil.ignore_patterns('__pycache__', 'ros')
+    # Together with what Python and pytest have compiled, so that no process does it again.
+    not_needed = shutil.ignore_patterns('ros')
     shutil.copytree(ROOT / 'manip_sim', copy / 'manip_sim', ignore=not_needed)
     shutil.copytree(share_directory() / 'assets', copy / 'assets')
     shutil.copytree(ROOT / 'test' / 'models', copy / 'test' / 'models', ignore=not_needed)
