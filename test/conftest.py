@@ -54,17 +54,22 @@ MOTOR = '<motor name="torq_j1" joint="joint1" ctrlrange="-30 30"/>'
 #: of processes that wait for each other take turns with those that compute.
 LONGEST = (
     'ros/test_pick_cube.py', 'ros/test_viewer.py', 'simulation/test_control_figures.py',
-    'ros/test_diagnostics.py', 'ros/test_process.py', 'simulation/test_stream_bounds.py',
+    'ros/test_diagnostics.py', 'ros/test_process.py', 'experiments/test_runs.py',
     'ros/test_neighbours.py', 'models/test_catalogue_grasps.py', 'ros/test_documentation.py',
-    'tasks/test_tasks.py', 'simulation/test_cartesian_rest.py', 'ros/test_lockstep.py',
-    'simulation/test_cartesian.py',
-    'ros/test_hand_over.py', 'test_contact_bench.py', 'ros/test_soak.py',
-    'simulation/test_setpoints.py', 'ros/test_start.py', 'simulation/test_servos.py',
-    'ros/test_parameters.py', 'models/test_add_your_own.py', 'ros/test_hostile_viewer.py',
-    'cli/test_cli_render.py', 'ros/test_camera_topics.py', 'moveit/test_moveit_package.py',
-    'ros/test_commands.py', 'test_gallery.py', 'ros/test_watch_only.py', 'ros/test_bad_input.py',
-    'test_install.py', 'ros/test_topic_hardware.py', 'rendering/test_catalogue_cameras.py',
-    'test_typing.py')
+    'ros/test_soak.py', 'env/test_env.py', 'ros/test_parameters.py',
+    'moveit/test_control_package.py', 'worlds/test_worlds.py', 'ros/test_hand_over.py',
+    'tasks/test_tasks.py', 'ros/test_lockstep.py', 'models/test_add_your_own.py',
+    'ros/test_start.py', 'test_contact_bench.py', 'ros/test_node_records.py',
+    'simulation/test_cartesian_rest.py', 'ros/test_topic_hardware.py',
+    'simulation/test_stream_bounds.py', 'ros/test_camera_topics.py', 'testing/test_plugin.py',
+    'simulation/test_cartesian.py', 'moveit/test_moveit_package.py', 'test_fast.py',
+    'simulation/test_servos.py', 'test_install.py', 'test_gallery.py',
+    'simulation/test_setpoints.py', 'cli/test_cli_render.py', 'simulation/test_resuming.py',
+    'ros/test_hostile_viewer.py', 'ros/test_goal_server.py', 'simulation/test_randomization.py',
+    'ros/test_commands.py', 'ros/test_watch_only.py', 'ros/test_spawned_by_strangers.py',
+    'ros/test_bad_input.py', 'sensing/test_noise.py', 'rendering/test_catalogue_cameras.py',
+    'ros/test_pressing.py', 'test_typing.py', 'test_requirements.py', 'ros/test_sensors.py',
+    'tasks/test_latency.py', 'experiments/test_ros_policy.py')
 
 
 @pytest.hookimpl(wrapper=True)
