@@ -25,7 +25,7 @@ from manip_sim.tasks import create_task, Episode, task_names
 
 HEADER = ('| task | robot | success | 95 % interval | median time | seeds that fail |\n'
           '|---|---|---|---|---|---|\n')
-ROBOTS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3')
+ROBOTS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3', 'FR3', 'XArm7')
 
 
 def measure(name: str, robot: str, seeds: Sequence[int]) -> tuple[list[int], list[float]]:

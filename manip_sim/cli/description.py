@@ -77,16 +77,16 @@ def _servo_type(model: mujoco.MjModel, index: int) -> str:
 def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
     """Return the sensors of a robot and of all that is mounted on it."""
     rows = []
-    for part in _parts(robot):
-        for name in part.sensors:
-            index = int(model.sensor(name).id)
-            kind = int(model.sensor_objtype[index])
-            element = int(model.sensor_objid[index])
-            rows.append({
-                'name': name,
-                'type': mujoco.mjtSensor(int(model.sensor_type[index])).name[7:].lower(),
-                'of': mujoco.mj_id2name(model, kind, element) if element >= 0 else None,
-                'length': int(model.sensor_dim[index])})
+    # Those of a hand in the robot's own file are the robot's too.
+    for name in dict.fromkeys(name for part in _parts(robot) for name in part.sensors):
+        index = int(model.sensor(name).id)
+        kind = int(model.sensor_objtype[index])
+        element = int(model.sensor_objid[index])
+        rows.append({
+            'name': name,
+            'type': mujoco.mjtSensor(int(model.sensor_type[index])).name[7:].lower(),
+            'of': mujoco.mj_id2name(model, kind, element) if element >= 0 else None,
+            'length': int(model.sensor_dim[index])})
     return rows
 
 

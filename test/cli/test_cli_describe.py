@@ -149,6 +149,25 @@ def test_sensors_and_cameras_tell_where_they_are(described):
         np.radians(75.0))
 
 
+def test_sensors_of_a_hand_in_the_file_of_the_robot_are_listed_once(described, tmp_path):
+    file = tmp_path / 'arm.xml'
+    file.write_text("""<mujoco><worldbody><body name="base">
+      <geom size="0.05"/>
+      <body name="arm" pos="0 0 0.3"><joint name="lift" axis="0 1 0" range="-1 1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.03"/>
+        <body name="palm" pos="0 0 0.35"><joint name="roll" range="-1 1"/><geom size="0.04"/>
+          <body name="jaw" pos="0 0.05 0.02"><joint name="jaw" axis="1 0 0" range="0 1"/>
+            <geom type="box" size="0.01 0.01 0.05" pos="0 0 0.05"/></body>
+          <body name="thumb" pos="0 -0.05 0.02"><joint name="thumb" axis="1 0 0" range="-1 0"/>
+            <geom type="box" size="0.01 0.01 0.05" pos="0 0 0.05"/></body>
+        </body></body></body></worldbody>
+      <actuator><position joint="lift" kp="100"/><position joint="roll" kp="100"/>
+        <position joint="jaw" kp="5"/><position joint="thumb" kp="5"/></actuator></mujoco>""")
+    names = [row['name'] for row in described('--robot', file)['sensors']]
+    assert names.count('robot0_right_hand_force_ee') == 1
+    assert len(names) == len(set(names))
+
+
 def test_topics_and_parameters_are_those_of_the_parts(described):
     found = described('--robot', 'PandaOmron')
     topics = {(topic['name'], topic['direction']) for topic in found['topics']}
