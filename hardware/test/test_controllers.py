@@ -4,54 +4,91 @@
 """The controller manager of Jazzy with the hardware component, against a node of manip_sim."""
 
 from pathlib import Path
+import sys
 
+from ament_index_python.packages import get_package_prefix
 from builtin_interfaces.msg import Duration
+from control_msgs.action import GripperCommand
+from controller_manager_msgs.srv import SwitchController
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
+from rcl_interfaces.srv import GetParameters
+from rclpy.action import ActionClient
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+import yaml
 
+from manip_sim.cli.main import main
 from manip_sim.testing.simulation_under_test import SimulationStalled
 
-CONTROLLERS = Path(__file__).parent / 'controllers.yaml'
+OWN = Path(__file__).parent / 'controllers.yaml'
 JOINTS = [f'robot0_joint{n}' for n in range(1, 8)]
 MOVE = np.array([0.3, -0.2, 0.1, 0.2, -0.1, 0.2, 0.3])
+NODE = {'stepping': 'lockstep', 'ros2_control_plugin': 'manip_sim_hardware/ManipSimSystem'}
+
+
+@pytest.fixture(scope='module')
+def written(tmp_path_factory):
+    """Return the controllers that "manip_sim export --ros2-control" writes for the node."""
+    folder = tmp_path_factory.mktemp('written')
+    parameters = folder / 'node.yaml'
+    parameters.write_text(yaml.safe_dump({'/**': {'ros__parameters': NODE}}))
+    assert main(['export', '--ros2-control', str(folder / 'panda_control'),
+                 '--params-file', str(parameters)]) == 0
+    return folder / 'panda_control' / 'config' / 'controllers.yaml'
 
 
 @pytest.fixture
-def controlled(sim_node):
-    """Return a function that starts a node in lock-step and a controller manager."""
+def controlled(sim_node, written):
+    """Return a function that starts a node and a controller manager, and those two."""
     def start(update_rate=100, **parameters):
-        sim = sim_node(stepping='lockstep', ros2_control_tag=True,
-                       ros2_control_plugin='manip_sim_hardware/ManipSimSystem', **parameters)
-        return sim, manager(sim, update_rate)
+        sim = sim_node(**{**NODE, 'ros2_control_tag': True, **parameters})
+        return sim, manager(sim, written, update_rate)
     return start
 
 
-def manager(sim, update_rate=100):
-    return sim.start(['ros2', 'run', 'controller_manager', 'ros2_control_node', '--ros-args',
-                      '-p', 'use_sim_time:=true', '--params-file', str(CONTROLLERS),
+def executable(name):
+    return str(Path(get_package_prefix('controller_manager'), 'lib', 'controller_manager', name))
+
+
+def manager(sim, written, update_rate=100):
+    return sim.start([executable('ros2_control_node'), '--ros-args', '-p', 'use_sim_time:=true',
+                      '--params-file', str(written), '--params-file', str(OWN),
                       '-p', f'update_rate:={update_rate}'])
 
 
-def spawn(sim, *names):
+def spawn(sim, *arguments):
     """Activate controllers; simulated time passes meanwhile."""
-    spawner = sim.start(['ros2', 'run', 'controller_manager', 'spawner', *names,
-                         '--param-file', str(CONTROLLERS),
+    spawner = sim.start([sys.executable, executable('spawner'), *arguments,
                          '--controller-manager-timeout', '100'])
     sim.wait_for(lambda: spawner.poll() is not None, limit_s=600.0)
     assert spawner.returncode == 0
 
 
-def move(sim, start):
+def switch(sim, activated, deactivated):
+    client = sim.node.create_client(SwitchController, 'controller_manager/switch_controller')
+    sim.wait_for(client.service_is_ready)
+    answer = client.call_async(SwitchController.Request(
+        activate_controllers=[activated], deactivate_controllers=[deactivated],
+        strictness=SwitchController.Request.STRICT, timeout=Duration(sec=60)))
+    sim.wait_for(answer.done, limit_s=60.0)
+    assert answer.result().ok
+
+
+def mode_of_the_arm(sim):
+    return sim.call(GetParameters, 'manip_sim/get_parameters', GetParameters.Request(
+        names=['control_mode.arm'])).values[0].string_value
+
+
+def move(sim, start, controller='arm_position_controller'):
     """Send a trajectory that begins at a given time, and let it be done."""
     goal = sim.states('arm/joint_states').position[-1] + MOVE
     begin = JointTrajectory(joint_names=JOINTS, points=[JointTrajectoryPoint(
         positions=goal.tolist(), time_from_start=Duration(sec=1))])
     begin.header.stamp.sec = start
-    sim.publish('position_trajectory/joint_trajectory', begin)
+    sim.publish(f'{controller}/joint_trajectory', begin)
     sim.run_for(start + 2.0 - sim.time_s)
     return goal
 
@@ -59,7 +96,7 @@ def move(sim, start):
 @pytest.mark.parametrize('rate, update_rate', [(100.0, 100), (500.0, 500), (500.0, 100)])
 def test_a_trajectory_is_followed_in_lock_step(rate, update_rate, controlled):
     sim, _ = controlled(update_rate, publish_rate=rate)
-    spawn(sim, 'position_trajectory')
+    spawn(sim, 'arm_position_controller')
     goal = move(sim, int(sim.time_s) + 2)
     states = sim.states('arm/joint_states')
     assert np.abs(states.position[-1] - goal).max() < 1e-3
@@ -70,7 +107,7 @@ def test_a_trajectory_is_followed_in_lock_step(rate, update_rate, controlled):
 def test_runs_from_the_same_start_are_equal_to_the_last_bit(controlled):
     def run():
         sim, process = controlled()
-        spawn(sim, 'position_trajectory')
+        spawn(sim, 'arm_position_controller')
         start = int(sim.time_s) + 2
         move(sim, start)
         states = sim.states('arm/joint_states')
@@ -89,11 +126,63 @@ def test_a_controller_that_claims_velocities_changes_the_mode(controlled):
     assert sim.states('arm/joint_states').velocity[-1, 0] == pytest.approx(0.2, abs=1e-4)
 
 
+def test_controllers_of_other_modes_take_over_from_each_other(controlled):
+    sim, _ = controlled()
+    spawn(sim, 'arm_position_controller')
+    spawn(sim, 'arm_velocity_controller', 'arm_effort_controller', '--inactive')
+    start, active = sim.states('arm/joint_states').position[-1], 'arm_position_controller'
+    for mode in ('velocity', 'effort', 'position', 'effort', 'velocity', 'position'):
+        before, active = active, f'arm_{mode}_controller'
+        switch(sim, active, before)
+        assert mode_of_the_arm(sim) == mode
+        sim.run_for(1.0)
+        # What takes over holds the arm where it is.
+        assert np.abs(sim.states('arm/joint_states').position[-1] - start).max() < 5e-3
+    for mode in ('velocity', 'effort'):
+        before, active = active, f'arm_{mode}_controller'
+        switch(sim, active, before)
+        goal = move(sim, int(sim.time_s) + 2, active)
+        assert np.abs(sim.states('arm/joint_states').position[-1] - goal).max() < 5e-3
+
+
+def test_the_gripper_controller_reaches_its_goal(controlled):
+    sim, _ = controlled()
+    spawn(sim, 'right_gripper_controller')
+    client = ActionClient(sim.node, GripperCommand, 'right_gripper_controller/gripper_cmd')
+    sim.wait_for(client.server_is_ready)
+    goal = GripperCommand.Goal()
+    goal.command.position, goal.command.max_effort = 0.03, 20.0
+    accepted = client.send_goal_async(goal)
+    sim.wait_for(accepted.done)
+    result = accepted.result().get_result_async()
+    sim.wait_for(result.done)
+    assert result.result().result.reached_goal
+    assert result.result().result.position == pytest.approx(0.03, abs=0.011)
+    client.destroy()
+
+
+def test_the_arm_stops_after_the_manager_was_killed_while_it_moved(controlled):
+    sim, process = controlled(stepping='free')
+    spawn(sim, 'velocity_forward')
+    sim.publish('velocity_forward/commands', Float64MultiArray(data=[0.2, *[0.0] * 6]))
+    sim.run_for(1.0)
+    process.kill()
+    process.wait()
+    killed = len(sim.states('arm/joint_states').time_s)
+    sim.run_for(2.0)
+    states = sim.states('arm/joint_states')
+    assert states.velocity[killed - 1, 0] == pytest.approx(0.2, abs=1e-3)
+    assert abs(states.velocity[-1, 0]) < 1e-4
+    # 0.2 s at full speed by the default of command_timeout, and the ramp.
+    assert 0.03 < states.position[-1, 0] - states.position[killed - 1, 0] < 0.08
+
+
 def test_the_broadcaster_publishes_the_wrench_of_the_node(controlled):
     sim, _ = controlled()
     received = []
-    sim.node.create_subscription(WrenchStamped, 'wrench_broadcaster/wrench', received.append, 100)
-    spawn(sim, 'wrench_broadcaster')
+    sim.node.create_subscription(WrenchStamped, 'right_external_wrench_broadcaster/wrench',
+                                 received.append, 100)
+    spawn(sim, 'right_external_wrench_broadcaster')
     sim.wait_for(lambda: len(received) > 20)
     wrenches = sim.wrenches()
     for message in received[-10:]:
@@ -105,10 +194,10 @@ def test_the_broadcaster_publishes_the_wrench_of_the_node(controlled):
 def test_the_broadcaster_publishes_what_the_imu_of_the_hand_measures(controlled):
     sim, _ = controlled()
     received, measured = [], {}
-    sim.node.create_subscription(Imu, 'imu_broadcaster/imu', received.append, 100)
+    sim.node.create_subscription(Imu, 'robot0_right_imu_broadcaster/imu', received.append, 100)
     sim.node.create_subscription(Imu, 'sensors/robot0_right_imu/imu', lambda imu: measured.update(
         {(imu.header.stamp.sec, imu.header.stamp.nanosec): imu}), 100)
-    spawn(sim, 'imu_broadcaster')
+    spawn(sim, 'robot0_right_imu_broadcaster')
     sim.wait_for(lambda: len(received) > 20)
     for message in received[-10:]:
         imu = measured[message.header.stamp.sec, message.header.stamp.nanosec]
@@ -124,25 +213,26 @@ def test_the_admittance_controller_keeps_the_arm_where_nothing_pushes(controlled
     assert np.abs(sim.states('arm/joint_states').position[-1] - before).max() < 0.01
 
 
-def test_time_stands_while_the_manager_is_gone_and_another_one_goes_on(controlled, monkeypatch):
+def test_time_stands_while_the_manager_is_gone_and_another_one_goes_on(
+        controlled, written, monkeypatch):
     from manip_sim.testing import simulation_under_test
     sim, process = controlled()
-    spawn(sim, 'position_trajectory')
+    spawn(sim, 'arm_position_controller')
     process.kill()
     process.wait()
     monkeypatch.setattr(simulation_under_test, '_PATIENCE', 30)
     with pytest.raises(SimulationStalled):
         sim.run_for(5.0)
     monkeypatch.undo()
-    manager(sim)
-    spawn(sim, 'position_trajectory')
+    manager(sim, written)
+    spawn(sim, 'arm_position_controller')
     goal = move(sim, int(sim.time_s) + 2)
     assert np.abs(sim.states('arm/joint_states').position[-1] - goal).max() < 1e-3
 
 
 def test_a_reset_is_not_undone_by_the_controller_that_is_active(controlled):
     sim, _ = controlled()
-    spawn(sim, 'position_trajectory')
+    spawn(sim, 'arm_position_controller')
     start = sim.states('arm/joint_states').position[-1]
     move(sim, int(sim.time_s) + 2)
     sim.reset()

@@ -9,7 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 import contextlib
 import itertools
 import math
+import os
 from pathlib import Path
+import signal
 import subprocess
 import threading
 from typing import Any
@@ -329,10 +331,12 @@ class SimulationUnderTest:
         """
         Start a controller as a process in the domain of the node; it is ended with the test.
 
+        So are the processes that it starts, such as those of ``ros2 run`` and ``ros2 launch``.
+
         :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
         :param arguments: further arguments of ``subprocess.Popen``
         """
-        process = subprocess.Popen(command, **arguments)
+        process = subprocess.Popen(command, start_new_session=True, **arguments)
         self._processes.append(process)
         return process
 
@@ -376,7 +380,9 @@ class SimulationUnderTest:
         :raises ManipSimError: if the node has failed
         """
         for process in self._processes:
-            process.kill()
+            # Those that it has started are left where it has ended.
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
         for executor, thread in self._spinning:
             executor.shutdown()

@@ -4,6 +4,8 @@
 """The fixture for tests of controllers: simulated time, lock-step, records of failures."""
 
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -121,3 +123,21 @@ def test_a_simulation_ends_after_a_signal_has_shut_its_contexts_down(sim_node):
     for context in (sim.server._context, sim._context):
         context.shutdown()
     sim.close()
+
+
+STARTS_ANOTHER = """
+import subprocess, sys
+subprocess.run([sys.executable, '-c', 'print(flush=True); import time; time.sleep(1000)'])
+"""
+
+
+def test_what_a_controller_has_started_ends_with_it(sim_node):
+    sim = sim_node()
+    controller = sim.start([sys.executable, '-c', STARTS_ANOTHER], stdout=subprocess.PIPE)
+    with controller.stdout as output:
+        assert output.read(1)
+        # As 'ros2 run' ends when it is killed.
+        controller.kill()
+        sim.close()
+        # The pipe ends with the last process that has it.
+        assert not output.read()
