@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from manip_sim.cli.description import camera_rows
 from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED
 from manip_sim.models import compose, load_robot
 from manip_sim.models.robots import robot_names
@@ -23,6 +24,14 @@ PARTS_OF_PANDA = ['arm', 'right', 'right/gripper']
 
 def by_name(rows):
     return {row['name']: row for row in rows}
+
+
+def test_a_camera_has_a_resolution_where_its_file_says_one():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><camera name="own" resolution="320 240"/><camera name="line" '
+        'resolution="320 1"/><camera name="none"/></worldbody></mujoco>')
+    assert {row['name']: row['resolution'] for row in camera_rows(model)} == {
+        'own': [320, 240], 'line': None, 'none': None}
 
 
 def test_limits_of_the_panda_are_those_of_its_data_sheet(described):

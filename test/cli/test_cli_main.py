@@ -56,7 +56,7 @@ def test_help_is_given_in_terminals_of_all_widths(columns, here, monkeypatch):
     monkeypatch.setenv('COLUMNS', columns)
     code, text, errors = here('list', '--help')
     assert (code, errors) == (0, '')
-    assert 'list the available parts and tasks, and where they' in ' '.join(text.lower().split())
+    assert ' List the available parts and tasks, and where they' in ' '.join(text.split())
 
 
 @pytest.mark.parametrize(('arguments', 'what', 'of'), [
@@ -70,6 +70,10 @@ def test_help_is_given_in_terminals_of_all_widths(columns, here, monkeypatch):
     (('describe', '--position', '1', '2', 'nan'), "finite number, got 'nan'", ' describe'),
     (('describe', '--arena-param', 'cube'), "must be like NAME=VALUE, got 'cube'", ' describe'),
     (('render', 'a.png', '--size', '800'), "must be like 800x540, got '800'", ' render'),
+    (('render', 'a.png', '--size', '15x16'), "from 16 to 8192 pixels each way, got '15x16'",
+     ' render'),
+    (('run', 'reach', '--policy', 'zero', '--seeds', '0:1'),
+     'the following arguments are required: --out', ' run'),
     (('render', 'a.png', '--size', '8x9000'), 'from 16 to 8192 pixels', ' render'),
     (('render', 'a.png', '--camera', 'c', '--azimuth', '3'), 'either --camera or', ' render'),
     (('render', 'a.png', '--robot', 'none'), 'give one of --gripper, --base and', ' render'),

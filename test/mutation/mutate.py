@@ -257,15 +257,18 @@ class Laboratory:
         """
         Return what becomes of a change under tests that take so long without it [s].
 
-        :returns: SURVIVED, 'killed', or 'killed by time' if the tests take much longer
+        :returns: SURVIVED, 'killed', 'killed by time' if the tests take much longer than without
+            the change, or 'undecided' if without it they take as long at present
         """
         changed, original = self.folder / mutant.file, ROOT / mutant.file
         changed.write_text(mutant.code)
         try:
             code = self.pytest(['-x', *tests], 30.0 + 5.0 * duration_s)
-            return {0: 'SURVIVED', None: 'killed by time'}.get(code, 'killed')
         finally:
             shutil.copy2(original, changed)
+        if code is None and self.pytest(['-x', *tests], 30.0 + 5.0 * duration_s) is None:
+            return 'undecided'
+        return {0: 'SURVIVED', None: 'killed by time'}.get(code, 'killed')
 
 
 class Record:
@@ -286,7 +289,8 @@ class Record:
 
         Of a test with many cases, a second case comes behind the first ones of all others. A line
         that runs only as its module is imported is left to all tests that use the module, or to
-        all tests if the module does nothing later.
+        all tests if the module does nothing later. The same holds for a line that runs only in
+        processes that tests start, which are not recorded: try its survivors by hand.
 
         :param most_s: how long they may take together [s]
         """
@@ -359,7 +363,7 @@ def main() -> int:
     """Try changes and tell those that survive."""
     options = _arguments()
     mutants = sampled(SCOPES[options.scope], options.sample, options.seed, options.only)
-    survivors, begin_s = 0, time.monotonic()
+    survivors, undecided, begin_s = 0, 0, time.monotonic()
     with tempfile.TemporaryDirectory(prefix='manip_sim_mutation_') as folder:
         laboratory = Laboratory(Path(folder).resolve())
         _import_early()
@@ -370,15 +374,16 @@ def main() -> int:
             outcome = laboratory.outcome(mutant, names, sum(
                 duration_s for _, duration_s in tests)) if tests else 'SURVIVED'
             survived = outcome == 'SURVIVED'
-            survivors += survived
+            survivors, undecided = survivors + survived, undecided + (outcome == 'undecided')
             print(f'{count}/{len(mutants)} {outcome} {mutant.file}:'
                   f'{mutant.line} {mutant.operator.removeprefix("core/")} #{mutant.occurrence}, '
                   f'{len(tests)} tests, {time.monotonic() - begin_s:.0f} s', flush=True)
             if survived:
                 print(mutant.difference, flush=True)
-    tried = len(mutants) - options.begin + 1
+    tried = len(mutants) - options.begin + 1 - undecided
     killed = tried - survivors
-    print(f'{killed} of {tried} changes were seen by tests ({killed / max(1, tried):.1%})')
+    print(f'{killed} of {tried} changes were seen by tests ({killed / max(1, tried):.1%})'
+          + (f'; {undecided} more took too long without the change too' if undecided else ''))
     return 0
 
 

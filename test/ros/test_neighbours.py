@@ -78,6 +78,13 @@ def test_two_clients_may_control_the_simulation_at_once(serve, client):
     client.spin_until(lambda: client.state().header.stamp != first.header.stamp)
 
 
+def test_rclpy_does_not_log_again_what_the_diagnostics_report(serve):
+    node = serve(start_paused=True)
+    publishers = [publisher for publisher in node.publishers if publisher.topic != '/rosout']
+    assert len(publishers) > 10
+    assert not any(publisher.event_handlers for publisher in publishers)
+
+
 def test_a_subscriber_that_never_reads_does_not_slow_the_simulation(sim_process, client):
     sim_process()
     client.state()

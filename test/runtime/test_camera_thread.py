@@ -55,8 +55,8 @@ def cameras(simulation, renderer, monkeypatch):
         assert thread.stop(WAIT_S)
 
 
-def order(thread, simulation, rgb=True, depth=True):
-    thread.order(VIEW, take_snapshot(simulation), rgb, depth)
+def order(thread, simulation, rgb=True, depth=True, labels=False):
+    thread.order(VIEW, take_snapshot(simulation), rgb, depth, labels)
 
 
 def ahead_m(shot):
@@ -105,6 +105,7 @@ def test_the_same_state_is_rendered_once_and_more_of_it_when_more_is_asked_for(c
     first = next_shot(depth=False)
     assert next_shot(depth=False).picture is first.picture
     assert next_shot().picture.depth is not None
+    assert next_shot(labels=True).picture.labels is not None
     # Something is put elsewhere while time stands still.
     before = next_shot()
     simulation.entities.place(simulation.data, 'ball', Pose.checked([4.0, 0, 1], [0, 0, 0, 1]),
