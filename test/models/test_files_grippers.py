@@ -45,8 +45,21 @@ def test_a_hand_gets_a_grasp_frame_between_its_fingertips(tmp_path):
                                       'torque_ee': 'gripper0_torque_ee'}
 
 
+def test_a_link_without_shapes_that_is_named_as_the_grasp_is_the_grasp_frame(tmp_path):
+    text = HAND.replace('<body name="left_tip"', '<body name="gripper_frame_link" '
+                        'pos="0.01 0.02 0.03"/><body name="left_tip"')
+    hand = load_gripper(write(tmp_path / 'hand.xml', text))
+    assert "grasp frame: body 'gripper_frame_link'" in hand.inferred
+    model = hand.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(
+        data.site('gripper0_grip_site').xpos, data.body('gripper0_gripper_frame_link').xpos)
+
+
 @pytest.mark.parametrize(('sites', 'found'), [
-    (['tcp'], 'tcp'), (['tcp', 'finger_grip', 'pinch_site'], 'pinch_site'),
+    (['tcp'], 'tcp'), (['gripper_mount', 'gripperframe'], 'gripperframe'),
+    (['tcp', 'finger_grip', 'pinch_site'], 'pinch_site'),
     (['tcp', 'gripping', 'left_grasp2'], 'left_grasp2')], ids=str)
 def test_a_site_that_is_named_as_the_grasp_is_the_grasp_frame(tmp_path, sites, found):
     places = {name: [0.01, 0.02, 0.03 + 0.01 * n] for n, name in enumerate(sites)}

@@ -18,8 +18,9 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_hands import FoundHand
 
-#: Words in the names of sites between the fingertips, in order of preference.
-_GRASP_WORDS = ('pinch', 'grasp', 'grip', 'tcp')
+#: Words in the names of frames between the fingertips, in order of preference.
+_GRASP_WORDS = (
+    {'pinch'}, {'grasp'}, {'grip'}, {'tcp'}, {'gripperframe'}, {'gripper', 'frame'})
 #: Duration and physics step of a trial in which a finger moves [s].
 _TRIAL_S, _TRIAL_STEP_S = 0.5, 0.002
 #: A relative change of the distance of the fingers up to this one decides nothing.
@@ -144,15 +145,22 @@ class Fingers:
         middle: FloatArray = np.asarray(points).mean(axis=0)
         return middle
 
-    def grasp_site(self) -> str | None:
-        """Return a site whose name says that it is between the fingertips, or None."""
-        below = self._tree.below(self._hand.body)
-        sites = [str(self._model.site(i).name) for i in range(self._model.nsite)
-                 if self._model.site_bodyid[i] in below]
-        for word in _GRASP_WORDS:
-            for name in sites:
-                if word in words_of(name):
-                    return name
+    def grasp_frame(self) -> str | None:
+        """
+        Return a frame whose name says that it is between the fingertips, or None.
+
+        It is a site, or else a body on the palm without shapes, such as a frame of a URDF.
+        """
+        model, below = self._model, self._tree.below(self._hand.body)
+        sites = [str(model.site(i).name) for i in range(model.nsite)
+                 if model.site_bodyid[i] in below]
+        links = [self._tree.name(body) for body in self._palm
+                 if body != self._hand.body and not model.body_geomnum[body]]
+        for frames in (sites, links):
+            for words in _GRASP_WORDS:
+                for name in frames:
+                    if words <= words_of(name):
+                        return name
         return None
 
     def grasp_point(self) -> FloatArray:

@@ -56,7 +56,7 @@ class HandFromFile(GripperModel, registered=False):
         """
         fingers = Fingers(tree, hand, self._start)
         point, mount = self._description.grasp_point, tree.name(hand.body)
-        at = (point.at if point else None) or (None if point else fingers.grasp_site()) or mount
+        at = (point.at if point else None) or (None if point else fingers.grasp_frame()) or mount
         place = find_place(spec, at, f"'grasp_point' of {self._where}")
         position = point.position if point else np.zeros(3)
         orientation: ArrayLike = point.orientation if point else np.zeros(3)
@@ -64,7 +64,8 @@ class HandFromFile(GripperModel, registered=False):
             position, orientation = fingers.grasp_point(), _upright(tree, hand.body)
         if point is None:
             middle = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
-            self.inferred.append('grasp frame: ' + (middle if at == mount else f"site '{at}'"))
+            self.inferred.append(
+                'grasp frame: ' + (middle if at == mount else f"{place[0]} '{at}'"))
         self.grasp_point = FrameDescription(
             at=at, position=list(map(float, position)),
             orientation=np.asarray(orientation, dtype=float).tolist())
