@@ -86,11 +86,12 @@ setup(
         # trimesh smooths shapes by scipy.
         'viewer': ['msgspec', 'scipy', 'trimesh', 'viser>=1.1,<2', 'websockets>=14'],
         'mutate': ['cosmic-ray'],
+        'xacro': ['xacro'],
         'test': ['av', 'colcon-common-extensions', 'coverage>=7.10', 'cyclonedx-bom', 'flake8',
                  'gymnasium>=1', 'h5py', 'hypothesis', 'lxml', 'mcap>=1.6,<2',
                  'mcap-ros2-support>=0.6,<1', 'mypy', 'packaging', 'pin', 'playwright', 'pyarrow',
                  'pytest', 'pytest-timeout', 'pytest-xdist', 'reuse', 'rosbags', 'ruff', 'scipy',
-                 'tqdm', 'viser>=1.1,<2', 'yourdfpy'],
+                 'tqdm', 'viser>=1.1,<2', 'xacro', 'yourdfpy'],
     },
     zip_safe=False,
     maintainer=MAINTAINER.text,

@@ -23,6 +23,8 @@ MENAGERIE_VARIABLE = 'MENAGERIE_ROOT'
 KINDS = ('robots', 'grippers', 'bases', 'arenas')
 _YAML = ('.yaml', '.yml')
 _SUFFIXES = (*_YAML, '.xml', '.mjcf', '.urdf')
+#: A xacro file, which arguments may follow.
+_XACRO = re.compile(r'\.xacro(\s|$)', re.IGNORECASE)
 _SCHEMES = ('menagerie:', 'robosuite:')
 _INCLUDE = re.compile(r'<include\s+file\s*=\s*"([^"]+)"')
 
@@ -197,7 +199,8 @@ def _letters(name: str) -> str:
 def is_path(name: str) -> bool:
     """Return whether a name is a path: it has a slash, or ends as models and descriptions do."""
     return not name.startswith(_SCHEMES) and (
-        '/' in name or os.sep in name or Path(name).suffix.lower() in _SUFFIXES)
+        '/' in name or os.sep in name or Path(name).suffix.lower() in _SUFFIXES
+        or _XACRO.search(name) is not None)
 
 
 def check_no_parameters(name: object, parameters: Any) -> None:

@@ -18,6 +18,7 @@ from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.model_file import compile_alone, ModelFile, read_model, shape_heights
 from manip_sim.models.files.part_descriptions import BaseDescription
+from manip_sim.models.files.xacro_expansion import stem_of
 
 #: A base whose lowest point is at most so far from z = 0 stands on the floor [m].
 _ON_FLOOR_M = 0.02
@@ -48,7 +49,7 @@ class FileBase(RobotBaseModel, registered=False):
     @property
     def name(self) -> str:
         """Name of the file and idn."""
-        return f'{self.file.stem}{self.idn}'
+        return f'{stem_of(self.file)}{self.idn}'
 
     @property
     def top_offset(self) -> FloatArray:
@@ -75,7 +76,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     :raises ModelError: if the file cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    model_file = read_model(file, servos=False)
+    model_file = read_model(file, servos=False, xacro_args=description.xacro_values)
     model = compile_alone(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:

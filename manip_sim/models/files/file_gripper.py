@@ -24,6 +24,7 @@ from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.model_file import compile_alone, read_model
 from manip_sim.models.files.part_descriptions import GripperDescription
 from manip_sim.models.files.start import start_pose
+from manip_sim.models.files.xacro_expansion import stem_of
 
 #: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02
@@ -131,12 +132,13 @@ class FileGripper(HandFromFile, registered=False):
     @property
     def name(self) -> str:
         """Name of the file and idn, such as ``right_hand0``."""
-        return f'{self.file.stem}{self.idn}'
+        return f'{stem_of(self.file)}{self.idn}'
 
     def _read(self) -> Any:
         declared = self._description
         keyframe = declared.start if isinstance(declared.start, str) else None
-        model_file = read_model(self.file, _KEYFRAMES, keyframe)
+        model_file = read_model(self.file, _KEYFRAMES, keyframe,
+                                xacro_args=declared.xacro_values)
         self.inferred = model_file.inferred
         self._keyframes = model_file.keyframes
         self._start = start_pose(model_file, declared.start, self._where)

@@ -13,6 +13,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.plan_description import described_plan
 from manip_sim.models.files.robot_plan import RobotPlan
+from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import GripperModel
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
@@ -56,7 +57,7 @@ class FileRobot(RobotModel, registered=False):
     @property
     def name(self) -> str:
         """Name of the file and idn, such as ``iiwa140``."""
-        return f'{self.file.stem}{self.idn}'
+        return f'{stem_of(self.file)}{self.idn}'
 
     @property
     def described(self) -> dict[str, Any]:

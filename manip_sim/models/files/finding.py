@@ -10,11 +10,12 @@ from pathlib import Path
 from manip_sim.errors import ModelError
 from manip_sim.models.files.part_descriptions import (
     Description, DescriptionT, read_description, RobotDescription)
+from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.sources import is_path
 from manip_sim.quoting import one_line
 
 YAML = ('.yaml', '.yml')
-MODELS = ('.xml', '.mjcf', '.urdf')
+MODELS = ('.xml', '.mjcf', '.urdf', SUFFIX)
 
 
 def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, DescriptionT, str]:
@@ -24,13 +25,17 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, D
     A model ``panda.xml`` is described by ``panda.yaml`` beside it, or by a file of a fixed name,
     such as ``robot.yaml``, that names it or has no other model beside it.
 
-    :param path: a model, a YAML file, or a folder
+    :param path: a model, a YAML file, or a folder; arguments may follow the name of a xacro file
     :param kind: the type of the description
     :param stem: the fixed name of a YAML file, without its suffix, such as ``robot``
     :raises ModelError: if a file is missing, or it is not clear which one is meant
     """
     try:
-        return _find(path.expanduser(), kind, stem)
+        file, arguments = split_arguments(str(path))
+        found, description, where = _find(Path(file).expanduser(), kind, stem)
+        if arguments:
+            description.xacro_args = {**description.xacro_args, **arguments}
+        return found, description, where
     except (OSError, RuntimeError) as error:
         raise ModelError(f'cannot read {one_line(str(path), 200)}: '
                          f'{getattr(error, "strerror", None) or error}') from error
@@ -47,7 +52,7 @@ def _find(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, Descri
     if path.suffix.lower() not in MODELS:
         raise ModelError(f'{path} is neither a model ({", ".join(MODELS)}) nor a description '
                          f'({", ".join(YAML)})')
-    for name in (path.stem, stem):
+    for name in (stem_of(path), stem):
         for suffix in YAML:
             beside = path.with_name(name + suffix)
             if not beside.is_file():
@@ -76,12 +81,18 @@ def _in_folder(folder: Path, stem: str) -> Path:
     for name in names:
         if (folder / name).is_file():
             return folder / name
-    models = sorted(file for file in folder.iterdir() if file.suffix.lower() in MODELS)
+    models = _models_in(folder)
     if len(models) == 1:
         return models[0]
     found = ', '.join(file.name for file in models[:5]) or 'no model'
     raise ModelError(f'{folder} has neither {stem}.yaml nor {folder.name}.xml nor one model '
                      f'alone, but {found}')
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """Return the models in a folder; of xacro files those that are whole robots by their name."""
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in MODELS
+                  and not (file.suffix.lower() == SUFFIX and stem_of(file) == file.stem))
 
 
 def _model_of(file: Path, description: Description, stem: str) -> Path:
@@ -91,11 +102,10 @@ def _model_of(file: Path, description: Description, stem: str) -> Path:
         if not model.is_file():
             raise ModelError(f"'model' of {file}: no such file: {model}")
         return model
-    for suffix in MODELS:
+    for suffix in (*MODELS, f'.urdf{SUFFIX}'):
         if file.with_suffix(suffix).is_file():
             return file.with_suffix(suffix)
-    models = sorted(other for other in file.parent.iterdir()
-                    if other.suffix.lower() in MODELS and file.stem == stem)
+    models = _models_in(file.parent) if file.stem == stem else []
     if len(models) == 1:
         return models[0]
     raise ModelError(f"{file} must say which 'model' it describes: there is no "

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -118,7 +118,7 @@ class ModelFile:
 
 
 def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
-               servos: bool = True) -> ModelFile:
+               servos: bool = True, xacro_args: Mapping[str, str] | None = None) -> ModelFile:
     """
     Read a robot, hand or base.
 
@@ -126,10 +126,11 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         file, else what :func:`choose_pose` returns
     :param wanted: a keyframe to take instead
     :param servos: give joints position servos if the file has no actuators
+    :param xacro_args: arguments of a xacro file, by name
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
-    spec, notes = load_urdf(file) if is_urdf(file) else (load_spec(file), [])
+    spec, notes = load_urdf(file, xacro_args) if is_urdf(file) else (load_spec(file), [])
     name_unnamed_elements(spec)
     model = compile_alone(spec, str(file))
     if is_urdf(file):

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from manip_sim.models.files.urdf import is_urdf
+from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.quoting import one_line, quoted
 
 #: Links that are nearer to each other than this touch [m].
@@ -80,7 +81,7 @@ def _overlapping(model: mujoco.MjModel, start: Mapping[str, float], everywhere: 
 
 def _of_srdf(file: Path) -> tuple[set[tuple[str, str]], list[str]]:
     """Return the pairs that the SRDF beside a URDF disables, and what to say of it."""
-    srdf = file.with_suffix('.srdf')
+    srdf = file.with_name(f'{stem_of(file)}.srdf')
     if not srdf.is_file():
         return set(), []
     try:

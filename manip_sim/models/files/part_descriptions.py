@@ -40,6 +40,16 @@ class Description(BaseModel):
 
     #: Path of the model, relative to the YAML file.
     model: Name | None = None
+    #: Arguments of a xacro file.
+    xacro_args: dict[Name, Union[Annotated[str, Field(strict=True)],
+                                 Annotated[bool, Field(strict=True)], Number]] = {}
+
+    @property
+    def xacro_values(self) -> dict[str, str]:
+        """The arguments as xacro reads them, a copy."""
+        return {str(name): str(value).lower() if isinstance(value, bool) else
+                f'{value:g}' if isinstance(value, float) else str(value)
+                for name, value in self.xacro_args.items()}
 
 
 class FrameDescription(BaseModel):

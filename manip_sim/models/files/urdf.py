@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-import os
+from collections.abc import Mapping
 from pathlib import Path
 import re
 from typing import Any
@@ -17,10 +16,13 @@ import mujoco
 from manip_sim.errors import ModelError
 from manip_sim.models.files.inertias import make_physical
 from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
+from manip_sim.models.files.package_folders import package_folders
+from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.loading import spec_from_string
-from manip_sim.models.xml_check import check_xml
+from manip_sim.models.regular_files import OneText
+from manip_sim.models.xml_check import check_xml, XmlModel
+from manip_sim.models.xml_limits import Budget
 from manip_sim.quoting import one_line, quoted, quoted_names
-from manip_sim.resources import PACKAGE, share_directory
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
@@ -31,7 +33,7 @@ _HEAD = 4096
 
 def is_urdf(file: Path) -> bool:
     """Return whether a file is URDF: by its ending, or because its first element is ``robot``."""
-    if file.suffix.lower() == '.urdf':
+    if file.suffix.lower() in ('.urdf', XACRO):
         return True
     if not file.is_file():  # Reading a device or a pipe may never end.
         return False
@@ -43,19 +45,19 @@ def is_urdf(file: Path) -> bool:
     return first is not None and first.group(1) == 'robot'
 
 
-def load_urdf(file: Path) -> tuple[Any, list[str]]:
+def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None) -> tuple[Any, list[str]]:
     """
-    Read a spec from a URDF file.
+    Read a spec from a URDF file, or from a xacro file that makes one.
 
     All links become bodies, also those on fixed joints. The velocity limit of a joint becomes the
     first number of its ``user``, the effort limit its actuator force range; zero is no limit. A
     mimic joint is coupled by an equality constraint.
 
+    :param xacro_args: arguments of a xacro file, by name
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     :raises ModelError: if it cannot be read, or a mesh is not found
     """
-    check_xml(file)
-    robot = _parse(file)
+    robot = _parse(file, _text(file, xacro_args or {}))
     notes = [*_find_meshes(robot, file), *_drop_empty_shapes(robot), *make_physical(robot)]
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
@@ -69,15 +71,29 @@ def load_urdf(file: Path) -> tuple[Any, list[str]]:
     return spec, notes
 
 
-def _parse(file: Path) -> ElementTree.Element:
+def _text(file: Path, xacro_args: Mapping[str, str]) -> str:
+    if file.suffix.lower() == XACRO:
+        text = OneText(expanded(file, xacro_args), str(file))
+        XmlModel(text.file, Budget(), files=text)
+        return text.content.decode()
+    if xacro_args:
+        raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
+    check_xml(file)
     try:
-        text = file.read_text(encoding='utf-8')
-        if '<!ENTITY' in text:
-            raise ModelError(f'{file} declares entities, which is not allowed in a URDF')
-        robot = ElementTree.fromstring(text)
+        return file.read_text(encoding='utf-8')
     except OSError as error:
         raise ModelError(f'cannot read {file}: {error.strerror}') from error
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ModelError(f'{file} is not XML that can be read: '
+                         f'{one_line(str(error))}') from error
+
+
+def _parse(file: Path, text: str) -> ElementTree.Element:
+    if '<!ENTITY' in text:
+        raise ModelError(f'{file} declares entities, which is not allowed in a URDF')
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
         raise ModelError(f'{file} is not XML that can be read: '
                          f'{one_line(str(error))}') from error
     if robot.tag != 'robot':
@@ -168,7 +184,7 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
         candidates = [path]
     else:
         package, rest = match.groups()
-        roots = list(_package_folders(package, file))
+        roots = list(package_folders(package, file))
         if not roots:
             raise ModelError(f'{where}: package {quoted(package)} is neither in AMENT_PREFIX_PATH '
                              f'or ROS_PACKAGE_PATH nor a folder above the file')
@@ -177,18 +193,6 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
         if candidate.is_file() or _readable(candidate) not in (None, candidate):
             return candidate.resolve()
     raise ModelError(f'{where}: no such file: {candidates[0]}')
-
-
-def _package_folders(package: str, file: Path) -> Iterator[Path]:
-    if package == PACKAGE:  # A URDF that was written here.
-        return iter([share_directory()])
-    found = [Path(prefix) / 'share' / package for prefix in
-             os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
-    for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep):
-        found += [Path(entry), Path(entry) / package] if entry else []
-    for folder in file.resolve().parents:
-        found += [folder, folder / package]
-    return (folder for folder in found if folder.name == package and folder.is_dir())
 
 
 def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element) -> None:
