@@ -20,7 +20,7 @@ MAY_IMPORT = {
     'sensing': ({'sensing'}, PURE),
     'models': ({'models', 'sensing'}, PURE),
     # Files of others may have meshes that MuJoCo does not read.
-    'models/files': ({'models'}, PURE | {'trimesh'}),
+    'models/files': ({'models'}, PURE | {'trimesh', 'xacro'}),
     'simulation': ({'models', 'sensing', 'simulation'}, PURE),
     'worlds': ({'models', 'simulation', 'worlds'}, PURE),
     'rendering': ({'rendering'}, PURE),

@@ -3,6 +3,8 @@
 
 """Tests of robots from MJCF files that nobody wrote for this package: what is inferred of them."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -431,3 +433,12 @@ def test_a_tendon_through_sites_acts_on_the_joints_that_move_some_of_them(tmp_pa
     model = mujoco.MjModel.from_xml_string(text.replace(' ctrl="', ' ctrl="0 '))
     joints = BodyTree(model).driven(model.actuator('rope').id)
     assert {model.joint(joint).name for joint in joints} == {'left_finger', 'right_finger'}
+
+
+def test_what_turns_beside_the_fingers_is_of_the_hand_but_not_a_longer_chain():
+    robot = load_robot(Path(__file__).parents[1] / 'data' / 'files' / 'propeller_hand.xml')
+    assert robot.arm_joints == ['robot0_waist', 'robot0_elbow', 'robot0_wrist']
+    hand = robot.grippers['right']
+    assert hand.body == 'mount'
+    assert {*hand.joints} == {'robot0_gripper', 'robot0_left_finger', 'robot0_right_finger'}
+    assert robot.head_joints == ['robot0_pan', 'robot0_tilt']

@@ -69,8 +69,31 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     for joints in by_side.values():
         body = _common_carrier(tree, tree.coupled(joints))
         if body:
-            hands.append(hand_below(tree, body))
+            hands.append(hand_below(tree, _with_branches(tree, body)))
     return [hand for hand in hands if hand.joints]
+
+
+def _with_branches(tree: BodyTree, body: int) -> int:
+    """
+    Return the body that carries a hand and what else moves on the same rigid link.
+
+    Only what is no longer than the fingers counts, such as the propeller of Interbotix's grippers,
+    and only on a link that moves: two arms hang on one that does not.
+    """
+    rigid, parts = tree.model.body_weldid, tree.below(body)
+    if not rigid[body]:
+        return body
+
+    def length(below: set[int]) -> int:
+        return max(sum(map(tree.is_scalar, tree.joints(set(tree.path(end)) & below)))
+                   for end in below)
+
+    longest = length(parts - {body})
+    roots = [other for other in range(1, tree.model.nbody)
+             if other not in parts and tree.joints([other])
+             and rigid[tree.parent(other)] == rigid[body]]
+    return tree.common([body, *(tree.parent(root) for root in roots
+                                if length(tree.below(root)) <= longest)])
 
 
 def _name(tree: BodyTree, joint: int) -> str:
