@@ -164,7 +164,7 @@ def _tasks() -> dict[str, list[Row]]:
         except ModelError as error:
             return {'name': name, 'error': one_line(str(error))}
         return {'name': name, 'instruction': task.instruction, 'arms': task.arms_needed,
-                'horizon s': task.horizon_s, 'from': (
+                'horizon s': task.horizon_s, 'not for': [*task.unable], 'from': (
                     f'file {file}' if isinstance(task, Task) else _package(task, 'tasks'))}
     return {'tasks': [row(name) for name in task_names()]}
 

@@ -297,16 +297,20 @@ def _add_run(commands: Any) -> None:
                         'joint_position, joint_velocity or joint_effort (default: osc_pose)')
     parser.add_argument('--control-hz', type=_number, default=20.0, metavar='HZ',
                         help='actions per second of simulated time (default: 20)')
-    parser.add_argument('--latency', type=_numbers, default=[0.0], metavar='SECONDS[,...]',
+    parser.add_argument('--latency', type=_numbers, metavar='SECONDS[,...]',
                         help='how much later a command takes effect, in simulated time (default: '
                         '0); several are runs in DIR/latency_SECONDS, with one table')
-    parser.add_argument('--state-latency', type=_numbers, default=[0.0], metavar='SECONDS[,...]',
+    parser.add_argument('--state-latency', type=_numbers, metavar='SECONDS[,...]',
                         help='how old the observed state is (default: 0); several as above')
     for option, what in (('--latency-jitter', '--latency'),
                          ('--state-latency-jitter', '--state-latency')):
-        parser.add_argument(option, type=_number, default=0.0, metavar='SECONDS',
+        parser.add_argument(option, type=_number, metavar='SECONDS',
                             help=f'standard deviation of {what}, drawn from the seed (default: '
                             '0)')
+    parser.add_argument('--noise', action='append', metavar='NOISE', help="of what is observed: a "
+                        "profile ('franka', 'ur', 'ideal'), whose latency counts where --latency "
+                        'and the like are not given, a file of parameters of the node, or '
+                        'NAME:=VALUE; may be repeated, the last one wins')
     parser.add_argument('--randomization', type=Path, metavar='FILE', help='YAML file with '
                         'distributions, drawn at each start from its seed')
     parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '

@@ -10,21 +10,30 @@ from collections.abc import Iterator
 import contextlib
 import importlib.util
 import itertools
+import math
 from pathlib import Path
 import signal
 import sys
 from typing import Any
 
 from manip_sim.cli.tables import table, terminal_width
-from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.experiments import Experiment, parse_seeds, parse_shard, RunFolder
 from manip_sim.experiments.on_ray import run_on_ray
 from manip_sim.experiments.policies import ROS
 from manip_sim.experiments.processes import processors, run_in_processes
 from manip_sim.experiments.run_folder import read_json, RUN, Shard
 from manip_sim.experiments.summary import Row
+from manip_sim.interface.parameter_files import read_parameters
 from manip_sim.models.randomization import Randomization
-from manip_sim.tasks import Latency, Setting
+from manip_sim.quoting import quoted
+from manip_sim.resources import share_directory
+from manip_sim.sensing.delays import ROUNDING
+from manip_sim.sensing.settings import SensingSettings
+from manip_sim.tasks import create_task, Latency, Setting
+
+#: Files of noise in the package, ``config/noise_NAME.yaml``.
+_PROFILES = ('franka', 'ideal', 'ur')
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
@@ -35,7 +44,14 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _run(options: argparse.Namespace) -> tuple[str, int]:
-    commands, states = options.latency, options.state_latency
+    noise, late = _noise(options)
+    for option, key in (('latency_jitter', 'command_jitter'),
+                        ('state_latency_jitter', 'state_jitter')):
+        if getattr(options, option) is not None:
+            late[key] = getattr(options, option)
+    options.noise, options.late = noise, late
+    commands, states = (given if given is not None else [late[key]] for given, key in (
+        (options.latency, 'command'), (options.state_latency, 'state')))
     if len(commands) == 1 and len(states) == 1:
         summary = _run_one(options, commands[0], states[0], options.out)
         return _interrupted(options) if summary is None else _summary_text(summary)
@@ -53,6 +69,36 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
             return _interrupted(options)
         found.append((late_s, summary))
     return _sweep_text(found, 'command' if len(commands) > 1 else 'state')
+
+
+def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, float]]:
+    """Return noise by the names of the node's parameters, and what it says about latency [s]."""
+    found: dict[str, Any] = {}
+    for given in options.noise or ():
+        name, is_value, value = given.partition(':=')
+        if is_value:
+            try:
+                found[name] = float(value)
+            except ValueError as error:
+                raise ModelError(f'--noise {quoted(given)}: {quoted(value)} is no number'
+                                 ) from error
+            continue
+        profile = share_directory() / 'config' / f'noise_{given}.yaml'
+        if given not in _PROFILES and not Path(given).is_file():
+            raise UnknownNameError('noise', given, _PROFILES)
+        found |= read_parameters(profile if given in _PROFILES else Path(given))
+    late = dict.fromkeys(('command', 'state', 'command_jitter', 'state_jitter'), 0.0)
+    checked = SensingSettings()
+    for name, value in found.items():
+        checked.set(name, value)
+    for key in late:
+        late[key] = found.pop(f'latency.{key}', 0.0)
+    if late['command'] or late['state']:
+        timestep_s = create_task(options.task, options.robot, options.gripper).world.timestep_s
+        # A latency of less than a timestep counts as one.
+        for key in ('command', 'state'):
+            late[key] = timestep_s * math.ceil(late[key] / timestep_s - ROUNDING)
+    return found, late
 
 
 def _interrupted(options: argparse.Namespace) -> tuple[str, int]:
@@ -87,14 +133,12 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
     if ros and (options.engine == 'ray' or options.worlds not in (None, 1)):
         raise ModelError('a ROS node acts in one episode at a time: it needs --worlds 1, and no '
                          '--engine ray')
-    latency = {'command': command_s, 'state': state_s,
-               'command_jitter': options.latency_jitter,
-               'state_jitter': options.state_latency_jitter}
+    latency = {**options.late, 'command': command_s, 'state': state_s}
     setting = Setting(
         options.task, options.robot, options.gripper, options.action, options.control_hz,
         latency, tuple(options.cameras or ()), options.image_size,
         {} if options.randomization is None else {
-            'randomization': Randomization(options.randomization)})
+            'randomization': Randomization(options.randomization)}, options.noise)
     records = out / 'records' if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
     # What cannot be used is said here, before anything is written.
@@ -187,6 +231,8 @@ def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
             f'{kind} {late[f"{kind}_s"]:g} s' + (
                 f' +- {jitter:g} s' if (jitter := late.get(f'{kind}_jitter_s')) else '')
             for kind in ('command', 'state'))),
+        *((('noise', ', '.join(f'{name} {value:g}' for name, value in noise.items())),)
+          if (noise := summary.get('noise')) else ()),
         ('episodes', f'{count} of {summary["of"]}'),
         ('success', f'{summary["successes"]} of {count}: '
                     f'{100.0 * (summary["success_rate"] or 0.0):.1f} %, 95 % interval {low} to '

@@ -19,7 +19,7 @@ from manip_sim.tasks.expert import Expert, Hold, pointing_down, sides
 from manip_sim.tasks.grasping import held_only_by, speed, touching
 from manip_sim.tasks.placing import (
     add_goal, draw, draw_apart, draw_yaw, move_mocap, nearness, place, position_of, rotation_of)
-from manip_sim.tasks.task import Task, TABLE_M
+from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT
 
 CUBE_M = 0.04
 #: The cube is on an area of these half extents [m].
@@ -49,6 +49,7 @@ class PickCube(Task):
     name = 'pick_cube'
     instruction = 'Pick up the red cube.'
     horizon_s = 6.0
+    unable = TOO_SHORT
 
     def objects(self) -> Iterable[Description]:
         """Return the cube."""
@@ -104,6 +105,7 @@ class StackCubes(Task):
     name = 'stack_cubes'
     instruction = 'Put the red cube onto the green cube.'
     horizon_s = 8.0
+    unable = TOO_SHORT
 
     def objects(self) -> Iterable[Description]:
         """Return both cubes."""
@@ -162,6 +164,7 @@ class PushCube(Task):
     name = 'push_cube'
     instruction = 'Push the red cube onto the green disc.'
     horizon_s = 8.0
+    unable = TOO_SHORT
     needs_fingers = False
 
     def arena(self) -> Arena:

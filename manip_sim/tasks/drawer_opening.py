@@ -15,7 +15,7 @@ from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, pointing_down
 from manip_sim.tasks.placing import draw, draw_yaw, move_mocap, nearness, rotation_of
-from manip_sim.tasks.task import Task
+from manip_sim.tasks.task import Task, TOO_SHORT
 
 #: It is open if it is pulled out by this [m].
 _OPEN_M = 0.12
@@ -31,6 +31,7 @@ class OpenDrawer(Task):
     name = 'open_drawer'
     instruction = 'Open the drawer.'
     horizon_s = 8.0
+    unable = TOO_SHORT
     needs_fingers = False
 
     def arena(self) -> Arena:

@@ -20,6 +20,8 @@ from manip_sim.tasks.pose_actions import ArmAction, PoseActions, STEP_M
 _ARRIVED_M, _TURNED = 0.006, 0.998
 #: It is given up after this many control periods.
 _MOST_PERIODS = 60
+#: Fingers that close at such speeds only [rad/s] are slow, and are waited for, but not for ever.
+_SLOW_RAD_PER_S, _MOST_CLOSING = (0.1, 0.2), 40
 
 
 class Policy(Protocol):
@@ -132,14 +134,22 @@ class Expert(ABC):
 
     def grip(self, arm: Hold, closing: float, periods: int = 10) -> Iterator[None]:
         """
-        Open or close a gripper and wait.
+        Open or close a gripper and wait, longer for slow fingers that close.
 
         :param arm: one of :attr:`arms`
         :param closing: from -1, open, to +1
-        :param periods: how long to wait
+        :param periods: how long to wait at least
         """
         arm.closing = closing
-        yield from self.wait(periods)
+        fingers = arm.item.robot.parts[f'{arm.item.arm}/gripper'].dof_addresses
+        least, most = _SLOW_RAD_PER_S
+        fastest = speed = 0.0
+        for waited in range(periods + _MOST_CLOSING * (closing > 0.0)):
+            if waited >= periods and not least < speed <= fastest < most:
+                return
+            yield
+            speed = float(np.abs(self.simulation.data.qvel[fingers]).max(initial=0.0))
+            fastest = max(fastest, speed)
 
     def wait(self, periods: int) -> Iterator[None]:
         """

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 import math
 from os import PathLike
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down
 from manip_sim.tasks.grasping import held_only_by
 from manip_sim.tasks.placing import draw, draw_yaw, nearness, place, position_of, rotation_of
-from manip_sim.tasks.task import Task, TABLE_M, usable_arms
+from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT, usable_arms
 
 #: Length and edge of the bar, and how far from its middle it is held [m].
 _BAR_M, _EDGE_M, _HELD_AT_M = 0.28, 0.03, 0.105
@@ -44,6 +45,8 @@ class HandOver(Task):
     name = 'hand_over'
     instruction = 'Pick up the bar with one gripper, and take it over with the other.'
     horizon_s = 10.0
+    unable = MappingProxyType({
+        **TOO_SHORT, 'Jaco': 'its fingers need 3 s to close, so that the time is up before'})
 
     def objects(self) -> Iterable[Description]:
         """Return the bar; its x is along it."""

@@ -19,7 +19,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, pointing_down, sides
 from manip_sim.tasks.placing import (
     draw_apart, draw_yaw, move_mocap, nearness, place, position_of, rotation_of)
-from manip_sim.tasks.task import Task, TABLE_M
+from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT
 
 #: Edge and length of the peg, and play of the hole on each side [m].
 _PEG_M, _PEG_LENGTH_M, _PLAY_M = 0.024, 0.1, 0.002
@@ -35,6 +35,7 @@ class InsertPeg(Task):
     name = 'insert_peg'
     instruction = 'Put the orange peg into the hole.'
     horizon_s = 10.0
+    unable = TOO_SHORT
 
     def arena(self) -> Arena:
         """Return the table with the block that has the hole."""

@@ -15,7 +15,7 @@ from manip_sim.models.arenas import Arena
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert
 from manip_sim.tasks.placing import add_goal, draw, move_mocap, nearness, position_of
-from manip_sim.tasks.task import Task
+from manip_sim.tasks.task import Task, TOO_SHORT
 
 #: A hand nearer than this is there [m].
 NEAR_M = 0.02
@@ -29,6 +29,7 @@ class Reach(Task):
     name = 'reach'
     instruction = 'Move the end effector to the green point.'
     horizon_s = 3.0
+    unable = TOO_SHORT
     needs_fingers = False
 
     def arena(self) -> Arena:

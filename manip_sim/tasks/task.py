@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +31,9 @@ TABLE_M = 0.8
 _NOISE: Mapping[str, Any] = {'type': 'gaussian', 'magnitude': 0.02}
 #: Middle of the area on the table that one arm of two works in, in front of the right one [m].
 _RIGHT_M = -0.2
+#: Robots of the catalogue that do not reach the area on the table from where they stand.
+TOO_SHORT: Mapping[str, str] = MappingProxyType({
+    'GR1': 'its hands do not reach the middle of the table'})
 
 
 class Task(ABC):
@@ -46,6 +50,7 @@ class Task(ABC):
     :cvar arms_needed: number of arms with grippers that the robot must have
     :cvar needs_fingers: whether the grippers must be able to grasp
     :cvar own_gripper: the gripper that replaces ``default``
+    :cvar unable: why robots of the catalogue cannot do it where they stand, by class
     :param robot: as for ``compose``
     :param gripper: as for ``compose``
     :param composition: what else ``compose`` takes, such as ``cameras`` or ``timestep_s``;
@@ -64,6 +69,7 @@ class Task(ABC):
     arms_needed: ClassVar[int] = 1
     needs_fingers: ClassVar[bool] = True
     own_gripper: ClassVar[str] = DEFAULT
+    unable: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -101,19 +107,23 @@ class Task(ABC):
 
     def _check(self, robot: Any) -> None:
         """Reject a robot that cannot do the task."""
-        arms = usable_arms(robot, self.needs_fingers)
-        if len(arms) >= self.arms_needed:
+        arms, kind = usable_arms(robot, self.needs_fingers), type(robot).__name__
+        if len(arms) < self.arms_needed:
+            what = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
+            reason = (f'{self.name} needs {counted(self.arms_needed, "arm")} {what}, {robot.name} '
+                      f'has {len(arms)} here')
+        elif kind in self.unable and 'position' not in self.arguments:
+            reason = f'{self.name}: {kind} cannot do it, {self.unable[kind]}'
+        else:
             return
-        what = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
         able = [name for name in robot_names() if self._suits(name)]
-        raise ModelError(
-            f'{self.name} needs {counted(self.arms_needed, "arm")} {what}, {robot.name} has '
-            f'{len(arms)} here; these can do it with their own grippers: {", ".join(able)}')
+        raise ModelError(f'{reason}; these can do it with their own grippers: {", ".join(able)}')
 
     @classmethod
     def _suits(cls, name: str) -> bool:
         robot = create_robot(name)
-        return isinstance(robot, ManipulatorModel) and len(robot.arms) >= cls.arms_needed
+        return (isinstance(robot, ManipulatorModel) and len(robot.arms) >= cls.arms_needed
+                and type(robot).__name__ not in cls.unable)
 
     # ------------------------------------------------------------------ the world
 

@@ -17,7 +17,7 @@ from manip_sim.simulation.contacts import read_contacts
 from manip_sim.tasks.expert import Expert, Hold, pointing_down
 from manip_sim.tasks.grasping import bodies_of_gripper
 from manip_sim.tasks.placing import draw, move_mocap, nearness
-from manip_sim.tasks.task import Task
+from manip_sim.tasks.task import Task, TOO_SHORT
 
 #: Rows and columns of spots, the distance between them, and how far each may be off [m].
 _ROWS, _COLUMNS, _APART_M, _OFF_M = 4, 3, 0.05, 0.015
@@ -38,6 +38,7 @@ class WipeTable(Task):
     name = 'wipe_table'
     instruction = 'Wipe the brown spots off the table.'
     horizon_s = 12.0
+    unable = TOO_SHORT
     needs_fingers = False
     own_gripper = 'WipingGripper'
 

@@ -201,6 +201,11 @@ def test_latency_is_a_part_of_the_run(whole, tmp_path):
     ({'more': ['--shard', '0/4']}, 'must be from 1/4 to 4/4'),
     ({'more': ['--shard', 'two']}, 'must be like 1/4'),
     ({'more': ['--latency', '-1']}, 'latency of a command must be from 0 to 10 s'),
+    ({'more': ['--noise', 'frank']}, "unknown noise 'frank': did you mean 'franka'"),
+    ({'more': ['--noise', 'noise.joint_positon:=0.1']}, "did you mean 'noise.joint_position'"),
+    ({'more': ['--noise', 'noise.joint_position:=-1']}, 'must be a number from 0 to 1'),
+    ({'more': ['--noise', 'noise.joint_position:=nan']}, 'must be a number from 0 to 1'),
+    ({'more': ['--noise', 'noise.joint_position:=much']}, "'much' is no number"),
     ({'more': ['--address', 'auto']}, '--address is for --engine ray')])
 def test_what_cannot_be_used_is_said_in_one_line(tmp_path, capsys, more, text):
     arguments = {**more}
@@ -209,6 +214,23 @@ def test_what_cannot_be_used_is_said_in_one_line(tmp_path, capsys, more, text):
     error = capsys.readouterr().err
     assert text in error and error.count('\n') == 1
     assert not (tmp_path / 'none').exists()
+
+
+def test_noise_of_a_run_is_that_of_an_environment_with_the_profile(whole, tmp_path):
+    out = tmp_path / 'noisy'
+    assert run(out, '--noise', 'ur', '--noise', 'noise.joint_position:=0.01', '--latency', '0.1',
+               seeds='0:3') == 0
+    found = summary(out)
+    # The latency of a state is that of the profile, that of a command was given.
+    assert found['latency'] == {'command_s': 0.1, 'state_s': 0.002, 'command_jitter_s': 0.0005,
+                                'state_jitter_s': 0.0005}
+    assert found['noise']['noise.joint_position'] == 0.01
+    assert found['noise']['noise.wrench_force'] == 1.2 and 'latency.state' not in found['noise']
+    late = {key.removesuffix('_s'): value for key, value in found['latency'].items()}
+    worker = Experiment(Setting('reach', latency=late, noise=found['noise']),
+                        f'{POLICIES}:Towards').create_worker()
+    assert [worker.run(seed).digest for seed in range(3)] == [row['digest'] for row in rows(out)]
+    assert {row['digest'] for row in rows(out)}.isdisjoint(row['digest'] for row in rows(whole))
 
 
 def test_a_folder_of_something_else_is_rejected(whole, tmp_path, capsys):

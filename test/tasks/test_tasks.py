@@ -260,6 +260,29 @@ def test_what_cannot_be_used_is_said():
         create_task('reach', 'Pandda')
 
 
+@pytest.mark.parametrize('name, robot, text', [
+    *((name, 'GR1', f'{name}: GR1 cannot do it, its hands do not reach the middle of the table')
+      for name in task_names()),
+    ('hand_over', 'Jaco', 'hand_over: Jaco cannot do it, its fingers need 3 s to close')])
+def test_a_robot_that_cannot_do_a_task_where_it_stands_is_rejected(name, robot, text):
+    with pytest.raises(ModelError, match=text) as error:
+        create_task(name, robot)
+    able = str(error.value).partition('own grippers: ')[2].split(', ')
+    assert {*ARMS, 'Baxter', 'PandaOmron'} <= {*able} and robot not in able
+
+
+def test_a_robot_that_does_not_reach_the_table_can_stand_nearer():
+    assert create_task('reach', 'GR1', position=[-0.3, 0.0, 0.0]).robot.name == 'GR10'
+
+
+@pytest.mark.parametrize('name, robot', [
+    ('insert_peg', 'Jaco'), ('reach', 'Jaco'), ('wipe_table', 'PandaOmron'),
+    ('hand_over', 'Baxter')])
+def test_experts_of_other_robots_do_tasks(name, robot):
+    episode = episode_of(name, robot)
+    assert episode.run(episode.task.expert(episode.simulation), 1)
+
+
 def test_a_robot_that_cannot_do_a_task_is_told_those_that_can():
     with pytest.raises(ModelError, match=(
             'pick_cube needs 1 arm with grippers that grasp, Panda0 has 0 here; '
