@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import contextlib
 import importlib.util
 import itertools
-import math
 from pathlib import Path
 import signal
 import sys
@@ -28,8 +27,6 @@ from manip_sim.interface.parameter_files import read_parameters
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import quoted
 from manip_sim.resources import share_directory
-from manip_sim.sensing.delays import ROUNDING
-from manip_sim.sensing.settings import SensingSettings
 from manip_sim.tasks import create_task, Latency, Setting
 
 #: Files of noise in the package, ``config/noise_NAME.yaml``.
@@ -88,16 +85,10 @@ def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, flo
             raise UnknownNameError('noise', given, _PROFILES)
         found |= read_parameters(profile if given in _PROFILES else Path(given))
     late = dict.fromkeys(('command', 'state', 'command_jitter', 'state_jitter'), 0.0)
-    checked = SensingSettings()
-    for name, value in found.items():
-        checked.set(name, value)
-    for key in late:
-        late[key] = found.pop(f'latency.{key}', 0.0)
-    if late['command'] or late['state']:
-        timestep_s = create_task(options.task, options.robot, options.gripper).world.timestep_s
-        # A latency of less than a timestep counts as one.
-        for key in ('command', 'state'):
-            late[key] = timestep_s * math.ceil(late[key] / timestep_s - ROUNDING)
+    late |= {key: found.pop(f'latency.{key}') for key in late if f'latency.{key}' in found}
+    if any(late.values()):
+        world = create_task(options.task, options.robot, options.gripper).world
+        late = Latency.of(late).rounded_up(world.timestep_s).as_mapping()
     return found, late
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Union
 
@@ -61,6 +61,16 @@ class Latency:
     def as_mapping(self) -> dict[str, float]:
         """Return what :meth:`of` takes."""
         return {key: getattr(self, f'{key}_s') for key in _KEYS}
+
+    def rounded_up(self, timestep_s: float) -> Latency:
+        """
+        Return the latency with means of whole timesteps, of which the shortest is one.
+
+        :param timestep_s: of the physics [s]
+        """
+        command_s, state_s = (timestep_s * math.ceil(mean_s / timestep_s - ROUNDING)
+                              for mean_s in (self.command_s, self.state_s))
+        return replace(self, command_s=command_s, state_s=state_s)
 
     def delay(self, kind: str, robot: str, timestep_s: float) -> Delay:
         """

@@ -108,11 +108,12 @@ class Task(ABC):
     def _check(self, robot: Any) -> None:
         """Reject a robot that cannot do the task."""
         arms, kind = usable_arms(robot, self.needs_fingers), type(robot).__name__
+        moved = not {'position'}.isdisjoint(self.arguments)
         if len(arms) < self.arms_needed:
             what = 'with grippers that grasp' if self.needs_fingers else 'with grippers'
             reason = (f'{self.name} needs {counted(self.arms_needed, "arm")} {what}, {robot.name} '
                       f'has {len(arms)} here')
-        elif kind in self.unable and 'position' not in self.arguments:
+        elif kind in self.unable and not moved:
             reason = f'{self.name}: {kind} cannot do it, {self.unable[kind]}'
         else:
             return
