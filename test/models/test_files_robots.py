@@ -441,4 +441,4 @@ def test_what_turns_beside_the_fingers_is_of_the_hand_but_not_a_longer_chain():
     hand = robot.grippers['right']
     assert hand.body == 'mount'
     assert {*hand.joints} == {'robot0_gripper', 'robot0_left_finger', 'robot0_right_finger'}
-    assert robot.head_joints == ['robot0_pan', 'robot0_tilt']
+    assert robot.other_joints == ['robot0_pan', 'robot0_tilt']

@@ -57,6 +57,11 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     :raises ModelError: if there are several chains whose sides are not clear
     """
     of_hands = {joint for hand in hands for joint in hand.joints}
+    # What else moves on the link that a hand hangs on, such as a camera, is beyond the arm's end.
+    rigid = tree.model.body_weldid.tolist()
+    ends = {rigid[hand.body] for hand in hands} - {0}
+    of_hands |= {j for j in subsystems if ends.intersection(
+        rigid[body] for body in tree.path(tree.parent(int(tree.model.jnt_bodyid[j]))))}
     joints = {j for j, part in subsystems.items()
               if part == 'arm' and j not in of_hands and tree.is_scalar(j)}
     tips = _longest_chains(tree, tree.ends(joints), joints)
