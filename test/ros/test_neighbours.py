@@ -121,15 +121,21 @@ def test_a_reader_that_never_acknowledges_costs_messages_and_no_real_time(sim_pr
             return {v.key: v.value for v in arrays[-1].status[0].values}
         client.spin_until(lambda: bool(arrays) and int(values()['failed_publications']) > 0)
         dropped = int(values()['failed_publications'])
-        factors = []
-        # Other processes may slow the machine; a publisher that waits would to a hundredth.
-        while not any(factor > 0.5 for factor in factors):
-            assert len(factors) < 10, factors
-            seen = len(arrays)
-            client.spin_until(lambda n=seen: len(arrays) > n)
-            factors.append(float(values()['real_time_factor']))
+
+        def best_factor(enough):
+            best = 0.0
+            for _ in range(10):
+                seen = len(arrays)
+                client.spin_until(lambda n=seen: len(arrays) > n)
+                best = max(best, float(values()['real_time_factor']))
+                if best > enough:
+                    break
+            return best
+        beside_it = best_factor(0.5)
         assert int(values()['failed_publications']) > dropped
         idle.communicate(timeout=300.0)
+        # Other processes may slow the machine; a publisher that waits would to a hundredth.
+        assert beside_it > 0.5 or beside_it > 0.2 * best_factor(1.0)
         states = client.listen(JointState, 'joint_states', 10)
         client.spin_until(lambda: len(states) > 100)
     finally:
