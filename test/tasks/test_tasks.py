@@ -19,7 +19,7 @@ from manip_sim.tasks.grasping import held_only_by
 from manip_sim.tasks.placing import place
 from manip_sim.tasks.task import TASKS
 
-ARMS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3')
+ARMS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3', 'FR3', 'XArm7')
 _episodes = {}
 
 
