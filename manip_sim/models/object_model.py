@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
-from manip_sim.models.naming import NAMED_ELEMENTS, TakenNames
+from manip_sim.models.naming import TakenNames
 from manip_sim.models.spec_edits import rename_body
 from manip_sim.quoting import quoted
 
@@ -191,30 +191,6 @@ class ObjectModel:
         if self._is_shape:
             spec.geom(self._prefix + SHAPE_GEOM).name = self.name
             taken.rename('geoms', self._prefix + SHAPE_GEOM, self.name)
-
-    def detach(self, spec: mujoco.MjSpec, taken: TakenNames) -> bool:
-        """
-        Delete the copy that :meth:`attach` added, if it is a single body of one shape.
-
-        :param spec: the ``mujoco.MjSpec`` that has it
-        :param taken: its names
-        :returns: whether it was; anything else has elements that refer to each other, and the
-            world is composed again without it
-        """
-        if not self._is_shape or len(self._spec.bodies) != 2 or any(
-                getattr(self._spec, elements) for elements in NAMED_ELEMENTS.values()
-                if elements not in ('bodies', 'joints', 'geoms')):
-            return False
-        body = spec.body(self.name)
-        frame, default = body.frame, spec.find_default(f'{self._prefix}main')
-        spec.delete(body)
-        spec.delete(frame)
-        if default is not None:
-            spec.delete(default)
-        taken.discard('bodies', self.name)
-        taken.discard('geoms', self.name)
-        taken.discard('joints', self.free_joint)
-        return True
 
     @property
     def _is_shape(self) -> bool:
