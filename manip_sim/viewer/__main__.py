@@ -47,11 +47,7 @@ def _run() -> int:
         if options.native:
             check_display()
         else:
-            import importlib.util
             import viser  # noqa: F401
-            for needed in ('scipy', 'trimesh'):  # For the first shape, seconds later.
-                if importlib.util.find_spec(needed) is None:
-                    raise ModuleNotFoundError(name=needed)
         import_mujoco()
         if options.record:
             from manip_sim.viewer.playback import show_records

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+import trimesh
 
 from manip_sim.arrays import FloatArray
 
@@ -110,27 +111,20 @@ def _shape(model: mujoco.MjModel, geom: int) -> Any:
 
 
 @functools.cache
-def _trimesh() -> Any:
-    """Import trimesh for the first shape: it takes as long as all else that a viewer imports."""
-    import trimesh
-    return trimesh
-
-
-@functools.cache
 def _unit_box() -> Any:
-    box = _trimesh().creation.box()
+    box = trimesh.creation.box()
     box.unmerge_vertices()  # So that its edges are sharp.
     return box
 
 
 @functools.cache
 def _unit_sphere() -> Any:
-    return _trimesh().creation.uv_sphere(radius=1.0, count=[20, 24])
+    return trimesh.creation.uv_sphere(radius=1.0, count=[20, 24])
 
 
 @functools.cache
 def _unit_cylinder() -> Any:
-    return _trimesh().creation.cylinder(radius=1.0, height=1.0, sections=32).smooth_shaded
+    return trimesh.creation.cylinder(radius=1.0, height=1.0, sections=32).smooth_shaded
 
 
 def _capsule(radius: float, half_length: float) -> Any:
@@ -144,8 +138,8 @@ def _capsule(radius: float, half_length: float) -> Any:
 def _mesh(model: mujoco.MjModel, mesh: int) -> Any:
     begin, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    found = _trimesh().Trimesh(model.mesh_vert[begin:begin + count],
-                               model.mesh_face[first:first + faces], process=False)
+    found = trimesh.Trimesh(model.mesh_vert[begin:begin + count],
+                            model.mesh_face[first:first + faces], process=False)
     return found if faces > _MANY_FACES else found.smooth_shaded
 
 
