@@ -89,7 +89,11 @@ class NodeEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._seen: dict[str, tuple[int, NDArray[Any]]] = {}
         self._task: dict[str, Any] = {}
         self._stamp_ns = self._periods = -1
-        self._connect(node.rpartition('/')[0])
+        try:
+            self._connect(node.rpartition('/')[0])
+        except BaseException:
+            self.close()
+            raise
 
     def _connect(self, namespace: str) -> None:
         robots = self._like.simulation.robots
