@@ -97,22 +97,23 @@ def test_the_tag_of_ros2_control_is_that_of_this_node(node, client):
 
 
 def test_the_tag_for_the_own_plugin_names_parameters_and_sensors_of_this_node(serve, client):
-    serve(robots=['left', 'right'], stepping='lockstep', ros2_control_tag=True,
+    # Other names than those of the node of this module, which goes on.
+    serve(robots=['front', 'back'], stepping='lockstep', ros2_control_tag=True,
           ros2_control_plugin='manip_sim_hardware/ManipSimSystem')
-    tag = description(client, 'left/robot_description').find('ros2_control')
+    tag = description(client, 'front/robot_description').find('ros2_control')
     assert {p.text for p in tag.findall('hardware/param')} == {
-        '/left/joint_states', '/left/joint_command', '/manip_sim', 'true'}
-    assert {p.text for p in tag.findall('joint/param')} == {'left.control_mode.arm'}
+        '/front/joint_states', '/front/joint_command', '/manip_sim', 'true'}
+    assert {p.text for p in tag.findall('joint/param')} == {'front.control_mode.arm'}
     assert {s.get('name'): s.find('param').text for s in tag.findall('sensor')} == {
-        'right_wrench': '/left/right/wrench',
-        'right_external_wrench': '/left/right/external_wrench',
-        'left_base_imu': '/left/sensors/left_base_imu/imu',
-        'left_right_imu': '/left/sensors/left_right_imu/imu'}
+        'right_wrench': '/front/right/wrench',
+        'right_external_wrench': '/front/right/external_wrench',
+        'front_base_imu': '/front/sensors/front_base_imu/imu',
+        'front_right_imu': '/front/sensors/front_right_imu/imu'}
     # What the tag names exists.
     known = {name for name, _ in client.node.get_topic_names_and_types()}
     client.spin_until(lambda: known.update(
         name for name, _ in client.node.get_topic_names_and_types()) or known >= {
-            '/left/right/wrench', '/left/right/external_wrench', '/left/joint_command'})
+            '/front/right/wrench', '/front/right/external_wrench', '/front/joint_command'})
 
 
 def test_a_robot_of_a_file_has_one_without_the_tag_unless_it_is_asked_for(serve, client, tmp_path):
