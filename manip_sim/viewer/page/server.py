@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import socket
@@ -29,6 +30,7 @@ def open_server(host: str, port: int, access: Access) -> Any:
     """
     _check_free(host, port)
     import viser
+    _set_events_from_any_thread()
     # It prints its address in a frame.
     with contextlib.redirect_stdout(io.StringIO()), guarding(access):
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -37,6 +39,37 @@ def open_server(host: str, port: int, access: Access) -> Any:
         raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
     server.scene.configure_environment_map('warehouse', environment_intensity=0.7)
     return server
+
+
+class _Event(asyncio.Event):
+    """
+    An event that threads without an event loop may set too.
+
+    viser 1.1 sets it in the calling thread, and then once more in the loop of the server; only
+    the latter may touch those who wait: a set of both at once raises a RuntimeError.
+    """
+
+    def set(self) -> None:
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            self._value = True
+        else:
+            self._value = False  # Whoever waits has to be woken although another thread set it.
+            super().set()
+
+
+def _set_events_from_any_thread() -> None:
+    """Let the servers of viser be told of messages by :class:`_Event`."""
+    import viser.infra._infra as infra
+    buffer: Any = infra.AsyncMessageBuffer
+
+    class Buffer(buffer):  # type: ignore[misc]
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self.message_event = _Event()
+    if buffer.__name__ != Buffer.__name__:
+        vars(infra)['AsyncMessageBuffer'] = Buffer
 
 
 def page_address(server: Any, host: str, access: Access) -> str:
