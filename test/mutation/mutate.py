@@ -289,8 +289,7 @@ class Record:
 
         Of a test with many cases, a second case comes behind the first ones of all others. A line
         that runs only as its module is imported is left to all tests that use the module, or to
-        all tests if the module does nothing later. The same holds for a line that runs only in
-        processes that tests start, which are not recorded: try its survivors by hand.
+        all tests if the module does nothing later.
 
         :param most_s: how long they may take together [s]
         """
