@@ -86,3 +86,5 @@ def _resolve_short_name(app, env, node, contnode):
 def setup(app):
     app.connect('source-read', _begin_with_front_page)
     app.connect('missing-reference', _resolve_short_name)
+    # Sphinx looks for it below the folder that it runs in.
+    app.config.html_search_scorer = str(Path(app.srcdir, '_static', 'scorer.js'))
