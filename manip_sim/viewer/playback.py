@@ -32,10 +32,10 @@ from manip_sim.viewer.page.model_scene import Scene
 from manip_sim.viewer.page.page_commands import Events
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 from manip_sim.viewer.page.server import close_server, open_server, page_address, set_theme
+from manip_sim.viewer.page.timeline import Timeline
 
 #: Least time between two updates of the browser [s].
 _PERIOD_S = 1.0 / 30.0
-_SPEEDS = {'1/4': 0.25, '1': 1.0, '4': 4.0}
 _COLORS = ('#2e7bd6', '#e8590c', '#2f9e44', '#c2255c', '#7048e8', '#0c8599', '#f08c00', '#868e96')
 _DONE, _FAILED, _CUT_OFF = '#2f9e44', '#e03131', '#868e96'
 #: Width of the line that shows the present instant, as a share of the time of a plot.
@@ -115,7 +115,7 @@ class Player:
         self._drawn: tuple[str, ...] | None = None
         self._is_new = False
         self._new_s: float | None = None
-        self._period, self._last_s, self._ahead_s = 0, 0.0, 0.0
+        self._period = 0
         set_theme(server, dark)
         server.gui.set_panel_label('manip_sim')
         self._build()
@@ -131,10 +131,7 @@ class Player:
         jump = gui.add_button_group('Jump to', ('Failure', 'Previous', 'Next'),
                                     hint='Failure: the next episode without success')
         jump.on_click(lambda event: add(lambda: self._jump(event.target.value)))
-        self._slider = gui.add_slider('Period', 0, 1, 1, 0)
-        self._slider.on_update(lambda event: add(lambda: self._go(int(event.target.value))))
-        self._play = gui.add_checkbox('Play', False)
-        self._speed = gui.add_dropdown('Speed', tuple(_SPEEDS), initial_value='1')
+        self._timeline = Timeline(gui, self._events, 'Period', 1, self._show)
         self._quantity = gui.add_dropdown('Plot', ('nothing',))
         self._quantity.on_update(lambda event: add(self._draw))
 
@@ -165,12 +162,11 @@ class Player:
             self._text.show([Line(str(error) or 'the record has changed', color=_FAILED)])
             return
         self._choice.value = entry.label
-        last = max(len(self._states) - 1, 1)
-        self._slider.max = last
         self._quantity.options = tuple(self._quantities) or ('nothing',)
         self._draw()
-        self._period = -1
-        self._go(last if entry.success is False else 0)
+        count = len(self._states)
+        self._timeline.begin(np.arange(count, dtype=float) * self._episode.period_s,
+                             list(range(count)), count - 1 if entry.success is False else 0)
 
     def _show_model(self) -> None:
         if self._episode.model == self._model_archive:
@@ -191,15 +187,13 @@ class Player:
         mujoco.mj_setState(kinematics.model, kinematics.data, self._states[period], STATE_PARTS)
         kinematics.compute()
 
-    def _go(self, period: int) -> None:
+    def _show(self, period: int) -> None:
         """Show a control period."""
-        period = min(max(period, 0), len(self._states) - 1)
-        if period == self._period or self._scene is None:
+        if self._scene is None:
             return
         self._period = period
         self._place(period)
         self._scene.update(self._kinematics.data)
-        self._slider.value = period
         self._show_text()
         self._show_images()
         self._draw_line()
@@ -281,16 +275,7 @@ class Player:
             elif now_s >= self._new_s:
                 self._is_new, self._new_s = False, None
                 self._draw_line()
-        elapsed_s, self._last_s = now_s - self._last_s, now_s
-        if not self._play.value or self._scene is None:
-            self._ahead_s = 0.0
-            return
-        self._ahead_s += elapsed_s * _SPEEDS[self._speed.value]
-        periods, self._ahead_s = divmod(self._ahead_s, self._episode.period_s)
-        if self._period >= len(self._states) - 1:
-            self._play.value = False
-        elif periods:
-            self._go(self._period + int(periods))
+        self._timeline.update(now_s)
 
 
 @dataclass(frozen=True)

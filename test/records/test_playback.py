@@ -44,6 +44,10 @@ def frames(recording):
     return [Frames(recorded) for recorded in Record(recording).episodes()]
 
 
+def slider_of(player):
+    return player._timeline._slider
+
+
 def hand_of(player):
     """Return where the hand is in the scene."""
     model, data = player._kinematics.model, player._kinematics.data
@@ -56,28 +60,28 @@ def hand_of(player):
 def test_the_scene_shows_the_period_of_the_slider(player, frames):
     (hand,) = frames[0].hands.values()
     for period in (0, 5, 2, len(frames[0].actions)):
-        player._slider.value = period
+        slider_of(player).value = period
         player.update(0.0)
         np.testing.assert_allclose(hand_of(player), hand.values[period, :3], atol=1e-6)
-    assert 'period' in player._text._shown and player._slider.max == len(frames[0].actions)
+    assert 'period' in player._text._shown and slider_of(player).max == len(frames[0].actions)
 
 
 def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames):
     player._jump('Failure')
     player.update(0.0)
     assert player._choice.value.endswith('#1, seed 11: FAILED')
-    assert player._slider.value == player._slider.max == len(frames[1].actions)
+    assert slider_of(player).value == slider_of(player).max == len(frames[1].actions)
     (hand,) = frames[1].hands.values()
     np.testing.assert_allclose(hand_of(player), hand.values[-1, :3], atol=1e-6)
     player._jump('Failure')  # There is no other one.
     assert player._choice.value.endswith('#1, seed 11: FAILED')
     player._jump('Previous')
-    assert player._choice.value.endswith('#0, seed 3: done') and player._slider.value == 0
+    assert player._choice.value.endswith('#0, seed 3: done') and slider_of(player).value == 0
 
 
 def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, frames):
     player._quantity.value = 'joint position'
-    player._slider.value = 4
+    slider_of(player).value = 4
     player.update(0.0)
     times, *columns, now = player._plot.data
     (joints,) = frames[0].positions.values()
@@ -89,21 +93,22 @@ def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, fr
 
 
 def test_playing_goes_on_to_the_end_at_its_speed(player, frames):
-    player._speed.value = '4'
-    player._play.value = True
+    player._timeline._speed.value = '4'
+    player._timeline._play.value = True
     player.update(100.0)
-    player._go(0)
+    player._timeline.go(0)
     player.update(100.1)
-    assert player._slider.value == 8  # 0.1 s four times as fast, in periods of 0.05 s.
+    assert slider_of(player).value == 8  # 0.1 s four times as fast, in periods of 0.05 s.
     for tenth in range(2, 60):
         player.update(100.0 + tenth / 10.0)
-    assert player._slider.value == len(frames[0].actions) and not player._play.value
+    assert slider_of(player).value == len(frames[0].actions)
+    assert not player._timeline._play.value
 
 
 def test_images_are_those_of_the_period(player, frames):
     wanted = frames[0].images('front')
     for period in (0, 3):
-        player._go(period)
+        player._timeline.go(period)
         np.testing.assert_array_equal(player._images['front'].image, wanted[period])
 
 

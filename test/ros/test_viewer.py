@@ -140,6 +140,17 @@ def test_pause_stops_the_time_and_the_page_says_so(page, client, node):
     client.spin_until(lambda: not node.thread.paused)
 
 
+def test_the_picture_goes_back_a_minute_while_the_node_goes_on(page, client, node):
+    page.get_by_role('button', name='Look back').dispatch_event('click')
+    act_until(client, lambda: slider(page, 'Seconds').press('Home'),
+              lambda: page.get_by_text('before it was stopped').count()
+              and 's, 0.00 s before' not in page.content())
+    before = node.thread.progress.time_ns
+    client.spin_until(lambda: node.thread.progress.time_ns > before)
+    page.get_by_role('button', name='Live', exact=True).dispatch_event('click')
+    page.get_by_text('before it was stopped').wait_for(state='detached')
+
+
 def test_the_picture_shows_the_cube_and_the_robot(page):
 
     # The cube is the only thing that is red, and little but the mount is as dark. A slow page lets

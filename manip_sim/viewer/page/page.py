@@ -25,6 +25,7 @@ from manip_sim.viewer.page.plots import PlotPanel
 from manip_sim.viewer.page.robots import Robot, ShownPart
 from manip_sim.viewer.page.saved_poses import PosePanel, Poses
 from manip_sim.viewer.page.server import set_theme
+from manip_sim.viewer.page.timeline import LookBack
 
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
 _MANY_JOINTS, _UNFOLDED = 8, 2
@@ -75,6 +76,8 @@ class Page:
         gui, scene = self._server.gui, self._server.scene
         self._robots, self._fields = tuple(robots), {}
         self._simulation = SimulationPanel(gui, self._commands, self.events)
+        self._look_back = LookBack(gui, self.events)
+        self._forget()
         tabs = gui.add_tab_group()
         self._joints: dict[tuple[str, str], JointPanel] = {}
         self._drives: dict[str, DrivePanel] = {}
@@ -126,6 +129,7 @@ class Page:
         if self._scene is not None:
             self._scene.remove()
         self._posture = Kinematics(model)
+        self._forget()
         self._take(latest)
         self._scene = Scene(self._server, model, self._posture.data)
         self._view.attach(self._scene)
@@ -167,22 +171,36 @@ class Page:
                 hand = latest.hands[key]
                 target.follow(now_s, hand.position, hand.quat_wxyz, paused)
         if self._posture is not None and self._scene is not None:
-            self._take(latest)
+            self._take(latest, now_s)
             self._scene.update(self._posture.data)
             self._aiming.update(self._posture)
-        self._overlays.show(*self._view.chosen(latest))
+        if self._look_back.shown is None:
+            self._overlays.show(*self._view.chosen(latest))
+        else:
+            self._overlays.clear()
         self._cameras.show(now_s, latest.images, self.is_watched)
         self._plots.show(now_s, latest)
         if now_s > self._sliders_s + _SLIDERS_S:
             self._sliders_s = now_s
             self._follow(now_s, latest, paused)
 
-    def _take(self, latest: Latest) -> None:
+    def _forget(self) -> None:
+        """Let the last minute begin now: what was shown before is another world."""
+        if self._posture is not None:
+            self._look_back.forget(self._posture.model.nq)
+
+    def _take(self, latest: Latest, now_s: float = 0.0) -> None:
+        """Let the posture be the newest one, or the one that a person looks back at."""
         assert self._posture is not None
         for states in latest.joints.values():
             self._posture.set_joints(states.names, states.position)
         for name, pose in latest.objects.items():
             self._posture.place(name, pose.position, pose.quat_wxyz)
+        if latest.joints:
+            time_s = next(iter(latest.joints.values())).time_s
+            self._look_back.update(now_s, time_s, self._posture.data.qpos)
+        if self._look_back.shown is not None:
+            self._posture.data.qpos[:] = self._look_back.shown
         self._posture.compute()
 
     def _follow(self, now_s: float, latest: Latest, paused: bool) -> None:

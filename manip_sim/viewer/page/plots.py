@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was measured in the last ten seconds, and plots of it."""
+"""What was measured in a last span of time, and plots of it."""
 
 from __future__ import annotations
 
@@ -32,19 +32,30 @@ _WRENCH = 'wrench'
 
 
 class History:
-    """Rows of numbers of the last ten seconds of simulation time, at most :data:`_POINTS`."""
+    """
+    Rows of numbers of the last span of simulation time.
 
-    def __init__(self) -> None:
+    :param span_s: how far it goes back [s]
+    :param most: how many rows it has, but for one, at most; evenly spaced
+    """
+
+    def __init__(self, span_s: float = WINDOW_S, most: int = _POINTS) -> None:
+        self._span_s, self._spacing_s = span_s, span_s / most
         self._rows: deque[tuple[float, FloatArray]] = deque()
+
+    @property
+    def newest_s(self) -> float:
+        """The time of the newest row [s]; there must be one."""
+        return self._rows[-1][0]
 
     def add(self, time_s: float, row: FloatArray) -> None:
         """Add the numbers of an instant, unless it follows the last one too closely."""
         if self._rows and time_s < self._rows[-1][0]:  # Simulation time began again.
             self._rows.clear()
-        if self._rows and time_s < self._rows[-1][0] + WINDOW_S / _POINTS:
+        if self._rows and time_s < self._rows[-1][0] + self._spacing_s:
             return
-        self._rows.append((time_s, row))
-        while self._rows[0][0] < time_s - WINDOW_S:
+        self._rows.append((time_s, row.copy()))
+        while self._rows[0][0] < time_s - self._span_s:
             self._rows.popleft()
 
     def columns(self) -> tuple[FloatArray, FloatArray]:
