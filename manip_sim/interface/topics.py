@@ -285,6 +285,9 @@ TOPICS = (
                 'arena_command'),
     _subscribed('objects/<name>/target_pose', 'geometry_msgs/PoseStamped',
                 'where a mocap body goes in world [m]', 'mocap', 'mocap_pose'),
+    _subscribed('~/pull', 'visualization_msgs/Marker',
+                'a spring from a point of a body to a target: an arrow in world [m], ns the body',
+                'bodies', 'pull'),
     _subscribed('<arm>/target_pose', 'geometry_msgs/PoseStamped',
                 'a goal of grip_site in world or a link of the robot [m]', 'actuators',
                 'target_pose'),
@@ -347,7 +350,7 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] 
     for per, group in groupby(rows, lambda row: row.per):
         patterns = list(group)
         if not per:
-            found += (row for row in patterns if row.needs not in ('task', 'arena')
+            found += (row for row in patterns if row.needs not in ('task', 'arena', 'bodies')
                       and (twist or row.needs != 'twist'))
         elif per in (PART, ARM):
             found += (row.filled_in(name) for name in (parts if per == PART else arms)
@@ -378,11 +381,11 @@ class SurroundingsLike(Protocol):
 
 
 def topics_of_surroundings(found: SurroundingsLike) -> list[Topic]:
-    """Return the topics that the node has for mocap bodies and joints of the arena."""
+    """Return the topics that the node has for bodies, mocap bodies and joints of the arena."""
     return [*(BY_NAME[name] for name, has in (('arena/joint_states', found.joints),
                                               ('arena/joint_command', found.actuators)) if has),
             *(row.filled_in(name) for name in found.mocap_names if TOKEN.fullmatch(name)
-              for row in TOPICS if row.by in ('object_pose', 'mocap_pose'))]
+              for row in TOPICS if row.by in ('object_pose', 'mocap_pose')), BY_NAME['~/pull']]
 
 
 def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:

@@ -170,8 +170,7 @@ class SimNode(Node):
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish, look=self.objects.look)
         self._surroundings = SurroundingsTopics(
-            self, self.simulation.surroundings, self.thread, self.rejections, self._inbox,
-            frame_prefix)
+            self, self.simulation, self.thread, self.rejections, self._inbox, frame_prefix)
         self.thread.observe(self._surroundings.publish, look=self._surroundings.look)
         model = ModelPublisher(self, world)
         instruments = InstrumentPublishers(

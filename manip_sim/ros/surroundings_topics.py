@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Topics of the arena's joints and of mocap bodies."""
+"""Topics of the arena's joints, of mocap bodies, and of what pulls bodies."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Pose as PoseMessage, PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.topics import PUBLISHED, Topic, topics_of_surroundings
-from manip_sim.quoting import quoted
+from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.commands import CommandStatistics, CommandSubscription
@@ -24,34 +25,38 @@ from manip_sim.ros.log import kind_of, RejectionLog
 from manip_sim.ros.outputs import create_output, message_class, Publication, Publications
 from manip_sim.ros.reading import read_command
 from manip_sim.runtime import SimulationThread
+from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
-from manip_sim.simulation.surroundings import Surroundings
+
+#: What the message of a pull holds: two points, and no pose of its own.
+_ENDS, _NOWHERE = 2, PoseMessage()
 
 
 class SurroundingsTopics(Publications):
     """
-    Publishers and subscriptions of the arena's joints and of mocap bodies.
+    Publishers and subscriptions of the arena's joints and mocap bodies, and of pulls.
 
     :param node: the node
-    :param surroundings: of the simulation
+    :param simulation: that they are of
     :param thread: runs the simulation
     :param log: counts and logs what is rejected or could not be published
     :param inbox: takes the messages; None: the executor does
     :param frame_prefix: prefix of the names of frames, which commands may leave out
-    :ivar statistics: counts of the commands, for ``arena`` and ``objects/<name>``
+    :ivar statistics: counts of the commands, for ``arena``, ``objects/<name>`` and ``pull``
     """
 
-    def __init__(self, node: Node, surroundings: Surroundings, thread: SimulationThread,
+    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
                  log: RejectionLog, inbox: CommandInbox | None, frame_prefix: str) -> None:
         super().__init__()
         self._node, self._log, self._inbox = node, log, inbox
-        self._surroundings, self._thread = surroundings, thread
+        self._surroundings, self._pulls = simulation.surroundings, simulation.pulls
+        self._thread = thread
         self._prefix = frame_prefix
         self.statistics: dict[str, CommandStatistics] = {}
-        rows = topics_of_surroundings(surroundings)
+        rows = topics_of_surroundings(self._surroundings)
         self.replace(tuple(self._publication(row) for row in rows if row.direction == PUBLISHED))
         take: dict[str, Callable[[str, Any], None]] = {
-            'arena_command': self._command, 'mocap_pose': self._target}
+            'arena_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
         for row in rows:
             if row.direction != PUBLISHED:
                 self._subscribe(row, partial(take[row.by], row.of))
@@ -66,7 +71,8 @@ class SurroundingsTopics(Publications):
 
     def _subscribe(self, row: Topic, use: Callable[[Any], None]) -> None:
         message_type = message_class(row)
-        counts = self.statistics[row.name.rpartition('/')[0]] = CommandStatistics()
+        counts = self.statistics[
+            'pull' if row.by == 'pull' else row.name.rpartition('/')[0]] = CommandStatistics()
 
         def take(data: bytes) -> None:
             try:
@@ -87,13 +93,32 @@ class SurroundingsTopics(Publications):
             self._thread.at_next_period(
                 f'arena/{joint}', partial(found.command, {joint: value}))
 
-    def _target(self, name: str, message: PoseStamped) -> None:
-        frame = message.header.frame_id.removeprefix(self._prefix)
-        if frame not in ('', messages.WORLD):
-            raise CommandError(f'frame_id {quoted(message.header.frame_id)} is not supported: '
+    def _check_frame(self, frame_id: str) -> None:
+        if frame_id.removeprefix(self._prefix) not in ('', messages.WORLD):
+            raise CommandError(f'frame_id {quoted(frame_id)} is not supported: '
                                f"leave it empty or write '{messages.WORLD}'")
+
+    def _target(self, name: str, message: PoseStamped) -> None:
+        self._check_frame(message.header.frame_id)
         position, orientation = message.pose.position, message.pose.orientation
         pose = Pose.checked([position.x, position.y, position.z], [
             orientation.x, orientation.y, orientation.z, orientation.w])
         self._thread.at_next_period(f'objects/{name}', partial(
             self._surroundings.set_target, name, pose.position, pose.quat_xyzw))
+
+    def _pull(self, _: str, message: Marker) -> None:
+        pulls, key = self._pulls, f'pull/{message.ns}'
+        if message.action == Marker.DELETE:
+            pulls.check_body(message.ns)
+            self._thread.at_next_period(key, partial(pulls.end, message.ns))
+            return
+        self._check_frame(message.header.frame_id)
+        if message.action != Marker.ADD or message.type != Marker.ARROW or (
+                len(message.points) != _ENDS or message.pose != _NOWHERE):
+            raise CommandError('pull: expected an ARROW to ADD, with two points and no pose, or '
+                               f'to DELETE, got action {message.action}, type {message.type} and '
+                               f'{counted(len(message.points), "point")}')
+        point, target = ([end.x, end.y, end.z] for end in message.points)
+        pulls.check(message.ns, point, target)
+        self._thread.at_next_period(
+            key, partial(pulls.pull, message.ns, point, target, message.id))

@@ -28,6 +28,7 @@ from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.physics_steps import PhysicsSteps
+from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import (
@@ -60,6 +61,7 @@ class Simulation:
     :ivar lidars: the lidars, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar surroundings: mocap bodies, and joints of the arena
+    :ivar pulls: springs that pull bodies
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
     :ivar randomized: what was drawn for the present episode, where the world has
@@ -99,6 +101,7 @@ class Simulation:
         self._steps = PhysicsSteps(self.physics, self._clock, self.efforts, [
             reader.external for robot in robots for reader in robot.end_effectors.values()],
             VelocityLaws(self.physics, laws) if laws else None)
+        self.pulls = Pulls(self.physics, self._clock)
         self._periods = ControlPeriods(self._steps, robots, self._free_roots, self._timestep_s)
         self.instruments = MeasuredInstruments(self.physics, robots)
         self.sensors = self.instruments.sensors
@@ -215,7 +218,8 @@ class Simulation:
     @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
-        return (self.diverged is None and self._steps.resumes() and self._periods.rest
+        return (self.diverged is None and not self.pulls
+                and self._steps.resumes() and self._periods.rest
                 and not any([robot.sensing.settings.measures for robot in self.robots.values()]))
 
     def advance(self, steps: int) -> None:
@@ -239,6 +243,8 @@ class Simulation:
         :raises DivergenceError: as :meth:`advance`
         """
         self._check_not_diverged()
+        if self.pulls:
+            self.pulls.apply(steps * self._timestep_s)
         yield from self._periods.intervals(steps)
         reason = self._steps.divergence.reason()
         if reason is None:
@@ -247,12 +253,14 @@ class Simulation:
             for robot in self.robots.values():
                 if robot.sensing.settings.measures:
                     robot.end_period(steps * self._timestep_s)
+            self.pulls.release()
         else:
             self._hold(reason)
 
     def _hold(self, reason: str) -> None:
         self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
         self._steps.divergence.hold()
+        self.pulls.release()
         self._steps.compute()
         self.efforts.restart()
         for tool in self._steps.tools:
@@ -339,6 +347,7 @@ class Simulation:
         for robot in self.robots.values():
             robot.reset()
         self.diverged = None
+        self.pulls.end()
         self._steps.contacts_change = False
         self._steps.compute()
         self._steps.compute_anew()
@@ -383,6 +392,7 @@ class Simulation:
         self.check_restorable(state)
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
+        self.pulls.end()
         self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
         self._start = dict(state.start)
         self.diverged, self._steps.contacts_change = state.diverged, state.contacts_change
