@@ -19,7 +19,7 @@ from xml.parsers import expat
 
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import Files
-from manip_sim.models.xml_limits import Budget, excess, product
+from manip_sim.models.xml_limits import Budget, excess, flex_vertices, product
 from manip_sim.quoting import one_line, quoted
 
 
@@ -163,6 +163,7 @@ class XmlModel:
         elif tag in ('composite', 'flexcomp'):
             self._make(times * product(attributes, 'count'))
         self._times.append(times)
+        self._count_vertices(times * flex_vertices(tag, attributes))
         self._check_numbers(tag, attributes)
         self._follow(tag, attributes)
 
@@ -237,6 +238,12 @@ class XmlModel:
         self._make((times - 1) * model.elements)
         self.folders += [AssetFolders(f.folder, f.meshdir, f.texturedir, prefix + f.prefix)
                          for f in model.folders]
+
+    def _count_vertices(self, count: int) -> None:
+        self._budget.flex -= count
+        if self._budget.flex < 0:
+            raise ModelError(f'{self._place}: flexes with more than {self._budget.limits.flex} '
+                             'vertices take MuJoCo too long')
 
     def _make(self, count: int) -> None:
         self._budget.made -= count

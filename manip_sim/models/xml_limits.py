@@ -34,6 +34,7 @@ class Limits:
     :ivar files: that it is loaded from; one that is used twice counts twice
     :ivar depth: to which files may load each other
     :ivar made: bodies, geoms and so on that ``replicate``, ``composite`` and the like make
+    :ivar flex: vertices of flexes, for which MuJoCo takes time that grows with their square
     :ivar keys: keyframes, which MuJoCo takes long to remove
     :ivar elements: of a model whose tree is kept, copies included
     :ivar nested: depth to which these may be in each other
@@ -43,6 +44,7 @@ class Limits:
     files: int = 1000
     depth: int = 50
     made: int = 20_000
+    flex: int = 5000
     keys: int = MAX_KEYS
     elements: int = 1_000_000
     nested: int = 200
@@ -61,6 +63,7 @@ class Budget:
     def __post_init__(self) -> None:
         self.bytes, self.files = self.limits.bytes, self.limits.files
         self.made, self.keys = self.limits.made, self.limits.keys
+        self.flex = self.limits.flex
 
 
 def excess(tag: str, attributes: Mapping[str, str]) -> str:
@@ -81,6 +84,21 @@ def excess(tag: str, attributes: Mapping[str, str]) -> str:
         if width * (height if attributes.get('type') == '2d' else 6 * width) > _MAX_PIXELS:
             return _more('the number of pixels of a texture', _MAX_PIXELS)
     return ''
+
+
+def flex_vertices(tag: str, attributes: Mapping[str, str]) -> int:
+    """
+    Return how many vertices an element makes, but for those in a file.
+
+    :param tag: of the element
+    :param attributes: of the element, as text
+    """
+    if tag == 'flexcomp':
+        return max(product(attributes, 'count'), len(attributes.get('point', '').split()) // 3)
+    if tag == 'flex':
+        return max(len(attributes.get('vertex', '').split()) // 3,
+                   len(attributes.get('body', '').split()))
+    return 0
 
 
 def _more(what: str, most: float) -> str:

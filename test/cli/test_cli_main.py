@@ -43,6 +43,7 @@ def test_help_of_each_command_tells_all_options_and_exit_codes(name, here, monke
     assert code == 0 and errors == ''
     assert 'Exit codes: 0' in text and 'example' in text
     description = text.split('\n\n')[1].splitlines()
+    assert re.match(r'([A-Z])(?!(?i:\1))[a-z]', description[0])
     # Each line is as long as the next word allows.
     for line, following in zip(description, description[1:]):
         assert len(line) <= 78 < len(line) + 1 + len(following.split()[0])

@@ -6,6 +6,9 @@
 import pytest
 
 from manip_sim.errors import ModelError
+from manip_sim.models.held_models import hold_model
+from manip_sim.models.objects import create_object
+from manip_sim.models.regular_files import FilesBelow
 from manip_sim.models.xml_check import XmlModel
 from manip_sim.models.xml_limits import Budget, excess, Limits, product
 
@@ -54,6 +57,11 @@ REPLICATED = '<mujoco><replicate count="3"><geom/><geom/></replicate></mujoco>'
     ('keys', 2, {'main': '<mujoco><keyframe><key/><key/></keyframe></mujoco>'}),
     ('made', 6, {'main': REPLICATED}), ('nested', 3, {'main': REPLICATED}),
     ('made', 4, {'main': '<mujoco><composite count="2 2 1"/></mujoco>'}),
+    ('flex', 24, {'main': '<mujoco><replicate count="2"><flexcomp count="2 3 2"/></replicate>'
+                          '</mujoco>'}),
+    ('flex', 2, {'main': '<mujoco><flexcomp type="direct" point="0 0 0 1 1 1"/></mujoco>'}),
+    ('flex', 5, {'main': '<mujoco><flex body="a b c"/><flex body="a" vertex="0 0 0 1 1 1"/>'
+                         '</mujoco>'}),
     ('made', 3, {'main': '<mujoco><asset><model name="m" file="a.xml"/></asset>'
                          '<attach model="m"/><replicate count="2"><attach model="m"/></replicate>'
                          '</mujoco>', 'a': '<mujoco/>'})])
@@ -61,6 +69,23 @@ def test_a_limit_of_a_whole_model_is_reached_but_not_passed(limit, most, files, 
     model(tmp_path, {limit: most}, **files)
     with pytest.raises(ModelError, match='more than|at most'):
         model(tmp_path, {limit: most - 1}, **files)
+
+
+def test_a_flex_that_takes_minutes_is_rejected_before_it_is_compiled(tmp_path):
+    file = tmp_path / 'soft.xml'
+    file.write_text('<mujoco><worldbody><body name="o"><geom size="0.1"/><flexcomp name="f" '
+                    'type="grid" count="25 25 25" spacing="1 1 1" dim="3" mass="1"/></body>'
+                    '</worldbody></mujoco>')
+    with pytest.raises(ModelError, match=r'soft.xml, line 1: flexes with more than 5000 vertices'):
+        create_object({'name': 'o', 'file': str(file)})
+
+
+def test_the_text_of_a_stranger_has_a_thousand_elements_at_most(tmp_path):
+    file = tmp_path / 'many.xml'
+    file.write_text('<mujoco><worldbody><body name="o">' + 20_000 * '<geom size="0.1"/>'
+                    + '</body></worldbody></mujoco>')
+    with pytest.raises(ModelError, match='a model may have at most 1000 elements'):
+        hold_model(file, FilesBelow([tmp_path], 'spawn_roots'))
 
 
 def test_elements_of_copies_and_of_attached_models_count(tmp_path):

@@ -4,6 +4,7 @@
 """The action servers in a running node, with an action type that has wheels: Fibonacci."""
 
 import time
+from types import SimpleNamespace
 
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
@@ -211,3 +212,17 @@ def test_a_node_that_is_gone_leaves_nothing_behind(served, client, monkeypatch):
     client.spin_until(lambda: nodes() == before + 1)
     passing.close()
     client.spin_until(lambda: nodes() == before)
+
+
+def test_the_end_waits_for_five_rounds_of_the_executor_and_no_more():
+    told, rounds = [], []
+
+    def create_task(after, left):
+        rounds.append(left)
+        assert len(rounds) < 20
+        after(left)
+    actions = object.__new__(Actions)
+    actions.tracker = SimpleNamespace(goals=['goal'], abort_all=told.append)
+    actions._node = SimpleNamespace(executor=SimpleNamespace(create_task=create_task))
+    actions.end()
+    assert (told, rounds) == (['the node is ending'], [5, 4, 3, 2, 1, 0])

@@ -85,6 +85,10 @@ def test_an_arrow_shows_the_push_on_a_tool_in_world(shown, client):
                                np.cross(data.xipos[hand] - frame, push), atol=0.02)
 
 
+def test_a_newton_is_a_centimetre_and_a_newton_metre_a_decimetre():
+    assert (FORCE_SCALE, TORQUE_SCALE) == (0.01, 0.1)
+
+
 def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(client, monkeypatch):
     positions, forces = np.eye(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     monkeypatch.setattr(markers, 'read_contacts',

@@ -11,10 +11,11 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 from manip_sim.ros import messages, outputs, transforms
-from manip_sim.ros.publishers import controller_state, ROWS
+from manip_sim.ros.publishers import controller_numbers, controller_state, ROWS
 from manip_sim.ros.scene import odometry
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation.frames import Frame
+from manip_sim.simulation.state import ControllerState, JointReference
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [Frame('link1', 'world'), Frame('link2', 'link1'), Frame('ball', 'world')]
@@ -165,3 +166,13 @@ def test_a_topic_that_has_nothing_to_tell_publishes_nothing():
     assert topics.look()
     topics.publish(Instant())
     assert publisher.published == []
+
+
+def test_a_joint_without_a_setpoint_has_no_error_and_its_effort_as_the_reference():
+    reference = JointReference(np.array([0.1, 0.2]), np.array([1.0, 2.0]), np.array([3.0, 4.0]),
+                               np.array([0.0, 9.0]), np.array([False, True]))
+    state = ControllerState(('a', 'b'), reference, np.array([0.4, 0.5]), np.array([0.6, 0.7]),
+                            np.array([0.8, 0.9]))
+    np.testing.assert_allclose(controller_numbers(state).reshape(ROWS, 2), [
+        [0.1, 0.5], [1.0, 0.7], [3.0, 0.0], [0.0, 9.0],
+        [0.4, 0.5], [0.6, 0.7], [0.8, 0.9], [-0.3, 0.0], [0.4, 0.0]])

@@ -126,9 +126,9 @@ def trials(process):
 
 @pytest.mark.skipif(not Path('/proc/self/stat').exists(), reason='needs /proc')
 def test_a_model_that_takes_long_is_checked_beside_the_page_and_given_up_at_the_end(client):
-    # MuJoCo works for half a minute on it.
-    slow = archive('<mujoco><worldbody><body name="b"><flexcomp name="f" type="grid" dim="3" '
-                   'count="27 27 27" spacing="1 1 1" mass="1"/></body></worldbody></mujoco>')
+    # MuJoCo works for a quarter of a minute on it.
+    slow = archive('<mujoco><worldbody>' + 30_000 * '<body><geom size="1"/></body>'
+                   + '</worldbody></mujoco>')
     words = {}
     hostile = HostileNode(lambda what: words.get(what, what))
     process, address = start_viewer('--node', NAME)

@@ -6,6 +6,7 @@
 import os
 import queue
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from manip_sim.models import World
 from manip_sim.models.objects import create_object
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.offscreen import OffscreenRenderer
-from manip_sim.runtime.camera_thread import CameraThread, View
+from manip_sim.runtime.camera_thread import _Order, CameraThread, View
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 from manip_sim.simulation.poses import Pose
@@ -205,3 +206,17 @@ def test_snapshots_of_one_instant_are_the_same_until_an_object_is_replaced(simul
     np.testing.assert_array_equal(after.qpos, before.qpos)
     assert after.time_ns == before.time_ns
     assert not after.shows_the_same_as(before)
+
+
+@pytest.mark.parametrize('wanted', ['rgb', 'depth', 'labels'])
+def test_a_shot_without_an_image_that_is_wanted_is_not_the_one(wanted):
+    snapshot = SimpleNamespace(shows_the_same_as=lambda _: True)
+    request = _Order(VIEW, snapshot, **{
+        kind: kind == wanted for kind in ('rgb', 'depth', 'labels')}, noise=None)
+
+    def shot(*kinds):
+        return SimpleNamespace(view=VIEW, snapshot=snapshot, picture=SimpleNamespace(**{
+            kind: kind if kind in kinds else None for kind in ('rgb', 'depth', 'labels')}))
+    assert request.is_met_by(shot(wanted))
+    assert request.is_met_by(shot('rgb', 'depth', 'labels'))
+    assert not request.is_met_by(shot(*{'rgb', 'depth', 'labels'} - {wanted}))

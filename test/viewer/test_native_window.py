@@ -3,6 +3,10 @@
 
 """Where the camera of MuJoCo's own window looks."""
 
+from contextlib import contextmanager, nullcontext
+import io
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +14,7 @@ import pytest
 pytest.importorskip('rclpy', reason='the window needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from manip_sim.viewer.ros import native  # noqa: E402
 from manip_sim.viewer.ros.native import aim  # noqa: E402
 
 
@@ -30,3 +35,24 @@ def test_the_camera_looks_from_the_position_to_the_target(position, target):
     assert eyes == pytest.approx(position, abs=1e-6)
     way = target - position
     assert scene.camera[0].forward == pytest.approx(way / np.linalg.norm(way), abs=1e-6)
+
+
+def test_who_reads_the_output_knows_at_once_that_a_window_is_there(monkeypatch):
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>')
+    written, seen = io.BytesIO(), []
+    monkeypatch.setattr('sys.stdout', io.TextIOWrapper(written))
+
+    def is_running():
+        seen.append(written.getvalue().decode().splitlines())
+        return False
+
+    @contextmanager
+    def window(posture):
+        yield SimpleNamespace(cam=mujoco.MjvCamera(), is_running=is_running, lock=nullcontext)
+    monkeypatch.setattr(native, '_open_window', window)
+    monkeypatch.setattr(native, 'States', lambda *_: None)
+    monkeypatch.setattr(native, 'Discovery', lambda *_: SimpleNamespace(
+        base='/', model=model, models=1))
+    native.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
+    assert seen[0] == ['sim_view: waiting for the node /sim', 'sim_view: a window shows /sim']

@@ -17,11 +17,12 @@ from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
 from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus  # noqa: E402
 from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
-from manip_sim.viewer.page.latest import RealTimeFactor  # noqa: E402
+from manip_sim.viewer.page.latest import Latest, PoseInWorld, RealTimeFactor  # noqa: E402
 from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
+from manip_sim.viewer.page.page import Page  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events, Following  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
-from manip_sim.viewer.page.plots import History, WINDOW_S  # noqa: E402
+from manip_sim.viewer.page.plots import History  # noqa: E402
 from manip_sim.viewer.page.robots import (  # noqa: E402
     commanded_joints, declared_limits, short_labels)
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
@@ -97,8 +98,10 @@ def test_two_arms_are_parts_of_their_own_and_robots_have_spaces():
 def test_an_input_keeps_what_was_asked_for_until_all_is_still():
     following = Following()
     assert following.follows(0.0, moving=True)
+    following.asked(5.0)
+    assert not following.follows(5.9, moving=False)
+    assert following.follows(6.1, moving=False)
     following.asked(10.0)
-    assert not following.follows(10.9, moving=False)
     # A long motion goes on to hold it.
     for tenth in range(109, 150):
         assert not following.follows(tenth / 10.0, moving=True)
@@ -112,8 +115,9 @@ def test_the_history_goes_ten_seconds_back_and_begins_anew_with_the_time():
         history.add(hundredth / 100.0, np.array([hundredth / 100.0, 1.0]))
     times, rows = history.columns()
     assert times[-1] == 0.0
-    assert times[0] == pytest.approx(-WINDOW_S, abs=0.06)
+    assert times[0] == pytest.approx(-10.0, abs=0.06)
     assert len(times) <= 201
+    assert np.median(np.diff(times)) == pytest.approx(0.05)
     np.testing.assert_allclose(rows[:, 0] - rows[-1, 0], times)
     history.add(0.0, np.array([5.0, 1.0]))
     assert history.columns()[1].tolist() == [[5.0, 1.0]]
@@ -281,3 +285,39 @@ def test_a_server_listens_where_it_is_told_and_rejects_a_port_that_is_taken():
         open_server('no.such.host', 8080, Access.of({}))
     with pytest.raises(ManipSimError, match='there is no port 99999999: choose one'):
         open_server('127.0.0.1', 99999999, Access.of({}))
+
+
+@pytest.fixture
+def server():
+    opened = open_server('127.0.0.1', 0, Access.of({}, []))
+    yield opened
+    close_server(opened)
+
+
+def box():
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="b"><freejoint/><geom size="0.1"/></body></worldbody>'
+        '</mujoco>')
+
+
+def test_a_camera_is_aimed_when_there_is_something_to_look_at(server):
+    page, aimed = Page(server, None, lambda *_: None), []
+    page._aiming.look = lambda *told: aimed.append(told)
+    page._look(1, 'Front')
+    page.update(1.0, Latest(), False)
+    assert aimed == []
+    page.show_model(box(), Latest())
+    page._look(1, 'Front')
+    assert aimed == [(1, 'Front', page._posture)]
+
+
+def test_a_model_that_cannot_be_drawn_leaves_the_rest_of_the_page(server, monkeypatch):
+    page = Page(server, None, lambda *_: None)
+    with monkeypatch.context() as patch, pytest.raises(ValueError):
+        patch.setattr('manip_sim.viewer.page.page.Scene', lambda *_: int('no'))
+        page.show_model(box(), Latest())
+    page.update(1.0, Latest(), False)
+    page.show_model(box(), Latest())
+    page.update(2.0, Latest(objects={'b': PoseInWorld(
+        np.array([0.0, 0.0, 3.0]), np.array([1.0, 0.0, 0.0, 0.0]))}), False)
+    assert page._posture.data.body('b').xpos[2] == pytest.approx(3.0)

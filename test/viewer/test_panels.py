@@ -359,6 +359,15 @@ def test_a_pose_needs_position_commands_and_joints_of_the_robot(rig):
     assert press(rig, 'Saved', 'Go') == [('tell', 'this pose has no joint of these robots')]
 
 
+@pytest.mark.parametrize(('count', 'told'), [(2, True), (8, True), (9, False)])
+def test_a_plot_names_its_lines_while_each_has_a_colour_of_its_own(rig, count, told):
+    joints = tuple(ShownJoint(f'j{i}', f'j{i}', False, RANGES) for i in range(count))
+    robot = Robot('/', '', (ShownPart('arm', joints),), (), None)
+    states = JointStates([joint.name for joint in joints], *(np.zeros(count),) * 3, 0.0)
+    PlotPanel(rig.gui, Handle(), [robot]).show(0.0, Latest({'/': states}))
+    assert rig.gui.found['position [rad]'].legend['show'] == told
+
+
 def test_plots_leave_room_for_the_numbers_beside_them_alone(rig):
     panel = PlotPanel(rig.gui, Handle(), [ROBOT])
     panel.show(0.0, latest())

@@ -11,6 +11,7 @@ rclpy = pytest.importorskip('rclpy', reason='the sender needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_srvs.srv import SetBool  # noqa: E402
 
 from manip_sim.viewer.page.diagnosis import ShownStatus  # noqa: E402
 from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
@@ -91,3 +92,30 @@ def test_a_goal_that_waited_does_not_come_after_a_newer_one(node):
     values = [message.position[0] for message in taken]
     assert 0.1 not in values
     assert values[:-1] == sorted(values[:-1])
+
+
+def test_a_service_is_called_when_it_is_there_and_missed_when_it_is_not(node):
+    told, called, paused = [], [], []
+    sender = CommandSender(node, 'sim', {}, told.append)
+    sender.paused = paused.append
+    sender.pause(True)
+    sender.prepare({})
+    sender.pause(True)
+    assert told == 2 * ['pause: the node does not answer']
+
+    def answer(request, response):
+        called.append(request.data)
+        response.success, response.message = request.data, 'not now'
+        return response
+    node.create_service(SetBool, '/sim/pause', answer)
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    end = time.monotonic() + 30.0
+    assert sender._clients['pause'].wait_for_service(30.0)
+    sender.pause(True)
+    sender.pause(False)
+    while len(told) < 3:
+        assert time.monotonic() < end
+        executor.spin_once(timeout_sec=0.02)
+    executor.shutdown()
+    assert (called, paused, told[2:]) == ([True, False], [True], ['pause: not now'])
