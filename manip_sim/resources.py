@@ -1,12 +1,14 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one place that knows where the package's data files are, and which version they declare."""
+"""Where the data files of the package and its cache are, and which version they declare."""
 
 from __future__ import annotations
 
 from functools import lru_cache
+import os
 from pathlib import Path
+import tempfile
 
 from manip_sim.errors import ModelError
 
@@ -53,3 +55,17 @@ def asset_path(kind: str, name: str) -> Path:
     :param name: the part's folder, such as ``panda``
     """
     return share_directory() / 'assets' / kind / name / f'{name}.xml'
+
+
+def mesh_cache() -> Path:
+    """Return the folder of meshes that were made from others; it need not exist."""
+    home = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
+    return Path(home, 'manip_sim', 'meshes')
+
+
+def keep_in_cache(file: Path, content: bytes) -> None:
+    """Write a file as a whole; another process may write the same at the same time."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile('wb', dir=file.parent, delete=False) as stream:
+        stream.write(content)
+    os.replace(stream.name, file)

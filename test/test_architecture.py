@@ -19,6 +19,7 @@ PURE = {'mujoco', 'numpy', 'pydantic', 'yaml'}
 MAY_IMPORT = {
     'sensing': ({'sensing'}, PURE),
     'models': ({'models', 'sensing'}, PURE),
+    'models/mesh_objects.py': ({'models'}, PURE | {'coacd'}),
     # Files of others may have meshes that MuJoCo does not read.
     'models/files': ({'models'}, PURE | {'trimesh', 'xacro'}),
     'simulation': ({'models', 'sensing', 'simulation'}, PURE),

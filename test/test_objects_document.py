@@ -9,7 +9,8 @@ import re
 import pytest
 
 from manip_sim.models.arenas import arena_names, arena_parameters
-from manip_sim.models.object_descriptions import FileDescription, ShapeDescription
+from manip_sim.models.object_descriptions import (
+    FileDescription, MeshDescription, ShapeDescription)
 from manip_sim.models.objects import load_objects
 
 TEXT = (Path(__file__).resolve().parents[1] / 'docs' / 'how_to' / 'objects.md').read_text()
@@ -19,7 +20,7 @@ BLOCKS = re.findall(r'^```(\w+)\n(.*?)^```$', TEXT, re.DOTALL | re.MULTILINE)
 @pytest.fixture
 def listed(tmp_path):
     """Write the list of the document into the working directory."""
-    (text,) = [text for language, text in BLOCKS if language == 'yaml']
+    text = next(text for language, text in BLOCKS if language == 'yaml')
     path = tmp_path / 'objects.yaml'
     path.write_text(text)
     return path
@@ -43,8 +44,9 @@ def test_the_table_of_arenas_is_that_of_the_classes():
 
 
 def test_the_table_of_keys_is_that_of_the_descriptions():
-    told = dict(re.findall(r'^\| `(\w+)` \| (all|shapes|files) \|', TEXT, re.MULTILINE))
-    shapes, files = set(ShapeDescription.model_fields), set(FileDescription.model_fields)
-    assert {key for key, of in told.items() if of == 'all'} == shapes & files
-    assert {key for key, of in told.items() if of == 'shapes'} == shapes - files
-    assert {key for key, of in told.items() if of == 'files'} == files - shapes
+    told = re.findall(r'^\| `(\w+)` \| (all|(?:shapes|files|meshes)[\w, ]*) \|', TEXT,
+                      re.MULTILINE)
+    for kind, description in (('shapes', ShapeDescription), ('files', FileDescription),
+                              ('meshes', MeshDescription)):
+        assert {key for key, of in told if of == 'all' or kind in of.split(', ')} == set(
+            description.model_fields)

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ('3.10', '3.11', '3.12', '3.13')
 FILES = {'run': ['jazzy', 'viewer', 'records'],
          'test': ['jazzy', 'viewer', 'records', 'jazzy-test', 'test', 'docs', 'env', 'run',
-                  'mutate', 'xacro']}
+                  'meshes', 'mutate', 'xacro']}
 #: Extras that tests do without; that of the benchmarks is for an environment of its own.
 TOO_LARGE = ('bench', 'ray', 'onnx', 'torch')
 

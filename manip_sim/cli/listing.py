@@ -139,7 +139,9 @@ def _arenas() -> dict[str, list[Row]]:
 def _objects() -> dict[str, list[Row]]:
     """Return the shapes of objects, and the free bodies of arenas, also the optional ones."""
     return {'shapes of objects': [{'name': shape, 'size m': size}
-                                  for shape, (_, size) in SIZES.items()],
+                                  for shape, size in (
+                                      *((shape, size) for shape, (_, size) in SIZES.items()),
+                                      ('mesh', 'that of its file, with a scale'))],
             'objects': list(_free_bodies_of_arenas())}
 
 

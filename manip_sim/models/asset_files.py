@@ -175,7 +175,7 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
             continue
         path = _find(reference, folders, facts, base_name_too)
         check_file(path, f'{reference.kind} file', MAX_ASSET_BYTES)
-        _check_image(path, reference.kind)
+        check_image(path, reference.kind)
         reference.set_file(path.as_posix())
     spec.strippath = False
     if facts is None and spec.assets:
@@ -244,7 +244,13 @@ def _places_of_package(root: Path, name: str) -> Iterator[Path]:
             yield parent / package / rest
 
 
-def _check_image(path: Path, kind: str) -> None:
+def check_image(path: Path, kind: str) -> None:
+    """
+    Check that an image is not too large to be loaded.
+
+    :param kind: ``texture`` or ``height field``; others are not looked at
+    :raises ModelError: if it has too many pixels
+    """
     most = _MAX_PIXELS.get(kind)
     if most is None:
         return

@@ -128,12 +128,18 @@ def _name_of_held(model: XmlModel, element: ElementTree.Element, name: str, held
     content = files.read(found, f'{element.tag} file', MAX_FILE_BYTES)
     suffix = found.suffix.lower()
     check_content(element.tag, suffix, content, str(found))
-    short = f'{re.sub(r"[^A-Za-z0-9-]", "_", found.stem)[:40]}_{_digest(content)}{suffix}'
+    short = held_name(found, content)
     held.assets[short] = content
     if sum(map(len, held.assets.values())) > _MAX_ASSET_BYTES:
         raise ModelError(f'{one_line(held.name)} names files of more than '
                          f'{_MAX_ASSET_BYTES / 1e6:.0f} MB')
     return short
+
+
+def held_name(file: Path, content: bytes) -> str:
+    """Return a name for the content of a file that no other content has."""
+    stem = re.sub(r'[^A-Za-z0-9-]', '_', file.stem)[:40]
+    return f'{stem}_{_digest(content)}{file.suffix.lower()}'
 
 
 def _digest(content: bytes) -> str:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from manip_sim.errors import describe_choices
 from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG, SIZES
 from manip_sim.models.strict_descriptions import (
-    BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number)
+    BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number, StrictBool)
 from manip_sim.quoting import counted, shown
 
 #: Greatest distance of an object or camera from the origin along an axis [m].
@@ -21,6 +21,8 @@ _MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
 _NORM_TOLERANCE = 1e-2
 #: Of water, as in MuJoCo [kg/m^3].
 _DEFAULT_DENSITY = 1000.0
+#: The shape that is in a file.
+MESH = 'mesh'
 #: Sliding, torsional [m] and rolling [m], as in MuJoCo.
 DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
 
@@ -32,7 +34,7 @@ def _listed(value: object) -> object:
 
 def _known_shape(value: object) -> object:
     if not isinstance(value, str) or value not in SIZES:
-        raise ValueError(f'is unknown: {describe_choices(value, SIZES)}')
+        raise ValueError(f'is unknown: {describe_choices(value, [*SIZES, MESH])}')
     return value
 
 
@@ -44,6 +46,7 @@ _Size = Annotated[Number, Field(ge=_MIN_SIZE_M, le=_MAX_SIZE_M, allow_inf_nan=Fa
 _Friction = Annotated[Number, Field(ge=0.0, le=100.0, allow_inf_nan=False)]
 _Colour = Annotated[Number, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 _Mass = Annotated[Number, Field(ge=MIN_MASS_KG, le=MAX_MASS_KG, allow_inf_nan=False)]
+_Scale = Annotated[Number, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
 _Density = Annotated[Number, Field(gt=0.0, le=1e5, allow_inf_nan=False)]
 
 
@@ -55,6 +58,7 @@ class PlacedDescription(BaseModel):
     :ivar position: of the body's frame in ``world`` [m]
     :ivar rpy: roll, pitch, yaw of the body in ``world`` [rad]
     :ivar quat_xyzw: instead of ``rpy``, a quaternion x, y, z, w of length 1
+    :ivar visual: only seen, not touched; an object stays where it is put
     """
 
     model_config = ConfigDict(extra='forbid', frozen=True)
@@ -63,6 +67,7 @@ class PlacedDescription(BaseModel):
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
     rpy: Annotated[list[_Finite], Field(min_length=3, max_length=3)] | None = None
     quat_xyzw: Annotated[list[_Finite], Field(min_length=4, max_length=4)] | None = None
+    visual: StrictBool = False
 
     @model_validator(mode='after')
     def _check_orientation(self) -> PlacedDescription:
@@ -83,19 +88,17 @@ class FileDescription(PlacedDescription):
 
     Its pose and its name are those of the body in the file, unless given here.
 
-    :ivar file: path, relative to the folder of the YAML file, or to the working directory
+    :ivar file: path, relative to the folder of the YAML file, or to the working directory; or
+        ``robosuite:NAME``
     """
 
     file: str
 
 
-class ShapeDescription(PlacedDescription):
+class SolidDescription(PlacedDescription):
     """
-    A free body of one shape, with its frame in the middle; the axis of a cylinder or capsule is z.
+    A body of one material.
 
-    :ivar shape: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``ellipsoid``
-    :ivar size: full extents [x, y, z] of a box, radius of a sphere, [radius, length] of a cylinder
-        and of a capsule without its caps, radii [x, y, z] of an ellipsoid [m]
     :ivar mass: [kg]
     :ivar density: instead of the mass [kg/m^3], 1000 if neither is given
     :ivar friction: sliding, optionally followed by torsional [m] and rolling [m]
@@ -104,8 +107,6 @@ class ShapeDescription(PlacedDescription):
     """
 
     name: str
-    shape: Annotated[str, BeforeValidator(_known_shape)]
-    size: Annotated[list[_Size], BeforeValidator(_listed)]
     mass: _Mass | None = None
     density: _Density | None = None
     friction: Annotated[list[_Friction], BeforeValidator(_listed),
@@ -114,13 +115,64 @@ class ShapeDescription(PlacedDescription):
     condim: Literal[1, 3, 4, 6] = 3
 
     @model_validator(mode='after')
-    def _check_size_and_mass(self) -> ShapeDescription:
+    def _check_mass(self) -> SolidDescription:
+        if self.mass is not None and self.density is not None:
+            raise ValueError("give 'mass' or 'density', not both")
+        return self
+
+    @property
+    def colour(self) -> list[float]:
+        """Red, green, blue and opacity, shape (4,)."""
+        return [*self.rgba, 1.0][:4]
+
+    @property
+    def density_kg_m3(self) -> float:
+        """Density, unless :attr:`mass` is given [kg/m^3]."""
+        return self.density or _DEFAULT_DENSITY
+
+
+class MeshDescription(SolidDescription):
+    """
+    A body of the shape of a mesh, with the frame of the file.
+
+    :ivar shape: ``mesh``
+    :ivar file: path of an OBJ or STL file, as that of :class:`FileDescription`
+    :ivar scale: of the file, or [x, y, z]; 0.001 for millimetres
+    :ivar texture: path of a PNG image; an OBJ file says how it lies on the shape
+    :ivar collision: ``hull``, the convex hull, or ``parts``, convex parts of it by coacd
+    """
+
+    shape: Literal['mesh']
+    file: str
+    scale: Annotated[list[_Scale], BeforeValidator(_listed)] = [1.0]
+    texture: str | None = None
+    collision: Literal['hull', 'parts'] = 'hull'
+
+    @model_validator(mode='after')
+    def _check_scale(self) -> MeshDescription:
+        if len(self.scale) not in (1, 3):
+            raise ValueError(f"'scale' must be a number or [x, y, z], got {shown(self.scale)}")
+        return self
+
+
+class ShapeDescription(SolidDescription):
+    """
+    A body of one shape, with its frame in the middle; the axis of a cylinder or capsule is z.
+
+    :ivar shape: ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``ellipsoid``
+    :ivar size: full extents [x, y, z] of a box, radius of a sphere, [radius, length] of a cylinder
+        and of a capsule without its caps, radii [x, y, z] of an ellipsoid [m]
+    """
+
+    shape: Annotated[str, BeforeValidator(_known_shape)]
+    size: Annotated[list[_Size], BeforeValidator(_listed)]
+
+    @model_validator(mode='after')
+    def _check_size(self) -> ShapeDescription:
         count, meaning = SIZES[self.shape]
         if len(self.size) != count:
             raise ValueError(f"'size' of a {self.shape} is {meaning} [m], got "
                              f'{counted(len(self.size), "number")}: {shown(self.size)}')
-        if self.mass is not None and self.density is not None:
-            raise ValueError("give 'mass' or 'density', not both")
         if not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
             raise ValueError(f'weighs {self.mass_kg:g} kg by its density, it must be '
                              f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')
@@ -144,7 +196,7 @@ class ShapeDescription(PlacedDescription):
         """Mass, as given or from the density [kg]."""
         if self.mass is not None:
             return self.mass
-        return (self.density or _DEFAULT_DENSITY) * self.volume_m3
+        return self.density_kg_m3 * self.volume_m3
 
     @property
     def mujoco_size(self) -> list[float]:
@@ -156,12 +208,14 @@ class ShapeDescription(PlacedDescription):
         return [*self.size, 0.0, 0.0][:3]
 
 
-def kind_of(values: Any) -> type[FileDescription] | type[ShapeDescription]:
+def kind_of(values: Any) -> type[FileDescription | MeshDescription | ShapeDescription]:
     """
     Return the kind of description that some values are meant to be.
 
-    :raises ValueError: if they have both a file and a shape
+    :raises ValueError: if they have both a file and a shape that is no mesh
     """
+    if values.get('shape') == MESH:
+        return MeshDescription
     if 'file' in values and 'shape' in values:
-        raise ValueError("give 'shape' or 'file', not both")
+        raise ValueError("give 'shape' or 'file', not both; only 'shape: mesh' has a file")
     return FileDescription if 'file' in values else ShapeDescription

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A free body that robots handle: its name, its start pose and how it is added to a world."""
+"""Bodies with a name and a pose that are added to a world: objects, and fixtures of arenas."""
 
 from __future__ import annotations
 
@@ -53,59 +53,51 @@ def check_object_name(name: str, where: str,
                          "be 'world'")
 
 
-class ObjectModel:
+class PlacedModel:
     """
-    A free body with the name of the object.
+    A body with a name and a pose in ``world``.
 
-    In a world the geom of a shape has that name too; all other names begin with ``<name>_``. A
-    free joint without a name is called ``<name>_joint``.
+    In a world the geom of a shape has that name too; all other names begin with ``<name>_``.
 
     :param name: a letter, then at most 63 letters, digits and underscores
     :param spec: a ``mujoco.MjSpec`` with one root body; not copied, and changed in place
     :param origin: where it comes from, for messages
-    :raises ModelError: if an object cannot have the name or what the spec holds
+    :raises ModelError: if it cannot have the name or what the spec holds
+    :ivar inferred: what was inferred, in sentences
     """
 
+    #: What it is, for messages.
+    kind = 'body'
+
     def __init__(self, name: str, spec: mujoco.MjSpec, origin: str = '') -> None:
-        self.origin = origin or f'object {quoted(name)}'
+        self.origin = origin or f'{self.kind} {quoted(name)}'
         check_object_name(name, self.origin)
         self.name = name
+        self.inferred: list[str] = []
         self._spec = spec
         self._check_root()
-        self._free_the_root()
+        self._prepare_root()
         name_unnamed_elements(spec)
         self._own_model = compile_spec(spec, self.origin)
         self._check_contents()
         self._resolve_pose()
 
     def _check_root(self) -> None:
-        world = self._spec.worldbody
+        world, one = self._spec.worldbody, f'{self.kind} is one root body'
+        one = f'an {one}' if self.kind[0] in 'aeiou' else f'a {one}'
         names = ', '.join(body.name or 'unnamed' for body in world.bodies) or 'none'
         if len(world.bodies) != 1:
-            raise ModelError(f'{self.origin}: an object is one root body, found '
-                             f'{len(world.bodies)}: {names}')
+            raise ModelError(f'{self.origin}: {one}, found {len(world.bodies)}: {names}')
         for kind in ('geoms', 'sites', 'cameras', 'lights'):
             if getattr(world, kind):
-                raise ModelError(f'{self.origin}: an object is one root body, found {kind} '
-                                 f'beside it: put them into the body {names}')
+                raise ModelError(f'{self.origin}: {one}, found {kind} beside it: put them into '
+                                 f'the body {names}')
 
-    def _free_the_root(self) -> None:
-        joints = self._root.joints
-        if not joints:
-            self._root.add_freejoint().name = 'joint'
-        elif len(joints) > 1 or int(joints[0].type) != _FREE:
-            raise ModelError(f"{self.origin}: the root body of an object must be free, found "
-                             f"joint '{joints[0].name}': remove the joint")
-        elif not joints[0].name:
-            joints[0].name = 'joint'
+    def _prepare_root(self) -> None:
+        """Check the joints of the root body, or add what it lacks."""
 
     def _check_contents(self) -> None:
-        for size, what in _NOT_IN_OBJECTS.items():
-            if getattr(self._own_model, size, 0):
-                raise ModelError(f'{self.origin}: an object cannot have {what}')
-        if not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
-            raise ModelError(f'{self.origin} weighs {self.mass_kg:g} kg, it must be '
-                             f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')
+        """Reject what the compiled model must not have."""
 
     def _resolve_pose(self) -> None:
         # :meth:`place` sets position and quaternion; nothing else may turn or move the root.
@@ -131,11 +123,6 @@ class ObjectModel:
     def root_body(self) -> str:
         """Name of the object's root body in a world."""
         return self.name
-
-    @property
-    def free_joint(self) -> str:
-        """Name of the object's free joint in a world."""
-        return self._prefix + str(self._root.joints[0].name)
 
     @property
     def mass_kg(self) -> float:
@@ -213,3 +200,89 @@ class ObjectModel:
         spec = mujoco.MjSpec()
         self.attach(spec)
         return compile_spec(spec, self.origin)
+
+
+class ObjectModel(PlacedModel):
+    """
+    A free body with the name of the object, or a body that is only seen.
+
+    A free joint without a name is called ``<name>_joint``. What is only seen is a mocap body: it
+    stays where it is put, and touches nothing.
+
+    :param name: a letter, then at most 63 letters, digits and underscores
+    :param spec: a ``mujoco.MjSpec`` with one root body; not copied, and changed in place
+    :param origin: where it comes from, for messages
+    :param visual: whether it is only seen
+    :raises ModelError: if an object cannot have the name or what the spec holds
+    :ivar visual: whether it is only seen
+    """
+
+    kind = 'object'
+
+    def __init__(self, name: str, spec: mujoco.MjSpec, origin: str = '', visual: bool = False
+                 ) -> None:
+        self.visual = visual
+        super().__init__(name, spec, origin)
+
+    def _prepare_root(self) -> None:
+        joints = self._root.joints
+        if self.visual:
+            if joints:
+                raise ModelError(f"{self.origin}: an object that is only seen has no joint, found "
+                                 f"'{joints[0].name}' on its root body")
+            only_seen(self._spec)
+            self._root.mocap = True
+        elif not joints:
+            self._root.add_freejoint().name = 'joint'
+        elif len(joints) > 1 or int(joints[0].type) != _FREE:
+            raise ModelError(f"{self.origin}: the root body of an object must be free, found "
+                             f"joint '{joints[0].name}': remove the joint")
+        elif not joints[0].name:
+            joints[0].name = 'joint'
+
+    def _check_contents(self) -> None:
+        for size, what in _NOT_IN_OBJECTS.items():
+            if getattr(self._own_model, size, 0) > (size == 'nmocap' and self.visual):
+                raise ModelError(f'{self.origin}: an object cannot have {what}')
+        if not self.visual and not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:
+            raise ModelError(f'{self.origin} weighs {self.mass_kg:g} kg, it must be '
+                             f'{MIN_MASS_KG:g} to {MAX_MASS_KG:g} kg')
+
+    @property
+    def free_joint(self) -> str:
+        """Name of the object's free joint in a world."""
+        return self._prefix + str(self._root.joints[0].name)
+
+
+class FixtureModel(PlacedModel):
+    """
+    Furniture that is welded to an arena, such as a shelf, or a door with its hinge.
+
+    Its joints and actuators belong to the arena.
+
+    :param name: a letter, then at most 63 letters, digits and underscores
+    :param spec: a ``mujoco.MjSpec`` with one root body; not copied, and changed in place
+    :param origin: where it comes from, for messages
+    :param visual: whether it is only seen
+    :raises ModelError: if a fixture cannot have the name or what the spec holds
+    """
+
+    kind = 'fixture'
+
+    def __init__(self, name: str, spec: mujoco.MjSpec, origin: str = '', visual: bool = False
+                 ) -> None:
+        if visual:
+            only_seen(spec)
+        super().__init__(name, spec, origin)
+
+    def _prepare_root(self) -> None:
+        if self._root.joints:
+            raise ModelError(f"{self.origin}: the root body of a fixture is welded to the world, "
+                             f"found joint '{self._root.joints[0].name}': put it into a body "
+                             "below the root, or list it below 'objects'")
+
+
+def only_seen(spec: mujoco.MjSpec) -> None:
+    """Let nothing touch the shapes of a spec."""
+    for geom in spec.geoms:
+        geom.contype, geom.conaffinity = 0, 0

@@ -1,30 +1,31 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Create objects from shapes, MJCF files and lists in YAML."""
+"""Create objects and fixtures from shapes, meshes, MJCF files and lists in YAML."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, TYPE_CHECKING, Union
+from typing import Any, TYPE_CHECKING, TypeVar, Union
 
 import mujoco
 import numpy as np
 
 from manip_sim.algebra import length
-from manip_sim.errors import ModelError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.held_models import hold_model, HeldModel, LIMITS
 from manip_sim.models.loading import load_spec
-from manip_sim.models.object_model import ObjectModel, SHAPE_GEOM
+from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.regular_files import Files
+from manip_sim.models.sources import find_source, is_of_others
 from manip_sim.models.strict_yaml import parse_yaml, read_yaml
 from manip_sim.quoting import quoted, shown
 
-__all__ = ['check_object_names', 'create_object', 'create_objects', 'load_objects',
-           'object_from_model', 'ObjectModel']
+__all__ = ['check_object_names', 'create_described', 'create_object', 'create_objects',
+           'FixtureModel', 'load_objects', 'object_from_model', 'ObjectModel']
 
 if TYPE_CHECKING:
     from manip_sim.models.object_descriptions import (
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _YAML = ('.yaml', '.yml')
 #: Greatest number of degrees of freedom of an object that is spawned.
 _MAX_DOF = 100
+P = TypeVar('P', ObjectModel, FixtureModel)
 ObjectFile = Union[str, PathLike[str]]
 Description = Union[ObjectModel, Mapping[str, Any], ObjectFile]
 
@@ -41,8 +43,9 @@ def create_object(description: Description, files: Files | None = None) -> Objec
     """
     Create an object.
 
-    :param description: the keys of :class:`ShapeDescription` or :class:`FileDescription`, an
-        MJCF file, or a YAML file that lists one object; an object is returned as it is
+    :param description: the keys of :class:`ShapeDescription`, :class:`MeshDescription` or
+        :class:`FileDescription`, an MJCF file, or a YAML file that lists one object; an object is
+        returned as it is
     :param files: those that may be read, for descriptions of somebody who is not trusted; they
         are checked as ``hold_model`` does. None: all
     :raises ModelError: if something is wrong with it, on one line with file, object and key
@@ -69,10 +72,14 @@ def object_from_model(model: HeldModel, name: str | None = None) -> ObjectModel:
     """
     spec = model.load()
     found = ObjectModel(name or _own_name(spec), spec, model.name)
+    _check_dof(found)
+    return found
+
+
+def _check_dof(found: PlacedModel) -> None:
     if found.dof > _MAX_DOF:
         raise ModelError(f'{found.origin} has {found.dof} degrees of freedom, and at most '
                          f'{_MAX_DOF} can be spawned')
-    return found
 
 
 def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
@@ -133,44 +140,75 @@ def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectMod
     return objects
 
 
+def create_described(values: Mapping[str, Any], kind: type[P], where: str, folder: Path = Path(),
+                     files: Files | None = None) -> P:
+    """
+    Create an object or a fixture from its description.
+
+    :param values: the keys of :class:`ShapeDescription`, :class:`MeshDescription` or
+        :class:`FileDescription`
+    :param kind: :class:`ObjectModel` or :class:`FixtureModel`
+    :param where: what has the values, for messages
+    :param folder: where relative paths begin
+    :param files: those that may be read, as for :func:`create_object`
+    :raises ModelError: if something is wrong with it
+    """
+    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
+    from manip_sim.models.mesh_objects import mesh_spec
+    from manip_sim.models.object_descriptions import kind_of, MeshDescription, ShapeDescription
+    from manip_sim.models.strict_descriptions import checked
+    try:
+        form = kind_of(values)
+    except ValueError as error:
+        raise ModelError(f'{where}: {error}') from None
+    description = checked(form, values, where)
+    inferred: list[str] = []
+    try:
+        if isinstance(description, ShapeDescription):
+            spec, origin = _shape_spec(description), where
+        elif isinstance(description, MeshDescription):
+            (spec, inferred), origin = mesh_spec(description, folder, where, files), where
+        else:
+            spec, origin = _file_spec(description, folder, files)
+        found = kind(description.name or _own_name(spec), spec, origin, description.visual)
+    except ModelError as error:
+        if isinstance(error, UnknownNameError) or str(error).startswith(where):
+            raise
+        raise ModelError(f'{where}: {error}') from error
+    if files is not None:
+        _check_dof(found)
+    found.inferred += inferred
+    _place(found, description)
+    return found
+
+
 def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
                  unnamed: str = 'object without a name', files: Files | None = None
                  ) -> ObjectModel:
     name = values.get('name')
     where = begin + (unnamed if name is None else f'object {quoted(name)}')
-    # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
-    from manip_sim.models.object_descriptions import kind_of, ShapeDescription
-    from manip_sim.models.strict_descriptions import checked
-    try:
-        kind = kind_of(values)
-    except ValueError as error:
-        raise ModelError(f'{where}: {error}') from None
-    description = checked(kind, values, where)
-    try:
-        if isinstance(description, ShapeDescription):
-            return _from_shape(description, where)
-        return _from_file(description, folder, files)
-    except ModelError as error:
-        raise error if str(error).startswith(where) else ModelError(f'{where}: {error}') from error
+    return create_described(values, ObjectModel, where, folder, files)
 
 
-def _from_shape(description: ShapeDescription, where: str) -> ObjectModel:
+def _shape_spec(description: ShapeDescription) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name='body')
     geom = body.add_geom(
         name=SHAPE_GEOM, type=getattr(mujoco.mjtGeom, f'mjGEOM_{description.shape.upper()}'),
         size=description.mujoco_size, mass=description.mass_kg, condim=description.condim,
-        rgba=[*description.rgba, 1.0][:4])
+        rgba=description.colour)
     geom.friction[:len(description.friction)] = description.friction
-    found = ObjectModel(description.name, spec, where)
-    _place(found, description)
-    return found
+    return spec
 
 
-def _from_file(description: FileDescription, folder: Path, files: Files | None) -> ObjectModel:
-    found = _read(folder / description.file, description.name, files)
-    _place(found, description)
-    return found
+def _file_spec(description: FileDescription, folder: Path, files: Files | None
+               ) -> tuple[mujoco.MjSpec, str]:
+    """Return a spec and what it was read from."""
+    if files is None and is_of_others(description.file):
+        file = find_source(description.file, 'objects') or Path()
+    else:
+        file = folder / description.file
+    return (load_spec(file) if files is None else hold_model(file, files).load()), str(file)
 
 
 def _read(file: Path, name: str | None = None, files: Files | None = None) -> ObjectModel:
@@ -185,7 +223,7 @@ def _own_name(spec: mujoco.MjSpec) -> str:
     return (roots[0].name if roots else '') or str(spec.modelname)
 
 
-def _place(found: ObjectModel, description: PlacedDescription) -> None:
+def _place(found: PlacedModel, description: PlacedDescription) -> None:
     quat = None
     if description.rpy is not None:
         quat = quat_wxyz_from_rpy(description.rpy)

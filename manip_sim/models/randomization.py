@@ -19,6 +19,7 @@ import yaml
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices, ModelError
+from manip_sim.models.placements import Placement, read_placements
 from manip_sim.models.strict_yaml import read_yaml, StrictLoader
 from manip_sim.quoting import quoted, shown
 from manip_sim.sensing.randomness import generator
@@ -27,6 +28,8 @@ from manip_sim.sensing.settings import QUANTITIES as PARAMETERS
 ABSOLUTE, SCALE, OFFSET = 'absolute', 'scale', 'offset'
 #: The group of parameters of the node, which have no quantity.
 OF_NODE = 'parameters'
+#: The group of areas where objects are placed, which have rules of their own.
+PLACEMENTS = 'placements'
 
 
 @dataclass(frozen=True)
@@ -165,13 +168,16 @@ class Randomization:
     :raises ModelError: if something cannot be used, naming the file and the line
     :ivar given: what the file holds, as plain data
     :ivar rules: in the order of the file
+    :ivar placements: areas where objects are placed
     """
 
     def __init__(self, given: RandomizationLike) -> None:
         self.given: Mapping[str, Any]
         self.rules: tuple[Rule, ...]
+        self.placements: tuple[Placement, ...]
         if isinstance(given, Randomization):
             self.given, self.rules = given.given, given.rules
+            self.placements = given.placements
             return
         lines: _Lines = {}
         name = 'randomization'
@@ -181,7 +187,17 @@ class Randomization:
             name = os.fspath(given)
             self.given = read_yaml(name)
             lines = _lines_of(name)
-        self.rules = tuple(_Reader(name, lines).rules(self.given))
+        self.placements = tuple(read_placements(self.given.get(PLACEMENTS, {}), name))
+        self.rules = tuple(_Reader(name, lines).rules(
+            {group: found for group, found in self.given.items() if group != PLACEMENTS}))
+
+    def with_placements(self, placements: Iterable[Placement]) -> Randomization:
+        """Return the same with more areas where objects are placed, before its own."""
+        new = Randomization(self)
+        new.placements = (*placements, *self.placements)
+        new.given = {**self.given, PLACEMENTS: {
+            placement.name: placement.values for placement in new.placements}}
+        return new
 
     def resolve(self, names: Mapping[str, Iterable[str]], strict: bool = True
                 ) -> dict[str, Rule]:
@@ -247,7 +263,7 @@ class _Reader:
     def rules(self, given: Mapping[str, Any]) -> Iterable[Rule]:
         """Yield the rules."""
         for group, patterns in given.items():
-            self._known('group', group, GROUPS, group)
+            self._known('group', group, (*GROUPS, PLACEMENTS), group)
             for pattern, inner in self._mapping(
                     patterns, f'{group} needs names and what is drawn', group).items():
                 if group == OF_NODE:

@@ -196,9 +196,14 @@ def _letters(name: str) -> str:
     return ''.join(character for character in name.lower() if character.isalnum())
 
 
+def is_of_others(name: str) -> bool:
+    """Return whether a name is one of Menagerie or robosuite."""
+    return name.startswith(_SCHEMES)
+
+
 def is_path(name: str) -> bool:
     """Return whether a name is a path: it has a slash, or ends as models and descriptions do."""
-    return not name.startswith(_SCHEMES) and (
+    return not is_of_others(name) and (
         '/' in name or os.sep in name or Path(name).suffix.lower() in _SUFFIXES
         or _XACRO.search(name) is not None)
 

@@ -21,6 +21,7 @@ from manip_sim.models.initialization_noise import checked_seed, InitializationNo
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.objects import check_object_names, create_objects, Description, ObjectModel
+from manip_sim.models.placements import check_placed
 from manip_sim.models.randomization import Randomization, RandomizationLike
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.validation import start_by_joint, whole_nanoseconds
@@ -67,7 +68,8 @@ class World:
     :ivar objects: all objects, in the order of the compiled world
     :ivar noise: the noise with its seed, or None
     :ivar seed: of the noise of sensors, 0 if there is no other
-    :ivar randomization: what is drawn at each reset with a seed, or None
+    :ivar randomization: what is drawn at each reset with a seed, that of the arena included, or
+        None
     """
 
     def __init__(self, robots: Sequence[RobotModel], arena: Arena | None = None,
@@ -93,6 +95,11 @@ class World:
         self.lidars = [create_lidar(lidar) for lidar in lidars]
         self.keyframe = self.checked_keyframe(keyframe)
         self.randomization = (None if randomization is None else Randomization(randomization))
+        if self.arena.placements:
+            self.randomization = Randomization(randomization or {}).with_placements(
+                self.arena.placements)
+        if self.randomization is not None:
+            check_placed(self.randomization.placements, self.objects)
         self.noise = (None if initialization_noise is None
                       else InitializationNoise(initialization_noise, seed))
         if self.noise is not None:

@@ -63,7 +63,7 @@ def inferred(world: World) -> Iterator[str]:
 
     :param world: the world of the models
     """
-    models: list[Any] = [world.arena, *world.robots]
+    models: list[Any] = [world.arena, *world.objects, *world.robots]
     for model in (*models, *(part for robot in world.robots for part in robot.models)):
         sentences = getattr(model, 'inferred', None)
         if sentences:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 import threading
 from typing import Any, Protocol
 
@@ -15,6 +16,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec
+from manip_sim.models.placements import draw_places, extents
 from manip_sim.models.quaternion import wxyz_to_xyzw, xyzw_to_wxyz
 from manip_sim.models.randomization import (
     GROUPS, OF_NODE, Randomization, RandomizationLike, Rule)
@@ -218,8 +220,21 @@ class Randomized:
         :param seed: a whole number from 0
         """
         nominal, self._seed = self._physics.plan.compiled, seed
-        self.set({key: self._drawn_value(key, rule, seed, nominal)
-                  for key, rule in self._rules().items()})
+        drawn = {key: self._drawn_value(key, rule, seed, nominal)
+                 for key, rule in self._rules().items()}
+        self.set({**self._placed(nominal, seed), **drawn})
+
+    def _placed(self, nominal: mujoco.MjModel, seed: int) -> dict[str, Any]:
+        """Return the poses of objects that are placed in areas; of those that still exist."""
+        given = () if self._given is None else self._given.placements
+        there = set(self._physics.plan.object_names)
+        areas = [replace(area, objects=tuple(name for name in area.objects if name in there))
+                 for area in given]
+        names = [name for area in areas for name in area.objects]
+        return {f'bodies/{name}/{quantity}': value.tolist() for name, (position, quat) in
+                draw_places(areas, extents(nominal, names) if names else {}, seed).items()
+                for quantity, value in (('position', position),
+                                        ('orientation', wxyz_to_xyzw(quat)))}
 
     def _drawn_value(self, key: str, rule: Rule, seed: int, nominal: mujoco.MjModel,
                      pose: FloatArray | None = None) -> Any:

@@ -81,7 +81,7 @@ def test_json_has_what_the_tables_have(here):
 def test_shapes_of_objects_tell_what_their_size_is(here):
     rows = {row['name']: row['size m'] for row in
             rows_of(here('list', 'objects')[1], 'Shapes of objects')}
-    assert list(rows) == ['box', 'sphere', 'cylinder', 'capsule', 'ellipsoid']
+    assert list(rows) == ['box', 'sphere', 'cylinder', 'capsule', 'ellipsoid', 'mesh']
     assert rows['cylinder'] == '[radius, length]'
     # What it says is what an object takes.
     for shape, size in (('box', [1, 1, 1]), ('sphere', 1), ('cylinder', [1, 1]),

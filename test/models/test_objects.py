@@ -282,7 +282,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     (f'objects: [{GOOD}, file: mug.xml}}]', "object 'brick': give 'shape' or 'file', not both"),
     ('objects: [{name: mug, file: 3}]', "object 'mug': 'file' must be a string, got 3"),
     ('objects: [{name: mug, file: mug.xml, mass: 1}]',
-     "object 'mug': unknown key 'mass': .*available: name, position, rpy, quat_xyzw, file"),
+     "object 'mug': unknown key 'mass': .*available: name, position, .*, quat_xyzw, visual, file"),
     ('objects: [{name: mug, file: none.xml}]', "object 'mug': no such MJCF file: .*none.xml"),
     ('objects: [{name: 3cpo, shape: sphere, size: 1}]', "'3cpo' cannot be the name of an object"),
     ('objects: [{name: a-b, shape: sphere, size: 1}]', "'a-b' cannot be the name of an object"),

@@ -17,7 +17,9 @@ import mujoco
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.object_model import ObjectModel
+from manip_sim.models.naming import TakenNames
+from manip_sim.models.object_model import FixtureModel, ObjectModel
+from manip_sim.models.placements import Placement
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import begin_like
@@ -98,6 +100,7 @@ class Arena(MujocoXMLModel):
     name cannot be created by it.
 
     :param fname: path of an MJCF file; by default that in ``assets/arenas`` with the arena's name
+    :ivar placements: areas where objects are placed at each reset with a seed
     """
 
     arena_name: ClassVar[str]
@@ -111,11 +114,30 @@ class Arena(MujocoXMLModel):
     def __init__(self, fname: str | PathLike[str] | None = None) -> None:
         super().__init__(fname or asset_path('arenas', self.arena_name))
         self._objects: list[ObjectModel] = []
+        self.placements: list[Placement] = []
 
     @property
     def objects(self) -> list[ObjectModel]:
         """The objects that belong to this arena, which worlds attach after the robots; a copy."""
         return list(self._objects)
+
+    def add_fixture(self, fixture: FixtureModel) -> None:
+        """
+        Weld furniture to the arena, which its joints, actuators and cameras belong to from now on.
+
+        :param fixture: with names of its own
+        :raises ModelError: if the arena has one of its names already
+        """
+        fixture.attach(self._spec, TakenNames(self._spec))
+        self.refresh()
+
+    def add_object(self, item: ObjectModel) -> None:
+        """
+        Add an object, which worlds with this arena have after the robots.
+
+        :param item: with a name of its own
+        """
+        self._objects.append(item)
 
     @property
     def naming_prefix(self) -> str:

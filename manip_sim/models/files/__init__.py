@@ -65,12 +65,13 @@ def load_arena(path: str | PathLike[str]) -> FileArena:
     """
     Load an arena from a file; its names get no prefix.
 
-    :param path: an MJCF file, the YAML file that describes it, or their folder
+    :param path: an MJCF file, the YAML file that describes it or consists of parts, or their
+        folder
     :raises ModelError: if something cannot be read
-    :raises UnknownNameError: if the YAML file has a key that is not known
+    :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
-    model, description, _ = find_model(Path(path), ArenaDescription, 'arena')
-    return FileArena(model, description)
+    model, description, where = find_model(Path(path), ArenaDescription, 'arena')
+    return FileArena(model, description, where)
 
 
 __all__ = ['FileArena', 'FileBase', 'FileGripper', 'FileManipulator', 'FileRobot', 'load_arena',

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.part_descriptions import (
-    Description, DescriptionT, read_description, RobotDescription)
+    ArenaDescription, Description, DescriptionT, read_description, RobotDescription)
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.sources import is_path
 from manip_sim.quoting import one_line
@@ -102,11 +102,15 @@ def _model_of(file: Path, description: Description, stem: str) -> Path:
         if not model.is_file():
             raise ModelError(f"'model' of {file}: no such file: {model}")
         return model
+    if isinstance(description, ArenaDescription) and description.arena is not None:
+        return file
     for suffix in (*MODELS, f'.urdf{SUFFIX}'):
         if file.with_suffix(suffix).is_file():
             return file.with_suffix(suffix)
     models = _models_in(file.parent) if file.stem == stem else []
     if len(models) == 1:
         return models[0]
+    if isinstance(description, ArenaDescription) and description.has_parts:
+        return file
     raise ModelError(f"{file} must say which 'model' it describes: there is no "
                      f'{file.with_suffix(".xml").name} beside it')

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 from pathlib import Path
-import tempfile
 from typing import Any
 
 from manip_sim.quoting import one_line
+from manip_sim.resources import keep_in_cache, mesh_cache
 
 SUFFIXES = ('.dae', '.glb', '.gltf', '.ply', '.off')
 _MAX_BYTES = 200_000_000
@@ -36,18 +35,13 @@ def converted(mesh: Path) -> tuple[Path | None, str]:
             return None, f'it is larger than {_MAX_BYTES // 1_000_000} MB'
         content = mesh.read_bytes()
         key = hashlib.sha256(b'2' + mesh.suffix.lower().encode() + content).hexdigest()
-        target = _cache() / f'{key}.obj'
+        target = mesh_cache() / f'{key}.obj'
         if not target.is_file():
             _convert(trimesh, mesh, target)
         return target, ''
     except Exception as error:  # Each format has a reader with exceptions of its own.
         logging.getLogger(__name__).debug('cannot convert %s', mesh, exc_info=True)
         return None, one_line(f'{type(error).__name__}: {error}', 120)
-
-
-def _cache() -> Path:
-    home = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
-    return Path(home, 'manip_sim', 'meshes')
 
 
 def _convert(trimesh: Any, mesh: Path, target: Path) -> None:
@@ -58,10 +52,6 @@ def _convert(trimesh: Any, mesh: Path, target: Path) -> None:
     whole.apply_scale(scale)
     if not len(whole.faces) or len(whole.faces) > _MAX_FACES:
         raise ValueError(f'it has {len(whole.faces)} faces')
-    target.parent.mkdir(parents=True, exist_ok=True)
     text = trimesh.exchange.obj.export_obj(
         trimesh.Trimesh(whole.vertices, whole.faces), include_normals=False)
-    with tempfile.NamedTemporaryFile('w', dir=target.parent, delete=False) as file:
-        file.write(text)
-    # Another process may have made it meanwhile; the content is the same.
-    os.replace(file.name, target)
+    keep_in_cache(target, text.encode())

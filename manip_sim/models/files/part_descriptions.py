@@ -152,10 +152,25 @@ class BaseDescription(Description):
 
 
 class ArenaDescription(Description):
-    """What is around the robots."""
+    """What is around the robots; without ``model``, it consists of an arena and parts."""
 
-    #: Position of the floor below a robot in ``world`` [m].
-    robot_position: Vector = [0.0, 0.0, 0.0]
+    #: What to begin with, if there is no model: a name of the catalogue, or ``robosuite:NAME``.
+    arena: Name | None = None
+    #: Parameters of that arena.
+    parameters: dict[Name, Union[Annotated[bool, Field(strict=True)], Number]] = {}
+    #: Position of the floor below a robot in ``world`` [m]; None: where ``arena`` has it.
+    robot_position: Vector | None = None
+    #: Descriptions of welded furniture, which are checked elsewhere.
+    fixtures: list[dict[str, Any]] = []
+    #: Descriptions of objects, or paths of files, which are checked elsewhere.
+    objects: list[Union[Name, dict[str, Any]]] = []
+    #: Areas where objects are placed, by name, which are checked elsewhere.
+    placements: dict[Name, Any] = {}
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether it says more than where robots stand."""
+        return bool(self.arena or self.fixtures or self.objects or self.placements)
 
 
 DescriptionT = TypeVar('DescriptionT', bound=Description)

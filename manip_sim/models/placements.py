@@ -1,0 +1,236 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Areas where objects are placed at each reset with a seed, so that none overlaps another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import describe_choices, ModelError, UnknownNameError
+from manip_sim.models.object_model import ObjectModel
+from manip_sim.quoting import quoted, shown
+from manip_sim.sensing.randomness import generator
+
+#: How often the objects of an area are placed anew before it counts as too small.
+_TRIES = 2000
+_KEYS = ('objects', 'x', 'y', 'z', 'yaw', 'margin')
+_HALF_TURN = math.pi / 2.0
+
+
+@dataclass(frozen=True)
+class Placement:
+    """
+    An area where objects are placed.
+
+    Objects count as upright cylinders about their frames. No two of all areas overlap.
+
+    :ivar name: of the area
+    :ivar objects: names of the objects
+    :ivar low: least x and y of their frames in ``world`` [m]
+    :ivar high: greatest x and y [m]
+    :ivar z: height of the surface that they stand on in ``world`` [m]
+    :ivar yaw: greatest turn about z to both sides [rad]
+    :ivar margin: least distance between two objects [m]
+    """
+
+    name: str
+    objects: tuple[str, ...]
+    low: tuple[float, float]
+    high: tuple[float, float]
+    z: float
+    yaw: float = math.pi
+    margin: float = 0.0
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The keys of a YAML file."""
+        return {'objects': list(self.objects), 'x': [self.low[0], self.high[0]],
+                'y': [self.low[1], self.high[1]], 'z': self.z, 'yaw': self.yaw,
+                'margin': self.margin}
+
+
+@dataclass(frozen=True)
+class Extent:
+    """
+    The size of an object as it stands at the start.
+
+    :ivar radius: of an upright cylinder about its frame that holds it [m]
+    :ivar bottom: height of its lowest point above its frame, negative below [m]
+    :ivar quat_wxyz: of its frame in ``world``
+    """
+
+    radius: float
+    bottom: float
+    quat_wxyz: FloatArray
+
+
+def read_placements(given: Any, where: str) -> list[Placement]:
+    """
+    Read areas by name.
+
+    :param given: as in YAML
+    :param where: where they come from, for messages
+    :raises ModelError: naming area and key
+    """
+    if not isinstance(given, Mapping):
+        raise ModelError(f"{where}: 'placements' must hold areas by name, got {shown(given)}")
+    return [_read(str(name), values, f'{where}: placement {quoted(name)}')
+            for name, values in given.items()]
+
+
+def _read(name: str, values: Any, where: str) -> Placement:
+    if not isinstance(values, Mapping):
+        raise ModelError(f'{where} needs keys and values, got {shown(values)}')
+    for key in values:
+        if key not in _KEYS:
+            raise ModelError(f'{where}: unknown key {quoted(key)}: {describe_choices(key, _KEYS)}')
+    objects = values.get('objects')
+    if not isinstance(objects, list) or not objects or len(set(map(str, objects))) != len(objects):
+        raise ModelError(f"{where}: 'objects' must be a list of names, each once, got "
+                         f'{shown(objects)}')
+    spans = []
+    for key in ('x', 'y'):
+        span = values.get(key)
+        if not isinstance(span, list) or len(span) != 2:
+            raise ModelError(f"{where}: '{key}' must be [low, high] in m, got {shown(span)}")
+        low, high = (_number(number, key, where, -math.inf) for number in span)
+        if low > high:
+            raise ModelError(f"{where}: '{key}' must be [low, high] in m, got {shown(span)}")
+        spans.append((low, high))
+    if 'z' not in values:
+        raise ModelError(f"{where} needs 'z', the height of the surface in m")
+    yaw = _number(values.get('yaw', math.pi), 'yaw', where, 0.0)
+    return Placement(name, tuple(map(str, objects)), (spans[0][0], spans[1][0]),
+                     (spans[0][1], spans[1][1]), _number(values['z'], 'z', where, -math.inf),
+                     min(yaw, math.pi), _number(values.get('margin', 0.0), 'margin', where, 0.0))
+
+
+def _number(value: Any, key: str, where: str, least: float) -> float:
+    if (isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value)
+            or value < least):
+        limit = ' from 0' if least == 0.0 else ''
+        raise ModelError(f"{where}: '{key}' needs finite numbers{limit}, got {shown(value)}")
+    return float(value)
+
+
+def check_placed(placements: Sequence[Placement], objects: Iterable[ObjectModel]) -> None:
+    """
+    Reject areas of objects that do not exist, are only seen, or are in two areas.
+
+    :raises UnknownNameError: naming the nearest objects
+    :raises ModelError: if an object cannot be placed
+    """
+    by_name = {item.name: item for item in objects}
+    placed: set[str] = set()
+    for placement in placements:
+        for name in placement.objects:
+            if name not in by_name:
+                raise UnknownNameError(f'object of placement {quoted(placement.name)}', name,
+                                       by_name)
+            if by_name[name].visual:
+                raise ModelError(f"placement {quoted(placement.name)}: '{name}' is only seen, "
+                                 'and is not placed')
+            if name in placed:
+                raise ModelError(f"'{name}' is in two placements")
+            placed.add(name)
+
+
+def extents(model: mujoco.MjModel, names: Iterable[str]) -> dict[str, Extent]:
+    """
+    Return the sizes of objects as they stand at the start, by name.
+
+    :param model: compiled, with the objects as free bodies
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return {name: _extent(model, data, name) for name in names}
+
+
+def _extent(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> Extent:
+    root = model.body(name).id
+    geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == root)
+    touching = geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
+    frame, signs = data.xpos[root], np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1)
+                                              for z in (-1, 1)])
+    radius, bottom = 0.0, 0.0
+    for geom in (touching if len(touching) else geoms).tolist():
+        box = model.geom_aabb[geom]
+        corners = (box[:3] + signs * box[3:]) @ data.geom_xmat[geom].reshape(3, 3).T + (
+            data.geom_xpos[geom] - frame)
+        radius = max(radius, float(np.sqrt((corners[:, :2]**2).sum(axis=1)).max()))
+        bottom = min(bottom, float(corners[:, 2].min()))
+    return Extent(radius, bottom, np.array(data.xquat[root]))
+
+
+def draw_places(placements: Sequence[Placement], sizes: Mapping[str, Extent], seed: int
+                ) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """
+    Return positions in ``world`` [m] and orientations w, x, y, z by object.
+
+    :param placements: the areas
+    :param sizes: of the objects, by name
+    :param seed: a whole number from 0
+    :raises ModelError: if the objects of an area do not fit into it
+    """
+    found: dict[str, tuple[FloatArray, FloatArray]] = {}
+    taken: list[tuple[float, float, float]] = []
+    for placement in placements:
+        random = generator(seed, f'placement {placement.name}')
+        new = next((new for new in (_try(placement, sizes, taken, random) for _ in range(_TRIES))
+                    if new is not None), None)
+        if new is None:
+            raise ModelError(f'placement {quoted(placement.name)}: no room for '
+                             f'{", ".join(placement.objects)} without overlap in {_TRIES} '
+                             'tries: make the area larger or the margin smaller')
+        for name, (x, y) in zip(placement.objects, new):
+            size = sizes[name]
+            taken.append((x, y, size.radius))
+            turned = np.empty(4)
+            mujoco.mju_mulQuat(turned, _turn(random, placement.yaw), size.quat_wxyz)
+            found[name] = np.array([x, y, placement.z - size.bottom]), turned
+    return found
+
+
+def _try(placement: Placement, sizes: Mapping[str, Extent],
+         taken: Sequence[tuple[float, float, float]], random: np.random.Generator
+         ) -> list[tuple[float, float]] | None:
+    """Return places of all objects of an area; None if two overlap."""
+    own: list[tuple[float, float, float]] = []
+    for name in placement.objects:
+        x, y = (low + (high - low) * random.random()
+                for low, high in zip(placement.low, placement.high))
+        radius = sizes[name].radius
+        for other_x, other_y, other in (*taken, *own):
+            apart = radius + other + placement.margin
+            if (x - other_x)**2 + (y - other_y)**2 < apart * apart:
+                return None
+        own.append((x, y, radius))
+    return [(x, y) for x, y, _ in own]
+
+
+def _turn(random: np.random.Generator, most: float) -> FloatArray:
+    """
+    Return an evenly distributed turn about z as a quaternion w, x, y, z.
+
+    Only sums, products and square roots follow a draw, so its bits are those of every processor.
+
+    :param most: greatest angle to both sides, up to pi [rad]
+    """
+    if most <= _HALF_TURN:
+        steepest = math.tan(most / 2.0)
+        while True:
+            slope = steepest * (2.0 * random.random() - 1.0)
+            if random.random() * (1.0 + slope * slope) <= 1.0:
+                return np.array([1.0, 0.0, 0.0, slope]) / math.sqrt(1.0 + slope * slope)
+    while True:
+        w, z = random.random(), 2.0 * random.random() - 1.0
+        if 0.01 < w * w + z * z <= 1.0 and abs(z) <= (w * math.tan(most / 2.0)):
+            return np.array([w, 0.0, 0.0, z]) / math.sqrt(w * w + z * z)
