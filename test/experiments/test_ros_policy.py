@@ -8,16 +8,23 @@ from pathlib import Path
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed')
 pytest.importorskip('tqdm', reason='tqdm is not installed')
+pytest.importorskip('hypothesis', reason='needs hypothesis')
+
+from hypothesis import given, strategies as st  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 
 from manip_sim.cli.main import main  # noqa: E402
-from manip_sim.errors import ModelError  # noqa: E402
+from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import Experiment  # noqa: E402
-from manip_sim.tasks import Setting  # noqa: E402
+from manip_sim.experiments.ros_policy import RosPolicy  # noqa: E402
+from manip_sim.simulation import Simulation  # noqa: E402
+from manip_sim.tasks import create_task, Episode, Setting  # noqa: E402
 from manip_sim.testing.domains import reserve_domain  # noqa: E402
 from pages import blocks, DOCS  # noqa: E402
 
@@ -106,3 +113,38 @@ def test_what_cannot_be_used_is_said_before_anything_is_written(tmp_path, capsys
             Experiment(Setting('reach'), name).create_worker()
         assert '\n' not in str(raised.value)
     assert not (tmp_path / 'x').exists()
+
+
+@pytest.fixture(scope='module')
+def episode():
+    task = create_task('reach', 'Panda')
+    made = Episode(task, Simulation(task.world))
+    made.reset(0)
+    return made
+
+
+@given(data=st.data(), stamps=st.lists(st.integers(-1, 2), max_size=3))
+def test_any_answer_is_an_action_or_an_error_on_one_line(episode, data, stamps):
+    names = episode.actions.names
+    name = st.sampled_from(names) | st.text(max_size=3)
+    answer = JointState(
+        name=data.draw(st.lists(name, max_size=9) | st.permutations(names) | st.just([])),
+        position=data.draw(st.lists(st.floats(), min_size=6, max_size=8) | st.lists(
+            st.floats(-1.0, 1.0), min_size=len(names), max_size=len(names)) | st.just([])))
+    policy = object.__new__(RosPolicy)
+    policy._episode, policy._stamp_ns, policy._answer = episode, 10**9, None
+    for sec in stamps:
+        answer.header.stamp.sec = sec
+        policy._receive(answer)
+    # Of what came, only the answer to this observation counts.
+    assert (policy._answer is answer) == (1 in stamps)
+    try:
+        numbers = policy._numbers(answer)
+        if len(answer.name):
+            assert dict(zip(names, numbers.tolist())) == pytest.approx(
+                dict(zip(answer.name, answer.position)), nan_ok=True)
+        episode.step(numbers)
+    except ManipSimError as error:
+        assert '\n' not in str(error) and len(str(error)) < 1000
+    else:
+        assert len(numbers) == len(names) and np.isfinite(numbers).all()
