@@ -257,7 +257,7 @@ def _check(about: Mapping[str, str]) -> None:
     except (ValueError, RecursionError) as error:
         raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
                           ) from error
-    if not are_objects or not float(about['period_s']) > 0.0:
+    if not are_objects or not 1e-6 <= float(about['period_s']) <= 1e6:
         raise RecordError('damaged: an episode is described by what cannot be used')
 
 

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, DivergenceError, ModelError, RecordError
+from manip_sim.quoting import one_line
 from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
@@ -98,9 +99,12 @@ class Replay:
             # Time goes on over the episodes of a record.
             self._episode.simulation.step_count = int(about['steps'])
             self._episode.reset(recorded.seed, recorded.json('drawn') or None)
-        except (CommandError, ModelError, TypeError) as error:
+        except (CommandError, ModelError) as error:
             raise RecordError(f'episode {recorded.number} cannot be repeated here: {error}'
                               ) from error
+        except Exception as error:  # A record may say anything in place of names and numbers.
+            raise RecordError(f'episode {recorded.number} cannot be repeated here: '
+                              f'{type(error).__name__} {one_line(str(error), 200)}') from error
         return self._episode
 
 

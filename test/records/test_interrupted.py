@@ -3,6 +3,7 @@
 
 """Writers that end before their record does, and files that are damaged."""
 
+import dataclasses
 import os
 from pathlib import Path
 import resource
@@ -23,7 +24,7 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
-from manip_sim.records.recorded import Record  # noqa: E402
+from manip_sim.records.recorded import _check, _KEYS, Record  # noqa: E402
 
 WRITER = """
 import sys
@@ -163,6 +164,29 @@ def test_what_is_no_record_is_an_error(tmp_path, content, magic):
     path.write_bytes((b'\x89MCAP0\r\n' if magic else b'') + content)
     with pytest.raises(RecordError):
         list(Record(path).episodes())
+
+
+TEXTS = st.text(max_size=9) | st.floats().map(str) | st.integers().map(str) | st.sampled_from([
+    '5e-324', '1e300', '[]', '{}', 'null', '{"robot": 5}', '[[1]]', '"x"', '[' * 10**5])
+
+
+@given(changes=st.dictionaries(st.sampled_from(_KEYS + ('format', 'drawn', 'noise')), TEXTS,
+                               min_size=1, max_size=3))
+@example(changes={'period_s': '5e-324'})
+@example(changes={'format': '2'})
+def test_an_episode_that_is_described_by_anything_is_read_or_an_error_in_one_line(
+        recording, changes):
+    first = next(Record(recording).episodes())
+    about = {**first.about, **changes}
+    try:
+        _check(about)
+        found = dataclasses.replace(first, about=about)
+        assert isinstance(found.digests, dict) and found.period_s > 0.0
+        assert isinstance(found.number, int) and isinstance(found.seed, int)
+        assert all(isinstance(found.json(key), dict) for key in (
+            'arguments', 'latency', 'settings', 'drawn', 'noise'))
+    except RecordError as error:
+        assert '\n' not in str(error) and len(str(error)) < 1000
 
 
 def test_a_flipped_bit_in_a_complete_record_is_found(recording, tmp_path, capsys):
