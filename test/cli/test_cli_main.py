@@ -86,6 +86,11 @@ def test_a_wrong_command_line_is_one_line_and_exit_code_2(arguments, what, of, r
     assert line.endswith(f'; see manip_sim{of} --help')
 
 
+def test_a_long_text_is_told_by_its_beginning(here):
+    code, _, errors = here('describe', '--arena-param', 200 * 'x')
+    assert code == 2 and f"got '{60 * 'x'}'" in errors
+
+
 @pytest.mark.parametrize(('arguments', 'what'), [
     (('describe', '--robot', 'Pnda'), "'robot': unknown value 'Pnda': did you mean 'Panda'"),
     (('describe', '--robot', 'none'), "'robot': unknown value 'none'"),

@@ -6,11 +6,13 @@
 import importlib
 import importlib.util
 import re
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 from rclpy.qos import qos_profile_services_default
+from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 import yaml
@@ -18,7 +20,7 @@ import yaml
 from manip_sim.models.objects import create_object
 from manip_sim.models.urdf_writer import urdf_of
 from manip_sim.ros import planning_scene_publisher
-from manip_sim.simulation.planning_scene import MESH, Solid
+from manip_sim.simulation.planning_scene import BOX, MESH, Obstacle, Solid
 from manip_sim.simulation.spawning import plan_with, plan_without
 
 needs_moveit_msgs = pytest.mark.skipif(
@@ -75,6 +77,23 @@ class Planner:
 @pytest.fixture
 def planner(client):
     return lambda namespace='': Planner(client, namespace)
+
+
+def test_the_shapes_of_an_obstacle_are_primitives_or_meshes(monkeypatch):
+    def message(**fields):
+        return SimpleNamespace(header=SimpleNamespace(), primitives=[], primitive_poses=[],
+                               meshes=[], mesh_poses=[], **fields)
+    message.ADD = b'\0'
+    monkeypatch.setattr(planning_scene_publisher, 'moveit_msgs',
+                        SimpleNamespace(CollisionObject=message))
+    places = np.arange(14.0).reshape(2, 7)
+    added = planning_scene_publisher._added(Obstacle('part', 1, (
+        Solid(BOX, (0.1, 0.2, 0.3), places[0]), Solid(MESH, (), places[1], np.eye(3)[None])), 1.0),
+        'world', places[0], None)
+    assert [(shape.type, list(shape.dimensions)) for shape in added.primitives] == [
+        (SolidPrimitive.BOX, [0.1, 0.2, 0.3])]
+    assert [len(mesh.vertices) for mesh in added.meshes] == [3]
+    assert (added.primitive_poses[0].position.x, added.mesh_poses[0].position.x) == (0.0, 7.0)
 
 
 @needs_moveit_msgs

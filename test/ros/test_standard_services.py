@@ -62,7 +62,7 @@ class Standard:
         self.world = compose('Panda', arena='table', cube=True)
         self.simulation = Simulation(self.world)
         self.thread = SimulationThread(self.simulation, steps=5, stepping='free', paused=True)
-        self.services, self.followed = {}, []
+        self.services, self.groups, self.followed = {}, {}, []
         SimulationInterfaces(self, self.simulation, self.thread, TYPES)
         EntityServices(self, self.simulation, self.thread, TYPES)
         SpawningServices(self, self.simulation, self.thread, self.followed.append,
@@ -71,6 +71,7 @@ class Standard:
 
     def create_service(self, service_type, name, callback, callback_group=None):
         self.services[name] = service_type, callback
+        self.groups[name] = callback_group
 
     def call(self, service, /, **request):
         """Return the response to a request."""
@@ -140,6 +141,11 @@ def test_each_service_has_the_type_of_its_name(standard):
     assert {name: kind for name, (kind, _) in standard.services.items()} == {
         '~/' + ''.join('_' * bool(i) * c.isupper() + c.lower() for i, c in enumerate(kind)): kind
         for kind in vars(TYPES)}
+
+
+def test_a_request_for_many_steps_holds_up_no_other(standard):
+    step = standard.groups.pop('~/step_simulation')
+    assert step is not None and step not in standard.groups.values()
 
 
 def test_features_are_numbers_and_formats_are_told(standard):
