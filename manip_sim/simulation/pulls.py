@@ -21,11 +21,14 @@ from manip_sim.simulation.poses import MAX_DISTANCE_M
 
 #: How long a pull lasts after it was last asked for, in simulation time [s].
 PULL_S = 0.2
-#: Stiffness for each kilogram that is felt at the point [N/m/kg], as in MuJoCo's viewer.
+#: Stiffness for each kilogram [N/m/kg], as in MuJoCo's viewer.
 _STIFFNESS = 100.0
+#: A corner feels like less than the body, which would hang far below; the spring is made for the
+#: body, but at most for so many times what is felt.
+_MOST_FELT = 4.0
 #: The spring is softer in long periods, in which its force is constant: its angular frequency
-#: times the period is at most this.
-_MOST_PER_PERIOD = 0.5
+#: times the period is at most this, or twice as much at a corner.
+_MOST_PER_PERIOD = 0.25
 #: The force is at most so many times the weight of the body and all that it carries.
 MOST_WEIGHTS = 5.0
 _GRAVITY = 9.81
@@ -40,7 +43,8 @@ class _Pull:
     :ivar point: where it holds the body, in the body's frame [m], shape (3,)
     :ivar target: where it pulls the point to, in ``world`` [m], shape (3,)
     :ivar until_ns: simulation time at which it ends [ns]
-    :ivar mass: felt at the point when it began [kg]
+    :ivar felt: mass that was felt at the point when it began [kg]
+    :ivar mass: that the stiffness is made for [kg]
     :ivar most: its force at most [N]
     """
 
@@ -48,6 +52,7 @@ class _Pull:
     point: FloatArray
     target: FloatArray
     until_ns: int
+    felt: float
     mass: float
     most: float
 
@@ -140,10 +145,10 @@ class Pulls:
         mujoco.mj_jac(model, data, jacobian, None, self._place(body, held), body)
         mujoco.mj_solveM(model, data, solved, jacobian)
         # The mean over three directions, as the viewer of MuJoCo takes it.
-        inverse = float(np.einsum('ij,ij', jacobian, solved)) / 3.0
+        felt = 3.0 / max(float(np.einsum('ij,ij', jacobian, solved)), 1e-9)
         carried = float(model.body_subtreemass[int(model.body_weldid[body])])
-        return _Pull(number, held, point, 0, 1.0 / max(inverse, 1e-9),
-                     MOST_WEIGHTS * carried * _GRAVITY)
+        mass = max(felt, min(carried, _MOST_FELT * felt))
+        return _Pull(number, held, point, 0, felt, mass, MOST_WEIGHTS * carried * _GRAVITY)
 
     def _place(self, body: int, point: FloatArray) -> FloatArray:
         """Return where a point of a body is in ``world``."""
@@ -176,8 +181,8 @@ class Pulls:
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
         point = self._place(body, pull.point)
         mujoco.mju_cross(moment, velocity[:3], point - data.xpos[body])
-        force = pull.mass * (stiffness * (pull.target - point)
-                             - 2.0 * np.sqrt(stiffness) * (velocity[3:] + moment))
+        damping = 2.0 * np.sqrt(stiffness * pull.mass * pull.felt)
+        force = stiffness * pull.mass * (pull.target - point) - damping * (velocity[3:] + moment)
         force *= min(1.0, pull.most / max(float(mujoco.mju_norm3(force)), 1e-9))
         mujoco.mju_cross(moment, point - data.xipos[body], force)
         data.xfrc_applied[body, :3], data.xfrc_applied[body, 3:] = force, moment

@@ -22,7 +22,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 NAME = 'hostile'
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -64,7 +64,8 @@ class HostileNode:
         self.urdf = self.node.create_publisher(String, 'robot_description', LATCHED)
         #: Commands that have come.
         self.taken: list[Any] = []
-        for topic, kind in (('arm/joint_command', JointState), ('right/target_pose', PoseStamped)):
+        for topic, kind in (('arm/joint_command', JointState), ('right/target_pose', PoseStamped),
+                            (f'{NAME}/pull', Marker)):
             self.node.create_subscription(kind, topic, self.taken.append, 10)
         for name, kind in SERVICES.items():
             self.node.create_service(kind, f'{NAME}/{name}', self._answer)

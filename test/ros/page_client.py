@@ -27,6 +27,7 @@ class PageClient:
 
     :ivar inputs: kind and label of each element that it was sent, by id
     :ivar targets: names of the targets of hands in the scene
+    :ivar shapes: names of the shapes of bodies in the scene
     :ivar texts: the last content of each element of text, by id
     """
 
@@ -34,6 +35,7 @@ class PageClient:
         self._socket = socket
         self.inputs: dict[str, tuple[str, str | None]] = {}
         self.targets: set[str] = set()
+        self.shapes: set[str] = set()
         self.texts: dict[str, str] = {}
 
     async def read_until(self, condition: Callable[[], bool]) -> None:
@@ -54,6 +56,8 @@ class PageClient:
             self.texts.clear()
         elif kind == 'TransformControlsMessage':
             self.targets.add(message['name'])
+        elif kind == 'MeshMessage':
+            self.shapes.add(message['name'])
         elif kind == 'GuiUpdateMessage' and 'content' in message['updates']:
             self.texts[message['uuid']] = message['updates']['content']
         elif 'uuid' in message and isinstance(props, dict):

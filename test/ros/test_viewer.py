@@ -151,6 +151,32 @@ def test_the_picture_goes_back_a_minute_while_the_node_goes_on(page, client, nod
     page.get_by_text('before it was stopped').wait_for(state='detached')
 
 
+def reds(page):
+    """Return where the page is as red as nothing but the cube, without the panel and a notice."""
+    pixels = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+    red = pixels[200:, :460, 0] - pixels[200:, :460, 1:].max(axis=2) > 40
+    return np.argwhere(red) + [200, 0]
+
+
+def test_the_mouse_lifts_the_cube(page, client, node):
+    page.get_by_role('tab', name='View').click(force=True)
+    page.get_by_label('Pull', exact=True).dispatch_event('click')
+    height = node.simulation.data.body('cube').xpos[2]
+    for _ in range(40):
+        found = reds(page)
+        if len(found) > 100:
+            break
+    y, x = np.median(found, axis=0)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    act_until(client, lambda: [page.mouse.move(x, y - 5 * n) for n in range(1, 20)],
+              lambda: node.simulation.data.body('cube').xpos[2] > height + 0.02)
+    page.mouse.up()
+    client.spin_until(lambda: not node.simulation.pulls)
+    page.get_by_label('Pull', exact=True).dispatch_event('click')
+    page.get_by_role('tab', name='Control').click(force=True)
+
+
 def test_the_picture_shows_the_cube_and_the_robot(page):
 
     # The cube is the only thing that is red, and little but the mount is as dark. A slow page lets

@@ -38,6 +38,14 @@ async def use_everything(address, hostile):
             await page.send('TransformControlsDragStartMessage', name=name, owner='')
             await page.send('TransformControlsUpdateMessage', name=name, owner='',
                             wxyz=[1.0, 0.0, 0.0, 0.0], position=[0.1, 0.2, 0.3])
+        await page.read_until(passed(1.0))  # Until bodies can be dragged.
+        for phase in ('start', 'update'):
+            for name in page.shapes:
+                await page.send(
+                    'SceneNodeDragMessage', name=name, owner='', phase=phase, instance_index=None,
+                    button='left', modifier=None, start_position=[0.3, 0.0, 0.0],
+                    start_screen_pos=[0.5, 0.5], end_position=[0.3, 0.0, 0.5],
+                    end_screen_pos=[0.5, 0.2])
         # What is used last is done last: the viewer listens to the camera.
         await page.use(lambda kind, label: label == 'Show')
         await page.read_until(lambda: hostile.publishers[CAMERA].get_subscription_count() > 0)
@@ -73,10 +81,11 @@ def test_a_page_that_only_watches_can_send_nothing(client, options):
             assert hostile.taken == []
             assert publishers <= OF_EVERY_NODE
             assert clients == set()
-            assert not labels & {'Simulation', 'Start again', 'Target right', 'joint'}
+            assert not labels & {
+                'Simulation', 'Start again', 'Target right', 'Pull', 'joint'}
         else:  # The same does a lot where it may.
             assert {type(taken).__name__ for taken in hostile.taken} == {
-                'JointState', 'PoseStamped', 'SetBool_Request', 'Trigger_Request'}
+                'JointState', 'Marker', 'PoseStamped', 'SetBool_Request', 'Trigger_Request'}
             assert publishers > COMMANDS
             assert len(clients) == 4
     finally:

@@ -10,8 +10,10 @@ import pytest
 rclpy = pytest.importorskip('rclpy', reason='the sender needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+import numpy as np  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
+from visualization_msgs.msg import Marker  # noqa: E402
 
 from manip_sim.viewer.page.diagnosis import ShownStatus  # noqa: E402
 from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
@@ -119,3 +121,28 @@ def test_a_service_is_called_when_it_is_there_and_missed_when_it_is_not(node):
         executor.spin_once(timeout_sec=0.02)
     executor.shutdown()
     assert (called, paused, told[2:]) == ([True, False], [True], ['pause: not now'])
+
+
+def test_a_pull_does_not_wait_for_a_node_that_takes_it_and_its_end_tells_people(node):
+    told, taken = [], []
+    sender = CommandSender(node, 'cell/sim', {}, told.append)
+    sender.prepare({'/cell/sim/pull': Marker})
+    begin, target = np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
+    sender.pull('cube', 7, begin, target)
+    assert (told, sender._waiting) == ([], {})
+    sender.let_go('cube')
+    assert told == ['pull: the node does not take pulls']
+    node.create_subscription(Marker, '/cell/sim/pull', taken.append, 10)
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    end = time.monotonic() + 30.0
+    while len(taken) < 2 and time.monotonic() < end:
+        sender.pull('cube', 7, begin, target)
+        sender.let_go('cube')
+        executor.spin_once(timeout_sec=0.02)
+    executor.shutdown()
+    first, last = taken[:2]
+    assert (first.ns, first.id, first.action, first.type) == (
+        'cube', 7, Marker.ADD, Marker.ARROW)
+    assert [[p.x, p.y, p.z] for p in first.points] == [begin.tolist(), target.tolist()]
+    assert (last.ns, last.action) == ('cube', Marker.DELETE)

@@ -42,9 +42,10 @@ _MAX_BYTES = 2**16
 _MAX_TEXT = 200
 #: The header Host: a name or an address, and a port.
 _HOST = re.compile(r'(?P<name>[a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?')
-#: Messages of browsers: inputs, cameras, and targets that are dragged.
+#: Messages of browsers: inputs, cameras, and targets and bodies that are dragged.
 _TAKEN = {'GuiUpdateMessage', 'ViewerCameraMessage', 'TransformControlsUpdateMessage',
-          'TransformControlsDragStartMessage', 'TransformControlsDragEndMessage'}
+          'TransformControlsDragStartMessage', 'TransformControlsDragEndMessage',
+          'SceneNodeDragMessage'}
 #: The page is one file, whose script is written in it and makes functions of text; it needs
 #: nothing from elsewhere.
 _POLICY = ("default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; "

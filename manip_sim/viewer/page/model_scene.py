@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import math
 import re
 from typing import Any
@@ -19,7 +19,8 @@ from manip_sim.viewer.page.plain_text import plain
 
 _NOTHING = np.zeros((0, 3))
 _POINT = (255, 140, 0)
-_COLORS = {'contact_forces': (255, 200, 20), 'force': (230, 40, 40), 'torque': (70, 120, 255)}
+_COLORS = {'contact_forces': (255, 200, 20), 'force': (230, 40, 40), 'torque': (70, 120, 255),
+           'pull': (60, 200, 80)}
 _SHAFT_M, _HEAD_M, _HEAD_LENGTH_M = 0.004, 0.01, 0.02
 #: Smaller changes are not sent [m].
 _SAME_ARROW_M = 2e-4
@@ -125,6 +126,8 @@ class Scene:
                        if model.site(i).name.endswith(('ft_frame', 'grip_site'))]
         self._collision: list[Any] = []
         self._visual: list[Any] = []
+        #: The shapes of bodies that can move, with the names of these.
+        self._moving: list[tuple[str, Any]] = []
         self._labels: list[Any] = []
         for number, mesh in enumerate(body_meshes(model)):
             self._add_mesh(f'{self._paths[mesh.body]}/shape{number}', mesh)
@@ -148,6 +151,8 @@ class Scene:
             name, mesh.vertices, mesh.faces, color=color, opacity=opacity,
             visible=not mesh.collides, cast_shadow=not mesh.collides)
         (self._collision if mesh.collides else self._visual).append(handle)
+        if self._model.body_weldid[mesh.body] and self._model.body(mesh.body).name:
+            self._moving.append((self._model.body(mesh.body).name, handle))
 
     def _add_plane(self, geom: int, data: mujoco.MjData) -> None:
         half = self._model.geom_size[geom, :2]
@@ -188,6 +193,19 @@ class Scene:
         for handle in self._collision:
             handle.visible = shown
 
+    def let_drag(self, dragged: Callable[[str, str, Any, Any], None] | None) -> None:
+        """
+        Let bodies that can move be dragged with the mouse.
+
+        :param dragged: is called, in the thread of the server, with the name of the body; with
+            ``start``, ``update`` or ``end``; with the point that was taken hold of, and with
+            where the mouse is in the plane of that point, in ``world`` [m]; None: nothing is
+        """
+        for body, handle in self._moving:
+            handle.remove_drag_callback('all')
+            if dragged is not None:
+                handle.on_drag(_awaited(dragged, body))
+
     def show_names(self, shown: bool) -> None:
         """Show or hide the names of the bodies that have joints."""
         for label in self._labels:
@@ -201,6 +219,13 @@ class Scene:
     def remove(self) -> None:
         """Remove all of it from the scene."""
         self._server.scene.remove_by_name(ROOT)
+
+
+def _awaited(dragged: Callable[[str, str, Any, Any], None], body: str) -> Any:
+    """Return a callback for drags of a body; the server keeps the order of awaited ones only."""
+    async def call(event: Any) -> None:
+        dragged(body, event.phase, event.start_position, event.end_position)
+    return call
 
 
 def _paths(model: mujoco.MjModel) -> list[str]:

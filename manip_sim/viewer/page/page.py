@@ -22,6 +22,7 @@ from manip_sim.viewer.page.page_commands import Commands, Events
 from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel, ViewPanel
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
+from manip_sim.viewer.page.pulling import Pulling
 from manip_sim.viewer.page.robots import Robot, ShownPart
 from manip_sim.viewer.page.saved_poses import PosePanel, Poses
 from manip_sim.viewer.page.server import set_theme
@@ -97,12 +98,21 @@ class Page:
                 robot.titled(arm): self._targets[robot.space, arm]
                 for robot in robots for arm in robot.hands
                 if self._commands is not None}, self._set_dark, self._look, self.events)
+            self._pulling = None if self._commands is None else Pulling(
+                gui, self._commands, self.events)
         with tabs.add_tab('Plots') as tab:
             self._plots = PlotPanel(gui, tab, robots)
         with tabs.add_tab('Health'):
             self._health = PlainText(gui, in_words([]))
         with tabs.add_tab('Cameras'):
             self._cameras = CameraPanel(gui, cameras, self._watch, self.events)
+        self._attach()
+
+    def _attach(self) -> None:
+        if self._scene is not None:
+            self._view.attach(self._scene)
+            if self._pulling is not None:
+                self._pulling.attach(self._scene)
 
     def _look(self, number: int | None, view: str) -> None:
         if self._posture is not None:
@@ -132,7 +142,7 @@ class Page:
         self._forget()
         self._take(latest)
         self._scene = Scene(self._server, model, self._posture.data)
-        self._view.attach(self._scene)
+        self._attach()
         self._aiming.begin(self._posture)
 
     def show_state(self, state: str, text: str, paused: bool | None = None) -> None:
@@ -174,15 +184,24 @@ class Page:
             self._take(latest, now_s)
             self._scene.update(self._posture.data)
             self._aiming.update(self._posture)
-        if self._look_back.shown is None:
-            self._overlays.show(*self._view.chosen(latest))
-        else:
-            self._overlays.clear()
+        self._show_overlays(now_s, latest)
         self._cameras.show(now_s, latest.images, self.is_watched)
         self._plots.show(now_s, latest)
         if now_s > self._sliders_s + _SLIDERS_S:
             self._sliders_s = now_s
             self._follow(now_s, latest, paused)
+
+    def _show_overlays(self, now_s: float, latest: Latest) -> None:
+        if self._look_back.shown is not None:
+            self._overlays.clear()
+            if self._pulling is not None:  # What is in the picture is elsewhere now.
+                self._pulling.release()
+            return
+        points, arrows = self._view.chosen(latest)
+        if self._pulling is not None and self._posture is not None:
+            self._pulling.send(now_s)
+            arrows['pull'] = self._pulling.arrow(self._posture)
+        self._overlays.show(points, arrows)
 
     def _forget(self) -> None:
         """Let the last minute begin now: what was shown before is another world."""

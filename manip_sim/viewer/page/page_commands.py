@@ -41,6 +41,18 @@ class Commands(Protocol):
     def reach(self, space: str, arm: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
         """Send a target pose of a hand in ``world``; the position in [m]."""
 
+    def pull(self, body: str, number: int, point: FloatArray, target: FloatArray) -> None:
+        """
+        Pull a body for a moment.
+
+        :param number: of the drag; while it stays the same, the point does not count again
+        :param point: of the body, in ``world`` [m], shape (3,)
+        :param target: where the point is pulled to, in ``world`` [m], shape (3,)
+        """
+
+    def let_go(self, body: str) -> None:
+        """End the pull of a body."""
+
     def pause(self, paused: bool) -> None:
         """Pause the simulation, or let it go on."""
 

@@ -29,15 +29,15 @@ class Timeline:
     :param label: what the slider shows
     :param step: of the values of the slider
     :param show: shows the instant of an index
-    :ivar index: of the instant that is shown; -1 before the first one
+    :ivar index: of the instant that is shown; -1 before :meth:`begin`
     """
 
     def __init__(self, gui: Any, events: Events, label: str, step: float,
                  show: Callable[[int], None]) -> None:
         self._show = show
         self.index = -1
-        self._times: FloatArray = np.zeros(1)
-        self._values: list[float] = [0 * step]
+        self._times: FloatArray = np.zeros(0)
+        self._values: list[float] = []
         self._last_s: float | None = None
         self._ahead_s = 0.0
         self._slider = gui.add_slider(label, 0 * step, step, step, 0 * step)
@@ -47,7 +47,8 @@ class Timeline:
         self._speed = gui.add_dropdown('Speed', tuple(_SPEEDS), initial_value='1')
 
     def _index_of(self, value: float) -> int:
-        return int(np.abs(np.subtract(self._values, value)).argmin())
+        found = np.abs(np.subtract(self._values, value))
+        return int(found.argmin()) if found.size else -1
 
     def begin(self, times: FloatArray, values: list[float], index: int) -> None:
         """
@@ -65,7 +66,7 @@ class Timeline:
 
     def go(self, index: int) -> None:
         """Show an instant; an index past the ends is the nearest one."""
-        index = min(max(index, 0), len(self._times) - 1)
+        index = min(max(index, 0), len(self._times) - 1)  # Without instants, it stays -1.
         if index != self.index:
             self.index = index
             self._slider.value = self._values[index]

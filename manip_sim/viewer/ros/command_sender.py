@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import Point, PoseStamped, Twist
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.diagnosis import ShownStatus
@@ -107,6 +108,23 @@ class CommandSender:
         at.x, at.y, at.z = (float(value) for value in position)
         turn.w, turn.x, turn.y, turn.z = (float(value) for value in quat_wxyz)
         self._publish(f'{space}{arm}/target_pose', message)
+
+    def pull(self, body: str, number: int, point: FloatArray, target: FloatArray) -> None:
+        """Publish a pull."""
+        self._pull(Marker(ns=body, id=number, points=[
+            Point(x=x, y=y, z=z) for x, y, z in (point.tolist(), target.tolist())]))
+
+    def let_go(self, body: str) -> None:
+        """Publish the end of a pull."""
+        self._pull(Marker(ns=body, action=Marker.DELETE))
+
+    def _pull(self, message: Marker) -> None:
+        publisher = self._publishers.get(f'/{self._name}/pull')
+        # One that would wait for the node would pull when nobody drags any more.
+        if publisher is not None and publisher.get_subscription_count():
+            publisher.publish(message)
+        elif message.action == Marker.DELETE:
+            self._notify('pull: the node does not take pulls')
 
     def pause(self, paused: bool) -> None:
         """Call the service that pauses or resumes."""

@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from visualization_msgs.msg import Marker
 
 from manip_sim.quoting import counted
 from manip_sim.viewer.page.diagnosis import ShownStatus, WARN
@@ -137,7 +138,7 @@ class Session:
         self._states.want_images(self._cameras if watched else ())
 
     def _command_topics(self) -> dict[str, Any]:
-        topics: dict[str, Any] = {}
+        topics: dict[str, Any] = {f'/{self._name}/pull': Marker}
         for robot in self._layout.robots:
             for part in robot.parts:
                 topics[f'{robot.space}{part}/joint_command'] = JointState
