@@ -242,6 +242,8 @@ class SimNode(Node):
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
         name = scope.parameter('lockstep_parts')
         parts: list[str] = [part for part in self._declared.value(name) if part]
+        if parts == ['arm'] and 'arm' not in robot.parts:
+            return list(robot.parts)
         for part in parts:
             if part not in robot.parts:
                 raise ParameterError(f"parameter '{name}': this robot has no part '{part}'; it "

@@ -8,10 +8,11 @@ from pathlib import Path
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))
@@ -124,3 +125,20 @@ def test_no_parameter_that_is_set_later_reads_a_file(serve, client, tmp_path):
             assert not any(result.successful for result in results.results)
     assert not opened.take()
     opened.close()
+
+
+def test_a_hand_alone_is_driven_in_lockstep_and_describes_itself(serve, client):
+    node = serve(stepping='lockstep', robot=str(FILES / 'lone_hand.xml'))
+    states = client.listen(JointState, 'right/gripper/joint_states')
+    wrenches = client.listen(WrenchStamped, 'right/wrench')
+    commands = client.node.create_publisher(Float64MultiArray, 'right/gripper/command', 10)
+    client.spin_until(lambda: states and commands.get_subscription_count())
+    assert list(states[0].name) == ['robot0_a', 'robot0_b', 'robot0_c']
+    for _ in range(5):
+        before = node.simulation.data.time
+        commands.publish(Float64MultiArray(data=[1.0, 1.0, -1.0]))
+        client.spin_until(lambda: node.simulation.data.time > before)  # noqa: B023
+    client.spin_until(lambda: states[-1].position[0] > 1e-3)
+    assert abs(states[-1].position[2]) < 1e-3
+    client.spin_until(lambda: wrenches)
+    assert wrenches[0].header.frame_id == 'robot0_right_hand_ft_frame'

@@ -66,6 +66,17 @@ class FileMobileBase(FileBase, MobileBaseModel, registered=False):
 
     subsystem_of_others = 'base'
 
+    @property
+    def bottom_offset(self) -> FloatArray:
+        """
+        From the root to the floor [m], shape (3,), a copy.
+
+        The root of a free base stands above z = 0 of its file.
+        """
+        free = any(int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE)
+                   for joint in self._root().joints)
+        return -self.base_offset if free else self.base_offset
+
 
 def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
                  ) -> FileBase:

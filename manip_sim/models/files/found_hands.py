@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
@@ -14,6 +14,8 @@ from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 
+#: So many chains on one fixed body are fingers, fewer may be arms.
+_FINGERS = 3
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
 
@@ -71,6 +73,30 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
         if body:
             hands.append(hand_below(tree, _with_branches(tree, body)))
     return [hand for hand in hands if hand.joints]
+
+
+def lone_hand(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
+              ) -> FoundHand | None:
+    """
+    Return the hand if a file has nothing else, or None.
+
+    That is a hand with all joints of the file, or at least three chains on one fixed body.
+
+    :param subsystems: by id of the joint
+    :param hands: from :func:`find_hands`
+    """
+    scalar = {joint for joint in range(tree.model.njnt) if tree.is_scalar(joint)}
+    if len(scalar) < tree.model.njnt or any(subsystems[joint] != 'arm' for joint in scalar):
+        return None
+    for hand in hands:
+        if scalar <= set(hand.joints):
+            return hand
+    carrier = _common_carrier(tree, scalar)
+    moved = {int(tree.model.jnt_bodyid[joint]) for joint in scalar}
+    first = [body for body in moved if not moved.intersection(tree.path(tree.parent(body)))]
+    if carrier and len(first) >= _FINGERS:
+        return hand_below(tree, carrier)
+    return None
 
 
 def _with_branches(tree: BodyTree, body: int) -> int:

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import mujoco
 
+from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
 from manip_sim.models.files.classification import classify_joints
-from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
+from manip_sim.models.files.found_hands import (
+    find_hands, FoundHand, hand_below, lone_hand)
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.model_file import ModelFile, read_model
 from manip_sim.models.files.overlaps import exclude_overlaps
@@ -29,6 +31,8 @@ _END_WORDS = {'tool', 'flange', 'tcp', 'ee', 'eef', 'hand', 'gripper', 'attachme
 #: A chain of at most this fraction of the joints of the longest one is not an arm.
 _ARM_SHARE = 0.5
 _KEYFRAMES = ('home',)
+#: Why a hand alone ends an arm, and how far above the floor its fingers stay [m].
+_ALONE, _CLEARANCE_M = 'the file is a hand alone', 0.05
 
 
 @dataclass(frozen=True)
@@ -193,6 +197,10 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
                                  {joint for hand in found for joint in hand.joints})
     arms = _find_arms(model_file, tree, subsystems, found, description, where)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
+    if description.foot is None and [arm.why for arm in arms.values()] == [_ALONE]:
+        description = _raised(model_file, description)
+    if len(arms) == 2:
+        _find_torso(tree, subsystems, arms, description.subsystems)
     if arms or isinstance(description.arms, str):
         _sort_others(tree, subsystems, arms, description.subsystems)
     of_hands = {a for hand in hands.values() for a in hand.actuators}
@@ -212,13 +220,39 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
                      notes, model_file.keyframes)
 
 
+def _raised(model_file: ModelFile, description: RobotDescription) -> RobotDescription:
+    """Return a description that keeps the fingers of a hand alone above the floor."""
+    model = model_file.tree.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    own = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom]]
+    reach = max((length(data.geom_xpos[geom] - data.xpos[1]) + float(model.geom_rbound[geom])
+                 for geom in own), default=0.0)
+    height = round(reach + _CLEARANCE_M, 3)
+    model_file.inferred.append(f'it is fixed {height:g} m above the floor, in the air')
+    return description.model_copy(update={'foot': [0.0, 0.0, -height]})
+
+
+def _end_body(tree: BodyTree, arm: FoundArm) -> int:
+    model = tree.model
+    return int(model.site(arm.name).bodyid[0] if arm.kind == 'site' else model.body(arm.name).id)
+
+
+def _find_torso(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, FoundArm],
+                declared: Mapping[str, str]) -> None:
+    """Take from the arms the joints that move both."""
+    shared = tree.common(_end_body(tree, arm) for arm in arms.values())
+    for joint in tree.joints(tree.path(shared)):
+        if subsystems.get(joint) == 'arm' and str(tree.model.joint(joint).name) not in declared:
+            subsystems[joint] = 'torso'
+
+
 def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, FoundArm],
                  declared: Mapping[str, str]) -> None:
     """Take from the arms the joints that neither lead to an end nor belong to its hand."""
     model, own = tree.model, set()
     for arm in arms.values():
-        end = (model.site(arm.name).bodyid[0] if arm.kind == 'site' else model.body(arm.name).id)
-        own |= set(tree.joints(tree.path(int(end))))
+        own |= set(tree.joints(tree.path(_end_body(tree, arm))))
         own |= set(() if arm.hand is None else arm.hand.joints)
     own = tree.coupled(own)
     loops = tree.bodies_in_loops()
@@ -273,7 +307,9 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
         arms = {side: _declared_arm(model_file.spec, tree, side, arm, hands, where)
                 for side, arm in declared.items()}
     else:
-        arms = find_arms(tree, subsystems, hands)
+        alone = lone_hand(tree, subsystems, hands)
+        arms = find_arms(tree, subsystems, hands) if alone is None else {
+            'right': FoundArm('body', tree.name(alone.body), alone, _ALONE)}
         if arms:
             model_file.inferred.append('; '.join(
                 f"{side} arm ends at {arm.kind} '{arm.name}': {arm.why}"

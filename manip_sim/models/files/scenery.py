@@ -25,8 +25,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     Leave out what is not part of a robot or hand, and put the rest below one root body.
 
     Left out are lights, cameras and grounds of the world body, its other shapes and sites if the
-    only root is free, mocap bodies, empty bodies, and free bodies without actuators if there are
-    other roots.
+    only root is free, mocap bodies, empty bodies, free bodies without actuators if there are other
+    roots, and roots without joints if only one other has some.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
     :param model: the same, compiled
@@ -100,12 +100,15 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
     model = tree.model
     driven = set().union(*(tree.driven(actuator) for actuator in range(model.nu)))
     objects, roots = [], list(spec.worldbody.bodies)
+    moving = [body.name for body in roots if tree.joints(tree.below(model.body(body.name).id))]
     for body in roots:
         below = sorted(tree.below(model.body(body.name).id))
         joints = tree.joints(below)
         empty = not joints and not model.body_geomnum[below].any()
         is_object = _is_free(body) and not driven.intersection(joints)
-        if body.mocap or empty or (is_object and (driven or len(roots) > 1)):
+        is_furniture = not joints and len(moving) == 1
+        if (body.mocap or empty or is_furniture
+                or (is_object and (driven or len(roots) > 1))):
             objects.append(body)
     return objects if len(objects) < len(roots) else []
 

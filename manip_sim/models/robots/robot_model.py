@@ -202,8 +202,9 @@ class RobotModel(Subsystems, ABC):
         """
         Add a copy of the robot and of all that is mounted on it to another spec.
 
-        On a mobile base the root body stays fixed and carries the base; the contents of the root
-        move to a body ``manipulator_mount`` on the base's support.
+        On a mobile base the root body stays fixed, or is free if that of the base is, and carries
+        the base; the contents of the root move to a body ``manipulator_mount`` on the base's
+        support.
 
         :param spec: the spec to add to
         :param frame: the frame of that spec to attach the robot to
@@ -223,7 +224,13 @@ class RobotModel(Subsystems, ABC):
     def _attach_base(self, spec: mujoco.MjSpec, root: mujoco.MjsBody,
                      base: RobotBaseModel) -> None:
         frame = root.add_frame(pos=self.foot_offset - base.top_offset - base.base_offset)
-        base._attach_copy(spec, frame, base._spec.copy())
+        own = base._spec.copy()
+        for joint in own.body(base._root().name).joints:
+            if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE):
+                # Only a body of the world can be free, and the root carries the base.
+                root.add_freejoint().name = base.correct_naming(joint.name)
+                own.delete(joint)
+        base._attach_copy(spec, frame, own)
 
     def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                                base: MobileBaseModel, own: mujoco.MjSpec) -> None:

@@ -1,0 +1,93 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a file is by its topology: a hand alone, a torso, a base with a free root, a scene."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from manip_sim.models import compose, load_base, load_robot
+from manip_sim.simulation import Simulation
+
+FILES = Path(__file__).resolve().parents[1] / 'data/files'
+HAND = FILES / 'lone_hand.xml'
+
+
+def test_a_hand_alone_is_a_robot_that_closes_and_opens():
+    robot = load_robot(HAND)
+    assert robot.own_hands == ('right',) and robot.arm_joints == []
+    assert "right arm ends at body 'case': the file is a hand alone" in robot.inferred
+    simulation = Simulation(compose(str(HAND)))
+    assert list(simulation.robot.parts) == ['right/gripper']
+    assert simulation.start_defects == []
+    for action, angle in ((1.0, 0.5), (-1.0, 0.0)):
+        simulation.robot.apply(simulation.robot.parse.action('right/gripper', [action] * 3))
+        simulation.advance(1000)
+        np.testing.assert_allclose(simulation.robot.state().position, angle, atol=0.02)
+
+
+def test_a_hand_alone_is_a_robot_as_its_own_description_says(tmp_path):
+    robot = load_robot(HAND)
+    described = robot.described
+    assert described['foot'] == [0.0, 0.0, pytest.approx(-0.184, abs=0.005)]
+    assert described['arms']['right']['hand']['closing']['a'] == [0.0, 0.5]
+
+
+def test_two_fingers_with_names_of_fingers_are_a_hand_alone(tmp_path):
+    from files_rig import HAND as TWO
+    (tmp_path / 'two.xml').write_text(TWO)
+    assert load_robot(tmp_path / 'two.xml').own_hands == ('right',)
+
+
+def test_three_chains_that_are_declared_as_arms_are_no_hand(tmp_path):
+    (tmp_path / 'claw.yaml').write_text(f'model: {HAND}\narms: none\n')
+    robot = load_robot(tmp_path / 'claw.yaml')
+    assert not hasattr(robot, 'own_hands') and len(robot.joints) == 3
+
+
+def test_what_carries_both_arms_is_the_torso_and_a_table_beside_it_is_left_out():
+    file = FILES / 'two_arms_on_a_column.xml'
+    robot = load_robot(file)
+    assert robot.torso_joints == ['robot0_j1', 'robot0_j2']
+    assert "left out: 1 bodies of the world body ('bench')" in robot.inferred
+    parts = Simulation(compose(str(file))).robot.parts
+    assert parts['right'].joints == ('robot0_right_j1', 'robot0_right_j2')
+    assert parts['left'].joints == ('robot0_left_j1', 'robot0_left_j2')
+
+
+def test_joints_that_are_declared_stay_of_the_arm(tmp_path):
+    (tmp_path / 'column.yaml').write_text(
+        f'model: {FILES / "two_arms_on_a_column.xml"}\nsubsystems: {{j1: arm}}\n')
+    robot = load_robot(tmp_path / 'column.yaml')
+    assert robot.torso_joints == ['robot0_j2'] and 'robot0_j1' in robot.arm_joints
+
+
+def test_a_base_with_a_free_root_drives_a_robot_on_its_wheels():
+    world = compose('UR5e', base=str(FILES / 'rover.xml'))
+    simulation = Simulation(world)
+    model, robot = simulation.model, simulation.robot
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    assert model.joint(free[0]).bodyid[0] == model.body('robot0_base').rootid[0]
+    chassis = simulation.data.body('mobilebase0_chassis')
+    assert chassis.xpos[2] == pytest.approx(0.08)
+    wheels = list(robot.parts['base'].joints)
+    for command in robot.parse.joint_command(wheels, [], [2.0] * 4, []):
+        robot.apply(command)
+    simulation.advance(500)
+    speed = simulation.data.body('robot0_base').cvel[3]
+    assert speed == pytest.approx(2.0 * 0.08, rel=0.05)
+    assert chassis.xpos[2] == pytest.approx(0.08, abs=2e-3)
+
+
+def test_a_robot_with_a_free_root_on_a_free_base_has_one_free_joint(tmp_path):
+    floating = ('<mujoco><worldbody><body name="r"><freejoint/><geom size="0.05"/>'
+                '<body name="l" pos="0 0 0.2"><joint name="turn" armature="0.1" axis="0 0 1"/>'
+                '<geom size="0.05"/></body></body></worldbody></mujoco>')
+    (tmp_path / 'floating.xml').write_text(floating)
+    base = load_base(FILES / 'rover.xml')
+    assert "the robot stands on body 'chassis'" in base.inferred
+    model = compose(str(tmp_path / 'floating.xml'), base=base).compile()
+    assert (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).sum() == 1
