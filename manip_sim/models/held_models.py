@@ -31,6 +31,8 @@ from manip_sim.quoting import one_line, quoted
 LIMITS = Limits(bytes=1_000_000, files=50, depth=10, made=1000, elements=1000, nested=100)
 _MAX_ASSET_BYTES = 2 * MAX_FILE_BYTES
 _NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)
+#: A NaN among numbers: MuJoCo takes it for no value, and prints a line for each.
+_NAN = re.compile(r'(?:.*\s)?[+-]?nan(?:[\s(].*)?', re.IGNORECASE | re.DOTALL)
 #: Attributes of files; MuJoCo gets all files by names without a folder and with a known suffix.
 _OF_FILES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
 #: What has no meaning in a part of a world, but may ask for any amount of memory.
@@ -107,6 +109,9 @@ def _hold(model: XmlModel, held: HeldModel, files: Files) -> str:
         for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
             element.attrib.pop(attribute, None)
         for attribute, name in element.items():
+            if attribute != 'name' and _NAN.fullmatch(name):
+                raise ModelError(f'{one_line(held.name)}: {attribute[:60]} of '
+                                 f'<{element.tag[:60]}> must be a number, got {quoted(name)}')
             if _NAMES_A_FILE.fullmatch(attribute) and name:
                 element.set(attribute, _name_of_held(model, element, name, held, files))
     return ElementTree.tostring(root, encoding='unicode')

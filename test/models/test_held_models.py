@@ -403,6 +403,15 @@ def test_a_model_that_asks_for_too_much_is_rejected(text, problem):
         text_model(text)
 
 
+@pytest.mark.parametrize('value', ['nan', '-NaN', '1 0 0 nan(12)', '1\tNan 0'])
+def test_nan_is_rejected_before_mujoco_prints_what_it_thinks_of_it(value, capfd):
+    with pytest.raises(ModelError, match=r'rgba of <geom> must be a number, got .*[nN]a[nN]'):
+        text_model(mjcf(body=f'<geom size="1" rgba="{value}"/>'))
+    assert capfd.readouterr().err == ''
+    # A name may be anything.
+    text_model(mjcf(body='<geom size="1" name="nan" material="banana"/>'))
+
+
 def test_an_object_of_too_many_joints_is_rejected(tried_here):
     legs = '<body><joint/><geom size="0.01"/></body>'
     assert object_from_model(text_model(mjcf(body=legs * 94)), 'o').dof == 100
