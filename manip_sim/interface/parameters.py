@@ -144,7 +144,8 @@ def composition_parameters(scope: Scope) -> list[ParameterSpec]:
                       'grippers: joints, frames, the model. Empty: names such as robot0_joint1.'),
         ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each receive a command before '
                       'lockstep advances by a control period, such as arm or right/gripper; '
-                      'of a robot without arm, arm stands for all parts.')]
+                      'of a robot without arm, arm stands for all parts; arena is that of the '
+                      "arena's joints.")]
     if not scope.name:
         specs.append(ParameterSpec('idn', 0, 'Number of the robot in names such as robot0_joint1, '
                                    'if prefix is empty.', minimum=0, maximum=999))

@@ -26,6 +26,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.cartesian.reports import CartesianReport
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.modes import MODES, POSITION
+from manip_sim.simulation.surroundings import ARENA
 
 _PERIOD_S = 1.0
 #: Share of simulation time; a smaller loss causes no warning.
@@ -139,9 +140,10 @@ class Diagnostics:
         pace.measure(time.monotonic())
         warnings = {kind.name: int(self._simulation.data.warning[int(kind)].number)
                     for kind in _WARNINGS}
-        waits_for = '' if thread.paused else ', '.join(
-            commands.scope.topic(part) for commands in self._commands
-            for part in progress.waits_for.get(commands.robot.name, ()))
+        waits_for = '' if thread.paused else ', '.join([
+            *(commands.scope.topic(part) for commands in self._commands
+              for part in progress.waits_for.get(commands.robot.name, ())),
+            *progress.waits_for.get(ARENA, ())])
         running = f'waits for commands: {waits_for}' if waits_for else 'running'
         status = _status(name, 'paused' if thread.paused else running, {
             'state': 'paused' if thread.paused else thread.stepping,

@@ -54,6 +54,7 @@ from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.commands import Command
+from manip_sim.simulation.surroundings import ARENA
 
 #: How many publications may wait, by stepping: states would become old in ``free``, else as many
 #: as a second of states, while a reader does not acknowledge.
@@ -113,7 +114,9 @@ class SimNode(Node):
             {robot.name: self._lockstep_parts(scope, robot)
              for scope, robot in self._robots.items()},
             value('start_paused'), self._report_failure, self._inbox if lockstep else None,
-            self.publishing.flush if self.publishing is not None else None)
+            self.publishing.flush if self.publishing is not None else None,
+            lockstep and any(ARENA in value(scope.parameter('lockstep_parts'))
+                             for scope in self._robots))
         self._check_lockstep()
         self.thread.pause_at(value('pause_at'))
         self.table = topics_of_world(
@@ -244,6 +247,8 @@ class SimNode(Node):
         parts: list[str] = [part for part in self._declared.value(name) if part]
         if parts == ['arm'] and 'arm' not in robot.parts:
             return list(robot.parts)
+        if ARENA in parts and self.simulation.surroundings.actuators:
+            parts.remove(ARENA)
         for part in parts:
             if part not in robot.parts:
                 raise ParameterError(f"parameter '{name}': this robot has no part '{part}'; it "

@@ -27,6 +27,7 @@ from manip_sim.ros.reading import read_command
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
+from manip_sim.simulation.surroundings import ARENA
 
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()
@@ -89,9 +90,13 @@ class SurroundingsTopics(Publications):
         found = self._surroundings
         controls = found.checked(
             message.name, message.position, message.velocity, message.effort)
+        stamp_ns = messages.nanoseconds_of(message.header.stamp)
+        if not controls:  # They go on as before, which answers a state too.
+            self._thread.at_next_period(f'{ARENA}/', lambda: None, stamp_ns)
         for joint, value in controls.items():
             self._thread.at_next_period(
-                f'arena/{joint}', partial(found.command, {joint: value}))
+                f'{ARENA}/{joint}', partial(found.command, {joint: value}),
+                stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
         if frame_id.removeprefix(self._prefix) not in ('', messages.WORLD):

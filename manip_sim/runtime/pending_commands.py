@@ -72,9 +72,7 @@ class PendingCommands:
         for command in commands:
             self._simulation.robots[name].check_own(command)
         with self._lock:
-            if self._lockstep and stamp_ns and stamp_ns != self._present_ns:
-                raise CommandError(f'lockstep: the command answers the state of '
-                                   f'{stamp_ns / 1e9:.9f} s, {self._present()}')
+            self.check_stamp(stamp_ns)
             handles = []
             for command in commands:
                 if stamp_ns and not self._lockstep:
@@ -82,6 +80,17 @@ class PendingCommands:
                 buffer.add(command)
                 handles.append(command.handle)
         return handles
+
+    def check_stamp(self, stamp_ns: int) -> None:
+        """
+        Reject, in lock-step, the stamp of another state than the present one.
+
+        :param stamp_ns: of a command [ns]; 0: not given
+        :raises CommandError: naming both states
+        """
+        if self._lockstep and stamp_ns and stamp_ns != self._present_ns:
+            raise CommandError(f'lockstep: the command answers the state of '
+                               f'{stamp_ns / 1e9:.9f} s, {self._present()}')
 
     def _present(self) -> str:
         if self._present_ns is None:

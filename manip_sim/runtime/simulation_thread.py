@@ -20,6 +20,7 @@ from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 from manip_sim.simulation.saved_state import SimulationState
+from manip_sim.simulation.surroundings import ARENA
 
 T = TypeVar('T')
 #: For how long ``free`` runs idle control periods at once, at least one of them, wall time [s].
@@ -42,6 +43,7 @@ class SimulationThread:
     :param paused: whether to begin paused and wait for :meth:`pause` or :meth:`step`
     :param report_failure: is called in this thread with a command that failed and the exception
     :param inbox: what the thread waits for besides deadlines; may bring commands
+    :param waits_for_arena: whether ``lockstep`` needs a command for joints of the arena, too
     :param flush: waits until others have seen what observers passed on; called at the end of each
         :meth:`call` of another thread, in that thread
     :ivar at_start: whether nothing has moved since the start or the last reset
@@ -52,7 +54,8 @@ class SimulationThread:
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
                  report_failure: Callable[[Command, Exception], None] | None = None,
-                 inbox: Inbox | None = None, flush: Callable[[], None] | None = None) -> None:
+                 inbox: Inbox | None = None, flush: Callable[[], None] | None = None,
+                 waits_for_arena: bool = False) -> None:
         self._simulation = simulation
         self._flush = flush
         self._steps = steps
@@ -73,6 +76,7 @@ class SimulationThread:
         #: Whether observers are being called, and whether one has changed the state meanwhile.
         self._showing = self._show_again = False
         self._next: dict[str, Callable[[], None]] = {}
+        self._waits_for_arena = waits_for_arena
         #: For the next reset; None: the start stays.
         self._seed: int | None = None
         self._restart: Callable[[int | None], None] = simulation.reset
@@ -201,15 +205,23 @@ class SimulationThread:
             if self._flush is not None:
                 self._flush()
 
-    def at_next_period(self, key: str, function: Callable[[], None]) -> None:
+    def at_next_period(self, key: str, function: Callable[[], None], stamp_ns: int = 0) -> None:
         """
         Let the simulation's thread run a function before its next control period; do not wait.
 
-        :param key: a later function with the same key replaces one that waits
+        :param key: a later function with the same key replaces one that waits; ``arena/<joint>``
+            of a command for a joint of the arena
         :param function: takes nothing; may change the simulation
+        :param stamp_ns: in lock-step, stamp of the state that it answers [ns]; 0: not given
+        :raises CommandError: in lock-step, if that is not the present state
         """
+        self._commands.check_stamp(stamp_ns)
         with self._lock:
             self._next[key] = function
+
+    @property
+    def _misses_arena(self) -> bool:
+        return self._waits_for_arena and not any(key.startswith(f'{ARENA}/') for key in self._next)
 
     def _run_next(self) -> None:
         if self._next:
@@ -367,7 +379,7 @@ class SimulationThread:
             now = time.monotonic()
             if self._repeats:
                 held = self._paused or self._simulation.diverged is not None
-                if not held and self._commands.complete:
+                if not held and self._commands.complete and not self._misses_arena:
                     return True
                 if now >= self._repeat_at:
                     return False
@@ -377,6 +389,10 @@ class SimulationThread:
             else:
                 self._inbox.wait(self._pacer.deadline_s - now)
         return False
+
+    @property
+    def _missing(self) -> dict[str, list[str]]:
+        return {**self._commands.missing, **({ARENA: [ARENA]} if self._misses_arena else {})}
 
     @property
     def _repeats(self) -> bool:
@@ -425,7 +441,7 @@ class SimulationThread:
         now = time.monotonic()
         waits = self._stepping == 'lockstep' and not number
         self.progress = Progress(now, time_ns, self._pacer.missed, self._pacer.lost_s,
-                                 self._commands.missing if waits else {})
+                                 self._missing if waits else {})
         self._repeat_at = now + _REPEAT_S
         self._observers.show(self._simulation, number, now, look=self._repeats)
         self._showing = False

@@ -22,6 +22,8 @@ from manip_sim.simulation.modes import POSITION
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose
 
+#: The part that the joints of the arena are, in topics and parameters.
+ARENA = 'arena'
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 

@@ -76,6 +76,36 @@ def test_a_drawer_of_the_arena_opens_by_command_and_says_so(serve, client):
     client.spin_until(counted)
 
 
+def test_lockstep_can_wait_for_the_joints_of_the_arena(serve, client):
+    node = serve(stepping='lockstep', lockstep_parts=['arm', 'arena'],
+                 arena=str(FILES / 'room.xml'))
+    states = client.listen(JointState, 'arena/joint_states')
+    arena = client.node.create_publisher(JointState, 'arena/joint_command', 10)
+    arm = client.node.create_publisher(JointState, 'arm/joint_command', 10)
+    client.spin_until(lambda: states and arena.get_subscription_count()
+                      and arm.get_subscription_count())
+    begin = node.simulation.step_count
+    assert node.thread.progress.waits_for == {
+        'robot0': ['arm'], 'arena': ['arena']}
+    arm.publish(JointState(name=['robot0_joint1'], position=[0.0]))
+    repeated = len(states)
+    client.spin_until(lambda: len(states) > repeated + 2)
+    assert node.simulation.step_count == begin
+    assert node.thread.progress.waits_for == {'arena': ['arena']}
+    stale = JointState(name=['slide'], position=[0.3])
+    stale.header.stamp.sec = 1000
+    arena.publish(stale)  # Is rejected.
+    answer = JointState(header=states[-1].header, name=['slide'], position=[0.2])
+    answer.header.frame_id = ''
+    arena.publish(answer)
+    client.spin_until(lambda: node.simulation.step_count == begin + 5)
+    assert node.simulation.data.ctrl[node.simulation.model.actuator('drawer').id] == 0.2
+    # Joints without numbers go on as before, which is an answer, too.
+    arm.publish(JointState(name=['robot0_joint1'], position=[0.0]))
+    arena.publish(JointState(name=['slide']))
+    client.spin_until(lambda: node.simulation.step_count == begin + 10)
+
+
 def test_a_mocap_body_goes_where_its_topic_says(serve, client):
     serve(start_paused=True, arena=str(FILES / 'room.xml'))
     poses = client.listen(PoseStamped, 'objects/marker/pose')
