@@ -41,11 +41,15 @@ _SKIPPED = 8
 _DOUBTED = 4
 #: Share of the slack that is kept from message to message, and how much of it is missed time.
 _SLACK_KEPT, _MISSED = 0.93, 1.5
-#: Two predictions of a goal are as good if both are within this share of its step.
+#: An error of a predicted goal below this share of its step is none.
 _ALIKE = 0.01
-#: Share of a message's word in the average on whether goals follow the arrivals: 0.5 for unknown,
-#: 1 for yes. They do from the second value on, and no longer below the first.
-_SAYS, _FOLLOWS = 0.1, (0.55, 0.7)
+#: Share of the sums of such errors that is kept from message to message, after so many messages.
+_ERRORS_KEPT, _SETTLED = 0.97, 8
+#: A share of the arrivals in the times of sending below the first is none; from the second on
+#: they tell how many messages were lost.
+_SHARES = 0.1, 0.75
+#: Two messages are sent at least this share of the time apart in which they come.
+_SHORTEST = 0.1
 #: By this share of the interval such an arrival may be later before another seems lost.
 _PAUSE_LATER = 0.3
 #: Uncertainty of the count of messages by their times, at least [intervals].
@@ -59,9 +63,10 @@ class MessageClock:
     When the messages of a stream were sent: arrival times without jitter, lost messages counted.
 
     A stream is taken to be sent at even intervals, whose length and phase are a line through the
-    arrival times, by least squares with a fading memory. Where the values follow the arrival times
-    instead, as those of a sender whose own timer jitters, these are the times of sending. Where
-    messages carry stamps, the differences of the stamps are the intervals.
+    arrival times, by least squares with a fading memory. Where a sender's own timer jitters, its
+    values follow the arrival times instead; the times of sending lie between both, the nearer to
+    one the better it predicts the values. Where messages carry stamps, the differences of the
+    stamps are the intervals.
 
     :param longest_s: intervals up to this are a stream [s]
     :param hold_s: how long a stream goes on after a message was due [s]; 0 for two intervals
@@ -71,6 +76,9 @@ class MessageClock:
     :ivar elapsed_s: how long before it the last but one was sent [s]
     :ivar slack_s: how far the last ones came off these times, lost ones included [s]
     :ivar jitter_s: how far arrivals are off the times of sending [s]; zero for none
+    :ivar spread_s: the same of arrivals and the even schedule [s]
+    :ivar number: of messages, up to the last one
+    :ivar fitted: whether an estimator has begun a fit to goals off schedule
     :ivar on_time: whether the last message was on the schedule, as others before it
     :ivar until_s: when the stream ends that goes on without messages [s]
     """
@@ -84,16 +92,17 @@ class MessageClock:
         self.where: slice | IntArray = slice(0)
         self.interval_s = self.sent_s = self.elapsed_s = 0.0
         self.jitter_s = self.slack_s = 0.0
-        self.on_time, self.until_s = False, -math.inf
+        self.on_time, self.until_s, self.fitted = False, -math.inf, False
         self._arrived_s = -math.inf
-        self._messages = self._astray = self._skipped = self._together = self._even = 0
+        self.number = self._astray = self._skipped = self._together = self._even = 0
         # The even schedule: when the last message was due by it, how far arrivals are off it.
-        self._due_s = self._spread_s = 0.0
-        # Whether values follow the arrival times, and the last two intervals by the schedule and
-        # by these, None unless they are of one stream.
+        self._due_s = self.spread_s = 0.0
         # How many of the last messages may have been late instead of lost, and how long yet.
         self._doubtful = self._doubted = 0
-        self._follows, self._says = False, 0.5
+        # Share of the arrivals in the times of sending, the errors of goals as predicted by the
+        # schedule and by the arrivals, and the last two intervals by both, None unless they are
+        # of one stream.
+        self._share, self._errors = 0.0, (0.0, 0.0)
         self._before: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._stamped, self._stamp_s, self._stamp_interval_s = False, 0.0, 0.0
         self._since_sum_s = self._stamps_sum_s = _SAME_S
@@ -124,13 +133,13 @@ class MessageClock:
         :returns: how many messages seem to have been lost; -1 if one less than before
         """
         streams, since_s = self.continues(now_s), now_s - self._arrived_s
-        number = self._messages + 1 if streams else 1
+        number = self.number + 1 if streams else 1
         known = number > 2
         if known:
-            interval_s, jitter_s = self.interval_s, self._spread_s
+            interval_s, jitter_s = self.interval_s, self.spread_s
         else:
             interval_s, jitter_s = (since_s / messages if streams else period_s), 0.0
-        follows = known and self._follows
+        follows = known and self._share > _SHARES[1]
         count = messages
         if follows:
             late_s = since_s - _PAUSE_LATER * interval_s
@@ -174,23 +183,23 @@ class MessageClock:
         slower, again = self._skipped >= _SKIPPED, abs(self._astray) >= _ASTRAY
         self.interval_s = changed_s * count / messages if slower else changed_s
         self._due_s = now_s if again else due_s
-        self._messages = _RESUMES if again else number
+        self.number = _RESUMES if again else number
         self._astray = 0 if again else self._astray
         self._skipped = 0 if slower else self._skipped
-        self._spread_s, self._arrived_s = jitter_s, now_s
+        self.spread_s, self._arrived_s = jitter_s, now_s
         intervals_s = elapsed_s, max(since_s, 1e-9) if streams else period_s
         if stamped or not streams or errors is None:
-            self._follows, self._says, self._before = False, 0.5, None
+            self._share, self._errors, self._before = 0.0, (0.0, 0.0), None
         else:
-            self._choose(number > 3, intervals_s, errors)
+            self._compare(number > _SETTLED, intervals_s, errors)
         self._before = (intervals_s, self._before[0] if self._before else intervals_s)
-        if self._follows:
-            # The messages themselves are the schedule.
-            self.sent_s, self.elapsed_s, self.jitter_s, self.slack_s = (
-                now_s, intervals_s[1], 0.0, 0.0)
-        else:
-            self.sent_s, self.elapsed_s, self.jitter_s, self.slack_s = (
-                self._due_s, elapsed_s, jitter_s, slack_s)
+        share = self._share
+        sent_s = self._due_s
+        if share:
+            sent_s += share * (now_s - sent_s)
+            elapsed_s = max(sent_s - self.sent_s, _SHORTEST * intervals_s[1])
+        self.sent_s, self.elapsed_s = sent_s, elapsed_s
+        self.jitter_s, self.slack_s = (1.0 - share) * jitter_s, (1.0 - share) * slack_s
         return self._lose(count - messages if skips else 0, off_s < -0.5 * interval_s)
 
     def _lose(self, lost: int, early: bool) -> int:
@@ -205,18 +214,16 @@ class MessageClock:
                 return -1
         return lost
 
-    def _choose(self, known: bool, intervals_s: tuple[float, float],
-                errors: Callable[[FloatArray], FloatArray]) -> None:
+    def _compare(self, known: bool, intervals_s: tuple[float, float],
+                 errors: Callable[[FloatArray], FloatArray]) -> None:
         """
-        Choose between the even schedule and the arrival times by which one the values follow.
-
-        Which one does predicts the next value better from the last three.
+        Compare how well the even schedule and the arrival times predict values from three before.
 
         :param known: whether so many have been seen
         :param intervals_s: from the last message to this one by the schedule, and by their arrival
         """
         even_s, since_s = intervals_s
-        share, before = 0.5, self._before
+        before = self._before
         if known and before and (abs(even_s - since_s) > _SAME_INTERVAL * even_s or any(
                 abs(a - b) > _SAME_INTERVAL * a for a, b in before)):
             factors = []
@@ -225,11 +232,11 @@ class MessageClock:
                 bend = (now_s + last_s) / (last_s + first_s)
                 factors.append((now_s / last_s * (1.0 + bend), -now_s / first_s * bend))
             by_even, by_arrival, step = errors(np.array(factors)).tolist()
-            alike = _ALIKE**2 * step
-            total = by_even + by_arrival + 2.0 * alike
-            share = (by_even + alike) / total if total > 0.0 else 0.5
-        self._says = self._says + _SAYS * (share - self._says) if known else 0.5
-        self._follows = known and self._says > _FOLLOWS[not self._follows]
+            self._errors = (_ERRORS_KEPT * self._errors[0] + by_even,
+                            _ERRORS_KEPT * self._errors[1] + by_arrival + _ALIKE**2 * step)
+        by_even, by_arrival = self._errors
+        share = by_even / (by_even + by_arrival) if by_even > 0.0 else 0.0
+        self._share = share if share > _SHARES[0] else 0.0
 
     def _read_stamps(self, streams: bool, since_s: float, stamp_s: float, messages: int
                      ) -> tuple[bool, float, float]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.message_clock import MessageClock, MessageClocks
 
 #: For how many intervals after a message was due the goals go on, unless set otherwise.
@@ -25,6 +25,18 @@ _GOAL_SPREAD = 0.05
 _CURVE_SPREAD, _LEARNT = 0.3, 0.2
 #: A velocity larger than this many times the last one is a jump.
 _JUMP = 1.5
+#: Messages are uneven whose jitter is more than this share of the interval.
+_UNEVEN = 0.01
+#: Goals may be off at random by so many standard deviations.
+_OFF_GOALS = 4.0
+#: How fast the power of what is off is learnt, and what it is of two differences in a row.
+_POWER_LEARNT, _PRODUCT = 0.03, 15.0
+#: Not more is off than the goals move in so many times the jitter of their messages.
+_REACH = 1.5
+#: Noise of the acceleration that is left, as a share of its limit.
+_NOISE = 0.04
+#: Smoothing takes the memory of a fit for a jitter of this share of it.
+_LIKE_JITTER = 0.06
 #: A first velocity may be what the acceleration limit allows in so long, at most [s].
 _START_S = 0.02
 
@@ -64,6 +76,10 @@ class StreamEstimator:
         self._steps = np.zeros((2, count))
         #: How fast the velocity changes on average, with and without its sign.
         self._curves = np.zeros((2, count))
+        #: Of streams off schedule: value, velocity and acceleration of a parabola that follows
+        #: the goals; the acceleration by the last two steps; by how much the last goal missed
+        #: those of the three before, and the power of what misses at random.
+        self._fit = np.zeros((6, count))
 
     @property
     def usual_acceleration(self) -> FloatArray:
@@ -101,7 +117,8 @@ class StreamEstimator:
             curve, roughness = self._curves[:, at]
             expected = (before + curve * interval_s) * interval_s
             spread = (_GOAL_SPREAD * np.abs(expected)
-                      + _CURVE_SPREAD * roughness * interval_s**2)
+                      + _CURVE_SPREAD * roughness * interval_s**2
+                      + _OFF_GOALS * self._off(at))
             moved = step / np.where(expected == 0.0, np.inf, expected)
             weight = np.where((moved > 0.5) & (moved < most),
                               (expected / np.maximum(spread, 1e-12))**2, 0.0)
@@ -121,8 +138,10 @@ class StreamEstimator:
         change = velocity - before
         size = np.abs(change)
         # A smooth stream accelerates about as it did before, even where its velocity changes sign.
+        smooth: BoolArray | bool = streams
         slack = (2.0 * max(period_s, min(interval_s, _START_S)) * acceleration_limit
-                 + _JUMP * self._change[at])
+                 + _JUMP * self._change[at]
+                 + _OFF_GOALS * self._off(at) / elapsed_s)
         if not streams or np.count_nonzero(size > slack):
             smooth = streams & (velocity >= np.minimum(0.0, _JUMP * before) - slack) & (
                 velocity <= np.maximum(0.0, _JUMP * before) + slack)
@@ -132,6 +151,12 @@ class StreamEstimator:
             size, change = np.where(smooth, size, 0.0), np.where(smooth, change, 0.0)
         else:
             self.velocity[at] = velocity
+        self.jitter_s[at] = clock.jitter_s
+        if clock.number > 3 and not clock.on_time and clock.spread_s > _UNEVEN * interval_s:
+            self._smooth(clock, goal, velocity, change, smooth, before_s, interval_s, period_s,
+                         acceleration_limit)
+        else:
+            clock.fitted = False
         self._change[at] = size
         self.acceleration[at] = size * 2.0 / (elapsed_s + before_s) if clock.on_time else 0.0
         curves = self._curves[:, at]
@@ -139,10 +164,51 @@ class StreamEstimator:
         self._curves[:, at] = curves
         self.goal[at], self._last[at] = goal, velocity
         self.interval_s[at], self.sent_s[at] = interval_s, clock.sent_s
-        self.jitter_s[at] = clock.jitter_s
         clock.until_s = (max(now_s, clock.sent_s) + interval_s
                          + (clock.hold_s if clock.hold_s > 0.0 else _HOLD_INTERVALS * interval_s)
                          + 3.0 * clock.jitter_s)
+
+    def _off(self, at: slice | IntArray) -> FloatArray:
+        """Return how far goals come off a smooth course at random, standard deviations."""
+        return np.asarray(np.sqrt(np.maximum(self._fit[5, at], 0.0)))
+
+    def _smooth(self, clock: MessageClock, goal: FloatArray, velocity: FloatArray,
+                change: FloatArray, smooth: BoolArray | bool, before_s: float, interval_s: float,
+                period_s: float, acceleration_limit: FloatArray) -> None:
+        """
+        Let the velocity be that of a parabola through goals whose times of sending are uncertain.
+
+        Its memory fades in time (the second-order fading-memory filter of N. Morrison), the more
+        slowly the more goals are off at random: without that it passes through the last three.
+        """
+        at, elapsed_s = clock.where, clock.elapsed_s
+        between_s = (elapsed_s + before_s) / 2.0
+        level, pace, bend, last_bend, last_off, power = self._fit[:, at]
+        if not clock.fitted:
+            level, pace, last_bend = self.goal[at], self._last[at], change / between_s
+            bend, last_off, power = np.zeros((3, len(goal)))
+        off = (change - last_bend * between_s) * elapsed_s
+        # Of random errors e, two such differences in a row have a product of -15 e^2 on average;
+        # a smooth course adds the square of its third difference, of the other sign.
+        power = power + _POWER_LEARNT * (-off * last_off / _PRODUCT - power)
+        clock.fitted = True
+        self._fit[3:, at] = change / between_s, off, power
+        speed = np.maximum(np.abs(velocity), np.abs(self._last[at]))
+        spread = np.minimum(self._off(at), _REACH * speed * (clock.spread_s + period_s / 4.0))
+        memory_s = np.sqrt(3.0 * spread / (_NOISE * acceleration_limit))
+        kept = np.exp(-elapsed_s / np.maximum(memory_s, 1e-9))
+        new = 1.0 - kept
+        pace = pace + bend * elapsed_s
+        level = level + (pace - bend * elapsed_s / 2.0) * elapsed_s
+        missed = goal - level
+        level = level + (1.0 - kept**3) * missed
+        pace = pace + 1.5 * new**2 * (1.0 + kept) * missed / elapsed_s
+        bend = bend + new**3 * missed / elapsed_s**2
+        self._fit[:3, at] = (np.where(smooth, level, goal), np.where(smooth, pace, velocity),
+                             np.where(smooth, bend, 0.0))
+        # As on schedule, it is the velocity half an interval before the last goal.
+        self.velocity[at] = np.where(smooth, pace - bend * interval_s / 2.0, self.velocity[at])
+        self.jitter_s[at] = np.maximum(clock.jitter_s, _LIKE_JITTER * memory_s)
 
 
 class RampEstimator:

@@ -25,7 +25,7 @@ _STATE = (*_NUMBERS, '_seeks', '_brakes')
 #: What estimators of streams are made of: what is always needed, and what new goals change too.
 _OF_STREAMS = ('interval_s', 'jitter_s', 'sent_s')
 _OF_GOALS = ('goal', 'velocity', 'acceleration', '_last', '_change')
-_OF_STEPS = ('_steps', '_curves')
+_OF_STEPS = ('_steps', '_curves', '_fit')
 
 
 class SetpointRows(SetpointGenerator):
@@ -142,15 +142,15 @@ class SetpointRows(SetpointGenerator):
         estimator, count = self._estimator, len(self._generators)
         states = np.stack([
             *(getattr(estimator, name) for name in (*_OF_STREAMS, *_OF_GOALS)),
-            *(part for name in _OF_STEPS
-              for part in getattr(estimator, name).reshape(2, count, -1))], axis=1)
+            *(part.reshape(count, -1) for name in _OF_STEPS for part in getattr(estimator, name))
+        ], axis=1)
         for row, seeks, limited, lost in zip(
                 rows, self._seeks[rows], self.limited[rows], estimator.lost[rows]):
             of, state = self._generators[row], states[row].copy()
             own = of._estimator
             (own.interval_s, own.jitter_s, own.sent_s, own.goal, own.velocity, own.acceleration,
              own._last, own._change) = state[:8]
-            own._steps, own._curves = state[8:10], state[10:]
+            own._steps, own._curves, own._fit = state[8:10], state[10:12], state[12:]
             of._seeks, of.limited, own.lost = seeks.copy(), limited.copy(), lost.copy()
 
     def advance(self, duration_s: float) -> None:
