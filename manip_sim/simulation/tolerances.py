@@ -65,7 +65,7 @@ class Tolerances:
         """Return which joint exceeds its tolerance by the largest factor; empty if none does."""
         errors = np.abs([position_error, velocity_error])
         limits = np.array([self.position, self.velocity])
-        with np.errstate(invalid='ignore'):
+        with np.errstate(invalid='ignore', over='ignore'):
             ratios = errors / limits
         kind, joint = divmod(int(np.argmax(ratios)), len(self._joints))
         if not ratios[kind, joint] > 1.0:

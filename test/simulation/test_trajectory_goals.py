@@ -27,6 +27,13 @@ def test_a_tolerance_is_for_the_joint_that_it_names_and_leaves_the_default_of_wh
     np.testing.assert_array_equal(tolerances.velocity, [0.5, 0.2, 0.5])
 
 
+def test_the_smallest_tolerance_is_exceeded_without_a_warning():
+    tolerances = Tolerances([J1, J2], [J1, J2], [JointTolerance(J2, position=5e-324)])
+    assert tolerances.violated(np.array([0.0, 1.0]), np.zeros(2)) == (
+        f"the position of joint '{J2}' is 1 off, its tolerance is 4.941e-324")
+    assert tolerances.violated(np.zeros(2), np.zeros(2)) == ''
+
+
 class Actor:
     """Runs a simulation in which goals are watched as the node watches them."""
 

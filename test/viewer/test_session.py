@@ -11,10 +11,12 @@ import pytest
 pytest.importorskip('rclpy', reason='the session needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from manip_sim.errors import MessageError  # noqa: E402
 from manip_sim.viewer.page.diagnosis import ShownStatus  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest  # noqa: E402
 from manip_sim.viewer.ros import session  # noqa: E402
 from manip_sim.viewer.ros.layout import Layout, RobotTopics  # noqa: E402
+from manip_sim.viewer.ros.readers import Readers  # noqa: E402
 
 ROBOT = RobotTopics('/', ('arm', 'right/gripper'), ('right',), True)
 OTHER = RobotTopics('/left/', ('arm',), (), False)
@@ -93,7 +95,7 @@ def test_the_topics_of_a_layout_are_listened_to_once_and_those_of_another_one_in
     appear(seen, ROBOT)
     seen.update(1.0)
     assert seen.states.calls['listen'] == (Layout((ROBOT,)),)
-    assert set(seen.sender.calls['prepare'][0]) == {
+    assert seen.sender.calls['prepare'][0].keys() >= {
         '/arm/joint_command', '/right/gripper/joint_command', '/right/gripper/command',
         '/right/target_pose', '/base/cmd_vel'}
     seen.update(2.0)
@@ -102,3 +104,16 @@ def test_the_topics_of_a_layout_are_listened_to_once_and_those_of_another_one_in
     seen.update(3.0)
     assert seen.states.calls['listen'] == (Layout((ROBOT, OTHER)),)
     assert seen.states.counts['listen'] == 2
+
+
+def test_messages_that_are_rejected_are_counted_and_told_beside_what_the_node_tells(seen, node):
+    readers = Readers(node)
+    seen.session._readers = readers
+    running = ShownStatus(0, 'simulation', 'running', {'state': 'free'})
+    seen.session._diagnosed([running])
+    assert seen.page.calls['show_diagnostics'] == ([running],)
+    readers.reject('/joint_states', MessageError('position: nan cannot be drawn'))
+    seen.session._diagnosed([running])
+    (told,) = seen.page.calls['show_diagnostics']
+    assert [status.message for status in told] == [
+        'running', '1 message rejected, see its log']
