@@ -97,7 +97,7 @@ def test_the_topics_of_a_layout_are_listened_to_once_and_those_of_another_one_in
     assert seen.states.calls['listen'] == (Layout((ROBOT,)),)
     assert seen.sender.calls['prepare'][0].keys() >= {
         '/arm/joint_command', '/right/gripper/joint_command', '/right/gripper/command',
-        '/right/target_pose', '/base/cmd_vel'}
+        '/right/target_pose', '/base/cmd_vel', '/sim/pull'}
     seen.update(2.0)
     assert seen.states.counts['listen'] == 1
     appear(seen, ROBOT, OTHER)
