@@ -191,3 +191,25 @@ def test_a_urdf_that_cannot_be_read_is_told_in_one_line(tmp_path, text, message)
 
 def test_a_urdf_may_be_called_xml(tmp_path):
     assert load_robot(write(tmp_path / 'arm.xml', URDF)).eef_name == {'right': 'robot0_tool0'}
+
+
+def test_a_mesh_that_is_missing_beside_others_is_left_out_and_told(tmp_path):
+    mesh_file(tmp_path / 'there.stl')
+    shape = '<{0}><geometry><mesh filename="{1}"/></geometry></{0}>'
+    text = with_mesh('there.stl')
+    (begin, end) = text.split('<link name="upper">')
+    for kind, lost in (('visual', ''), ('collision', '; nothing touches these links there')):
+        file = write(tmp_path / f'{kind}.urdf', (
+            f'{begin}<link name="upper">{shape.format(kind, "gone.stl")}{end}'))
+        robot = load_robot(file)
+        assert f"left out: 1 {kind} shapes of files that cannot be read, such as 'gone.stl' " \
+            f'(no such file: {tmp_path / "gone.stl"}){lost}' in robot.inferred
+        assert robot.compile().nmesh == 1
+
+
+def test_a_mesh_by_the_path_of_another_machine_is_found_in_its_package(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    mesh_file(tmp_path / 'acme' / 'meshes' / 'link.stl')
+    there = 'file:///home/somebody/ws/install/acme/share/acme/meshes/link.stl'
+    file = write(tmp_path / 'acme' / 'urdf' / 'arm.urdf', with_mesh(there))
+    assert load_robot(file).compile().nmesh == 1

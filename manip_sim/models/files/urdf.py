@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 import re
 from typing import Any
@@ -111,21 +111,34 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
 
 
 def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
-    """Make the paths of meshes absolute; remove shapes that MuJoCo cannot read."""
+    """
+    Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
+
+    :raises ModelError: if a package, or all meshes, are missing
+    """
     extension = robot.find('mujoco/compiler')
     folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
     unread: dict[str, list[str]] = {'visual': [], 'collision': []}
+    missing: list[_MissingMesh] = []
+    read = 0
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
             mesh = shape.find('geometry/mesh')
             if mesh is None:
                 continue
-            found, why = _converted(_resolve(mesh.get('filename', ''), folder, file, link))
+            try:
+                found, why = _converted(_resolve(mesh.get('filename', ''), folder, file, link))
+            except _MissingMesh as error:
+                missing.append(error)
+                found, why = None, f'no such file: {error.place}'
             if found is None:
                 unread[shape.tag].append(f'{quoted(mesh.get("filename"))} ({why})')
                 link.remove(shape)
             else:
                 mesh.set('filename', str(found))
+                read += 1
+    if missing and not read:  # The folder or the package is wrong.
+        raise missing[0]
     lost = {'visual': '', 'collision': '; nothing touches these links there'}
     return [f'left out: {len(names)} {tag} shapes of files that cannot be read, such as '
             f'{names[0]}{lost[tag]}' for tag, names in unread.items() if names]
@@ -171,6 +184,19 @@ def _converted(mesh: Path) -> tuple[Path | None, str]:
     return None, f'not one of {", ".join((*_MESHES, *SUFFIXES))}'
 
 
+class _MissingMesh(ModelError):
+    """
+    A mesh is missing.
+
+    :param where: which one, for the message
+    :ivar place: where it should be
+    """
+
+    def __init__(self, where: str, place: Path) -> None:
+        super().__init__(f'{where}: no such file: {place}')
+        self.place = place
+
+
 def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> Path:
     """
     Return the path of a mesh.
@@ -181,7 +207,7 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
     match = _PACKAGE.fullmatch(name)
     if match is None:
         path = folder / name.removeprefix('file://')
-        candidates = [path]
+        candidates = [path, *_elsewhere(path, file)]
     else:
         package, rest = match.groups()
         roots = list(package_folders(package, file))
@@ -192,7 +218,15 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
     for candidate in candidates:
         if candidate.is_file() or _readable(candidate) not in (None, candidate):
             return candidate.resolve()
-    raise ModelError(f'{where}: no such file: {candidates[0]}')
+    raise _MissingMesh(where, candidates[0])
+
+
+def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
+    """Yield where a mesh of an absolute path of another machine may be: in a package it names."""
+    if path.is_absolute() and not path.is_file():
+        for number, part in enumerate(path.parts[1:-1], start=2):
+            for root in package_folders(part, file):
+                yield root.joinpath(*path.parts[number:])
 
 
 def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element) -> None:
