@@ -21,6 +21,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -63,7 +64,7 @@ bool same(double a, double b) {return a == b || (std::isnan(a) && std::isnan(b))
  * - joint_states_topic, joint_commands_topic: of the node
  * - node: whose parameters select control modes (/manip_sim)
  * - lockstep: whether the physics waits for commands (false)
- * - state_timeout: how long a cycle waits for its state, wall time [s] (1.0)
+ * - state_timeout: how long a cycle waits for its state, wall time [s] (1.0; lockstep: 10.0)
  *
  * of a joint: mode_parameter, such as control_mode.arm, if its mode can change; of a sensor: topic.
  */
@@ -83,7 +84,8 @@ public:
     const auto & info = get_hardware_info();
     try {
       lockstep_ = parameter("lockstep", "false") == "true";
-      state_timeout_ = std::chrono::duration<double>(std::stod(parameter("state_timeout", "1.0")));
+      state_timeout_ = std::chrono::duration<double>(
+        std::stod(parameter("state_timeout", lockstep_ ? "10.0" : "1.0")));
       // A node and a thread of its own: states come while the control loop waits for them.
       node_ = std::make_shared<rclcpp::Node>(
         "manip_sim_hardware", rclcpp::NodeOptions().use_global_arguments(false));
@@ -126,7 +128,7 @@ public:
   CallbackReturn on_deactivate(const rclcpp_lifecycle::State &) override
   {
     std::lock_guard<std::mutex> lock(mutex_);
-    looping_ = false;
+    looping_ = in_a_cycle_ = false;
     return CallbackReturn::SUCCESS;
   }
 
@@ -146,19 +148,24 @@ public:
   return_type perform_command_mode_switch(
     const std::vector<std::string> & start, const std::vector<std::string> & stop) override
   {
+    // Another thread may run the control loop meanwhile: nothing is commanded until the node has
+    // changed the mode.
     std::map<std::string, std::string> wanted;
     {
       std::lock_guard<std::mutex> lock(mutex_);
-      claims_ = claims_after(start, stop);
-      for (const auto & key : start) {held_.erase(key);}
-      for (const auto & [name, mode] : modes_of(claims_)) {
+      claims_ = claims_after({}, stop);
+      for (const auto & [name, mode] : modes_of(claims_after(start, {}))) {
         const auto known = modes_.find(name);
         if (known == modes_.end() || known->second != mode) {wanted[name] = mode;}
       }
+      if (!wanted.empty() && answer_) {answer_ = nothing(answer_->header.stamp);}
     }
     for (const auto & [name, mode] : wanted) {
       if (!set_mode(name, mode)) {return return_type::ERROR;}
     }
+    std::lock_guard<std::mutex> lock(mutex_);
+    claims_ = claims_after(start, {});
+    for (const auto & key : start) {held_.erase(key);}
     return return_type::OK;
   }
 
@@ -167,7 +174,7 @@ public:
     std::unique_lock<std::mutex> lock(mutex_);
     const std::int64_t now = time.nanoseconds();
     if (lockstep_ || get_clock()->ros_time_is_active()) {
-      looping_ = true;
+      looping_ = in_a_cycle_ = true;
       next_cycle_ns_ = now + period_ns_;
       const bool came = arrived_.wait_for(lock, state_timeout_, [this, now] {return complete(now);});
       if (!came) {
@@ -206,6 +213,11 @@ public:
   {
     std::lock_guard<std::mutex> lock(mutex_);
     if (!read_) {return return_type::OK;}
+    in_a_cycle_ = false;
+    // The loop may begin with a state that was answered already.
+    if (lockstep_ && answer_ && answer_->header.stamp == read_->header.stamp) {
+      return return_type::OK;
+    }
     JointState message = nothing(read_->header.stamp);
     bool any = false;
     for (std::size_t i = 0; i < joints_.size(); ++i) {
@@ -222,7 +234,10 @@ public:
       }
     }
     // Without lock-step nobody waits for a message without a number.
-    if (any || lockstep_) {publisher_->publish(message);}
+    if (any || lockstep_) {
+      publisher_->publish(message);
+      answer_ = std::move(message);
+    }
     return return_type::OK;
   }
 
@@ -311,12 +326,20 @@ private:
         modes_client_->set_parameters({rclcpp::Parameter(name, mode)});
       }
     }
-    // The control loop answers the states of its own cycles.
-    const bool of_the_loop = looping_ && stamp_ns >= next_cycle_ns_;
-    const bool in_a_cycle = looping_ && stamp_ns + period_ns_ == next_cycle_ns_;
-    if (lockstep_ && !of_the_loop && !in_a_cycle && publisher_->get_subscription_count() > 0) {
-      publisher_->publish(nothing(state_->header.stamp));
+    if (lockstep_ && publisher_->get_subscription_count() > 0) {answer_for_the_loop();}
+  }
+
+  //! Answer the newest state, unless the control loop does.
+  void answer_for_the_loop()
+  {
+    const bool of_the_next_cycle = looping_ && stamp_ns_ >= next_cycle_ns_;
+    const bool of_this_cycle = in_a_cycle_ && stamp_ns_ + period_ns_ >= next_cycle_ns_;
+    if (of_the_next_cycle || of_this_cycle) {return;}
+    // A state comes again if its answer was lost, came late, or came when the mode changed.
+    if (!answer_ || nanoseconds(answer_->header.stamp) != stamp_ns_) {
+      answer_ = nothing(state_->header.stamp);
     }
+    publisher_->publish(*answer_);
   }
 
   //! Simulated time has begun again: let it pass until the control loop, which sleeps, goes on.
@@ -324,6 +347,8 @@ private:
   {
     RCLCPP_WARN(get_logger(), "simulated time has begun again");
     looping_ = false;
+    in_a_cycle_ = false;
+    answer_.reset();
     read_.reset();
     for (auto & [name, wrench] : wrenches_) {wrench.reset();}
     hold_commands();
@@ -472,9 +497,12 @@ private:
   std::condition_variable arrived_;
   JointState::ConstSharedPtr state_;
   std::int64_t stamp_ns_ = 0;
+  //! The last message that was sent.
+  std::optional<JointState> answer_;
   std::map<std::string, WrenchStamped::ConstSharedPtr> wrenches_;
   std::map<std::string, Imu::ConstSharedPtr> imus_;
   bool looping_ = false;
+  bool in_a_cycle_ = false;
   std::int64_t next_cycle_ns_ = 0;
   std::vector<std::string> claims_;
   std::map<std::string, std::string> modes_;
