@@ -257,10 +257,9 @@ def test_time_stands_while_the_manager_is_gone_and_another_one_goes_on(
     spawn(sim, 'arm_position_controller')
     process.kill()
     process.wait()
-    monkeypatch.setattr(simulation_under_test, '_PATIENCE', 30)
-    with pytest.raises(SimulationStalled):
+    with monkeypatch.context() as impatient, pytest.raises(SimulationStalled):
+        impatient.setattr(simulation_under_test, '_PATIENCE', 30)
         sim.run_for(5.0)
-    monkeypatch.undo()
     manager(sim, written)
     spawn(sim, 'arm_position_controller')
     goal = move(sim)

@@ -336,7 +336,10 @@ class SimulationUnderTest:
         :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
         :param arguments: further arguments of ``subprocess.Popen``
         """
-        process = subprocess.Popen(command, start_new_session=True, **arguments)
+        # Another simulation of the same test may have changed this process's environment.
+        environment = {**(arguments.pop('env', None) or os.environ),
+                       'ROS_DOMAIN_ID': str(self.domain)}
+        process = subprocess.Popen(command, start_new_session=True, env=environment, **arguments)
         self._processes.append(process)
         return process
 

@@ -141,3 +141,13 @@ def test_what_a_controller_has_started_ends_with_it(sim_node):
         sim.close()
         # The pipe ends with the last process that has it.
         assert not output.read()
+
+
+TELLS_ITS_DOMAIN = "import os; print(os.environ['ROS_DOMAIN_ID'])"
+
+
+def test_a_process_is_in_the_domain_of_the_simulation_that_starts_it(sim_node):
+    first, second = sim_node(), sim_node()
+    for sim in (first, second):
+        with sim.start([sys.executable, '-c', TELLS_ITS_DOMAIN], stdout=subprocess.PIPE) as told:
+            assert int(told.stdout.read()) == sim.domain
