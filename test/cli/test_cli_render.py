@@ -9,6 +9,8 @@ from pathlib import Path
 import subprocess
 import sys
 
+import mujoco
+import numpy as np
 from PIL import Image, ImageChops, ImageStat
 import pytest
 
@@ -137,3 +139,22 @@ def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):
     two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
     model, data = _start_of(World([one_joint_arm(two)]))
     assert model.joint('robot0_joint1').id == 0 and data.time == 0.0
+
+
+@pytest.mark.parametrize('azimuth', [0.0, 30.0, -135.0])
+def test_the_lights_of_the_studio_turn_with_the_view_and_shine_down(azimuth):
+    from manip_sim.cli.rendering import light_studio
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>')
+    directions = []
+    for turn in (0.0, azimuth):
+        scene = mujoco.MjvScene(model, maxgeom=10)
+        light_studio(scene, turn)
+        directions.append(np.array([light.dir for light in scene.lights[:scene.nlight]]))
+    straight, turned = directions
+    assert np.linalg.norm(turned, axis=1) == pytest.approx(1.0, abs=1e-5)
+    np.testing.assert_allclose(turned[:, 2], straight[:, 2], atol=1e-5)
+    assert turned[:, 2].max() < 0.0
+    cos, sin = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
+    np.testing.assert_allclose(
+        turned[:, :2], straight[:, :2] @ [[cos, sin], [-sin, cos]], atol=1e-5)

@@ -95,7 +95,7 @@ async def first_message(server, path, origin, host='127.0.0.1'):
         return await asyncio.wait_for(opened.recv(), 20.0)
 
 
-def test_the_socket_is_opened_by_the_page_alone(server):
+def test_the_socket_is_opened_by_the_page_alone(server, capfd):
     path, origin = f'/{TOKEN}', f'http://{own(server)}'
     assert asyncio.run(first_message(server, path, origin))
     # A proxy may speak TLS to the browser.
@@ -107,6 +107,8 @@ def test_the_socket_is_opened_by_the_page_alone(server):
         with pytest.raises(websockets.exceptions.InvalidStatus) as error:
             asyncio.run(first_message(server, where, other))
         assert error.value.response.status_code == 403
+    # Who comes and goes is not printed.
+    assert capfd.readouterr().out == ''
 
 
 def test_what_the_page_does_not_send_is_ignored(server):

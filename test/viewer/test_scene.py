@@ -183,3 +183,11 @@ def test_each_view_shows_the_whole_robot(robot, aspect, covered, below, view):
     widest = max(np.ptp(seen @ right / depth) / aspect / (1.0 - covered),
                  np.ptp(above / depth) / (1.0 - below))
     assert widest > (0.3 if view == 'Top' else 0.5) * tangent
+
+
+def test_colours_have_four_digits():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size="0.1" rgba="0.12346 0.5 0.98764 0.33333"/></worldbody>'
+        '</mujoco>')
+    (mesh,) = body_meshes(model)
+    assert mesh.rgba == (0.1235, 0.5, 0.9876, 0.3333)
