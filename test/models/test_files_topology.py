@@ -91,3 +91,44 @@ def test_a_robot_with_a_free_root_on_a_free_base_has_one_free_joint(tmp_path):
     assert "the robot stands on body 'chassis'" in base.inferred
     model = compose(str(tmp_path / 'floating.xml'), base=base).compile()
     assert (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).sum() == 1
+
+
+ROOT = '<body name="r" pos="0.3 0 0.1" euler="0 0 90">{}</body>'
+ARM = ('<geom size="0.05"/><body name="l" pos="0 0 0.2"><joint name="turn" armature="0.1"/>'
+       '<geom size="0.05"/></body>')
+CAMERAS = ('<camera name="wide" pos="1 2 3" euler="30 0 0" fovy="60" resolution="64 48"/>'
+           '<camera name="lost" pos="1 0 1" mode="targetbody" target="ball"/>'
+           '<camera name="at" pos="1 0 1" mode="targetbody" target="l"/>'
+           '<body name="ball" pos="3 0 0"><freejoint/><geom size="0.1"/></body>')
+
+
+@pytest.mark.parametrize('beside', ['', '<geom name="plinth" type="box" size="0.1 0.1 0.05"/>'])
+def test_cameras_of_the_world_stay_where_they_are_on_the_root(tmp_path, beside):
+    file = tmp_path / 'arm.xml'
+    file.write_text(f'<mujoco><worldbody>{beside}{CAMERAS}{ROOT.format(ARM)}</worldbody></mujoco>')
+    robot = load_robot(file)
+    assert "cameras of the world body on the root: 'wide', 'at'" in robot.inferred
+    assert robot.cameras == ['robot0_wide', 'robot0_at']
+    bare = mujoco.MjSpec.from_file(str(file)).compile()
+    model = robot.compile()
+    found, expected = mujoco.MjData(model), mujoco.MjData(bare)
+    mujoco.mj_kinematics(model, found)
+    mujoco.mj_kinematics(bare, expected)
+    for data, of in ((found, model), (expected, bare)):
+        mujoco.mj_camlight(of, data)
+    for name in ('wide', 'at'):
+        np.testing.assert_allclose(found.camera(f'robot0_{name}').xpos,
+                                   expected.camera(name).xpos, atol=1e-9)
+        np.testing.assert_allclose(found.camera(f'robot0_{name}').xmat,
+                                   expected.camera(name).xmat, atol=1e-6)
+    wide = model.camera('robot0_wide').id
+    assert model.cam_fovy[wide] == 60.0 and model.cam_resolution[wide].tolist() == [64, 48]
+
+
+def test_cameras_of_the_world_are_left_out_where_the_root_is_free(tmp_path):
+    file = tmp_path / 'rover.xml'
+    file.write_text('<mujoco><worldbody><camera name="wide" pos="1 2 3"/>'
+                    f'{ROOT.format("<freejoint/>" + ARM)}</worldbody></mujoco>')
+    robot = load_robot(file)
+    assert robot.cameras == []
+    assert "left out: 1 cameras of the world body ('wide')" in robot.inferred

@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 import warnings
 
 import mujoco
+import numpy as np
 
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.found_places import free_name
@@ -18,13 +21,16 @@ from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: What a camera is besides its name and pose.
+_OF_CAMERA = ('mode', 'targetbody', 'fovy', 'resolution', 'sensor_size', 'focal_length',
+              'focal_pixel', 'principal_length', 'principal_pixel', 'intrinsic', 'ipd', 'proj')
 
 
 def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tuple[Any, list[str]]:
     """
     Leave out what is not part of a robot or hand, and put the rest below one root body.
 
-    Left out are lights, cameras and grounds of the world body, its other shapes and sites if the
+    Left out are lights and grounds of the world body, its cameras, other shapes and sites if the
     only root is free, mocap bodies, empty bodies, free bodies without actuators if there are other
     roots, and roots without joints if only one other has some.
 
@@ -34,6 +40,7 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     :returns: the spec or, with a new root, another one, and a sentence for each change
     :raises ModelError: if no root remains, or one of several roots is free
     """
+    cameras = [_CameraOfWorld(model, camera) for camera in spec.worldbody.cameras]
     notes = _leave_out(spec, BodyTree(model))
     world = spec.worldbody
     roots = list(world.bodies)
@@ -41,10 +48,20 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
         raise ModelError(f'{file} must have a body, found none')
     loose = [*world.geoms, *world.sites]
     free = [body for body in roots if _is_free(body)]
+    # One that follows what was left out has nothing to look at.
+    cameras = [camera for camera in cameras if camera.has_target(spec)]
+    if cameras:
+        names = quoted_names([camera.name for camera in cameras])
+        notes.append(f'left out: {len(cameras)} cameras of the world body ({names})' if free else
+                     f'cameras of the world body on the root: {names}')
     if len(roots) == 1 and (free or not loose):
         delete_elements(spec, loose)
         if loose:
             notes.append(f'left out: {len(loose)} shapes and sites of the world body')
+        if not free:
+            root = model.body(roots[0].name)
+            for camera in cameras:
+                camera.add_to(roots[0], root.pos, root.quat)
         return spec, notes
     if free:
         raise ModelError(f'{file} must have exactly one root body, found {len(roots)}, one of '
@@ -53,7 +70,39 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     held = f' and {len(loose)} shapes and sites of the world body' if loose else ''
     notes.append(f"new root body '{name}' that holds "
                  f'{quoted_names([body.name for body in roots])}{held}')
-    return _wrapped(spec, name), notes
+    whole = _wrapped(spec, name)
+    for camera in cameras:
+        camera.add_to(whole.body(name), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    return whole, notes
+
+
+class _CameraOfWorld:
+    """
+    A camera of the world body, which moves to a root.
+
+    :param model: a ``mujoco.MjModel`` with it
+    :param camera: in the spec
+    """
+
+    def __init__(self, model: mujoco.MjModel, camera: Any) -> None:
+        self.name = str(camera.name)
+        self._pose = model.camera(self.name).pos.copy(), model.camera(self.name).quat.copy()
+        self._rest = {key: copy.copy(getattr(camera, key)) for key in _OF_CAMERA}
+
+    def has_target(self, spec: mujoco.MjSpec) -> bool:
+        """Return whether a spec has the body that it follows, if it follows one."""
+        target = self._rest['targetbody']
+        return not target or spec.body(target) is not None
+
+    def add_to(self, root: Any, position: FloatArray, quat_wxyz: FloatArray) -> None:
+        """Add it to a root body that has a pose in the world."""
+        back, pos, quat = np.empty(4), np.empty(3), np.empty(4)
+        mujoco.mju_negQuat(back, quat_wxyz)
+        mujoco.mju_rotVecQuat(pos, self._pose[0] - position, back)
+        mujoco.mju_mulQuat(quat, back, self._pose[1])
+        camera = root.add_camera(name=self.name, pos=pos, quat=quat)
+        for key, value in self._rest.items():
+            setattr(camera, key, value)
 
 
 def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
@@ -61,14 +110,15 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     grounds = [geom for geom in world.geoms if int(geom.type) in _GROUND]
     objects = _objects(spec, tree)
     notes += _keep_on_ground(spec, grounds)
-    for what, elements in (('lights', list(world.lights)), ('cameras', list(world.cameras)),
-                           ('grounds', grounds), ('bodies', objects)):
+    for what, elements in (('lights', list(world.lights)), ('grounds', grounds),
+                           ('bodies', objects)):
         names = [element.name for element in elements if element.name]
         if elements:
             notes.append(f'left out: {len(elements)} {what} of the world body'
                          + (f' ({quoted_names(names)})' if names else ''))
         if elements is not objects:
             delete_elements(spec, elements)
+    delete_elements(spec, list(world.cameras))
     for body in objects:
         spec.delete(body)
     for pair in list(spec.pairs):
