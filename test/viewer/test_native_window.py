@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip('rclpy', reason='the window needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from manip_sim.viewer.page.latest import Latest  # noqa: E402
 from manip_sim.viewer.ros import native  # noqa: E402
 from manip_sim.viewer.ros.native import aim  # noqa: E402
 
@@ -56,3 +57,27 @@ def test_who_reads_the_output_knows_at_once_that_a_window_is_there(monkeypatch):
         base='/', model=model, models=1))
     native.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
     assert seen[0] == ['sim_view: waiting for the node /sim', 'sim_view: a window shows /sim']
+
+
+def test_a_window_looks_for_what_has_changed_twice_a_second(monkeypatch):
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom size="0.1"/></worldbody></mujoco>')
+    looks, now_s, frames = [], [100.0], []
+
+    def is_running():
+        now_s[0] += 0.1
+        frames.append(now_s[0])
+        return len(frames) < 22
+
+    @contextmanager
+    def window(posture):
+        yield SimpleNamespace(cam=mujoco.MjvCamera(), is_running=is_running, lock=nullcontext,
+                              sync=lambda: None)
+    monkeypatch.setattr(native, 'time', SimpleNamespace(monotonic=lambda: now_s[0]))
+    monkeypatch.setattr(native, '_open_window', window)
+    monkeypatch.setattr(native, 'States', lambda *_: SimpleNamespace(latest=Latest()))
+    monkeypatch.setattr(native, 'Discovery', lambda *_: SimpleNamespace(
+        base='/', model=model, models=1, layout=None, look=lambda: looks.append(now_s[0])))
+    native.show_native(None, None, 'sim', lambda: None, SimpleNamespace(wait=lambda _: False))
+    assert len(looks) in (4, 5)
+    assert np.diff(looks) == pytest.approx(0.55, abs=0.06)
