@@ -95,8 +95,9 @@ class _Picker(Expert):
         cube = position_of(self.simulation, 'cube')
         down = pointing_down(sides(rotation_of(self.simulation, 'cube')), arm.rotation)
         yield from self.move(arm, cube + [0.0, 0.0, 0.08], down, within_m=0.02)
+        yield from self.open_to(arm, CUBE_M)
         yield from self.move(arm, cube)
-        yield from self.grip(arm, 1.0)
+        yield from self.grip(arm, 1.0, body='cube')
 
 
 class StackCubes(Task):

@@ -9,19 +9,32 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from typing import Any, Protocol
 
+import mujoco
 import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
+from manip_sim.models.grippers import GripperModel
 from manip_sim.simulation import Simulation
+from manip_sim.tasks.grasping import bodies_of_gripper, pressure
 from manip_sim.tasks.pose_actions import ArmAction, PoseActions, STEP_M
 
 #: A hand has arrived if it is within this of its goal [m], and turned this well: the cosine.
 _ARRIVED_M, _TURNED = 0.006, 0.998
 #: It is given up after this many control periods.
 _MOST_PERIODS = 60
-#: Fingers that close at such speeds only [rad/s] are slow, and are waited for, but not for ever.
-_SLOW_RAD_PER_S, _MOST_CLOSING = (0.1, 0.2), 40
+#: Fingers are waited for, but for so many control periods at most.
+_MOST_WAITED = 40
+#: How much farther than an object is wide fingers are apart before they are around it [m].
+_ROOM_M = 0.012
+#: A gripper holds an object if it presses on it with so many times its weight.
+_WEIGHTS, _GRAVITY = 4.0, 9.81
+#: A stroke of a gripper in the unit of its actions, from -1 to +1.
+_STROKE = 2.0
+#: How far a hand goes up in a period while its fingers stand on something [m].
+_UP_M = 0.002
+#: Distance of fingers without pads [m].
+_FAR_M = 1.0
 
 
 class Policy(Protocol):
@@ -132,24 +145,46 @@ class Expert(ABC):
             if length(arm.position - here) <= within_m and cosine >= _TURNED:
                 return
 
-    def grip(self, arm: Hold, closing: float, periods: int = 10) -> Iterator[None]:
+    def grip(self, arm: Hold, closing: float, periods: int = 10, body: str = '') -> Iterator[None]:
         """
-        Open or close a gripper and wait, longer for slow fingers that close.
+        Open or close a gripper and wait.
 
         :param arm: one of :attr:`arms`
         :param closing: from -1, open, to +1
         :param periods: how long to wait at least
+        :param body: of an object; a gripper whose stroke takes longer is waited for until it
+            holds that
         """
         arm.closing = closing
-        fingers = arm.item.robot.parts[f'{arm.item.arm}/gripper'].dof_addresses
-        least, most = _SLOW_RAD_PER_S
-        fastest = speed = 0.0
-        for waited in range(periods + _MOST_CLOSING * (closing > 0.0)):
-            if waited >= periods and not least < speed <= fastest < most:
+        yield from self.wait(periods)
+        # Its speed is the share of half a stroke in a period; zero: it moves at once.
+        if not body or not 0.0 < _gripper(arm).speed * periods < _STROKE:
+            return
+        own = bodies_of_gripper(self.simulation, arm.item.robot, arm.item.arm)
+        weight_n = float(self.simulation.model.body(body).subtreemass[0]) * _GRAVITY
+        for _ in range(_MOST_WAITED):
+            if pressure(self.simulation, own, {body}) > _WEIGHTS * weight_n:
+                return
+            if pressure(self.simulation, own, but={body}):
+                # What the fingers stand on keeps them from closing.
+                arm.position = arm.position + [0.0, 0.0, _UP_M]
+            yield
+
+    def open_to(self, arm: Hold, width_m: float) -> Iterator[None]:
+        """
+        Wait until an object fits between the fingers of an arm that opens its gripper.
+
+        :param arm: one of :attr:`arms`
+        :param width_m: of the object [m]
+        """
+        model, data, ends = self.simulation.model, self.simulation.data, np.empty(6)
+        left, right = ([model.geom(name).id for name in _gripper(arm).important_geoms[
+            f'{side}_fingerpad']] for side in ('left', 'right'))
+        for _ in range(_MOST_WAITED):
+            if min((mujoco.mj_geomDistance(model, data, one, other, _FAR_M, ends)
+                    for one in left for other in right), default=_FAR_M) > width_m + _ROOM_M:
                 return
             yield
-            speed = float(np.abs(self.simulation.data.qvel[fingers]).max(initial=0.0))
-            fastest = max(fastest, speed)
 
     def wait(self, periods: int) -> Iterator[None]:
         """
@@ -159,6 +194,12 @@ class Expert(ABC):
         """
         for _ in range(periods):
             yield
+
+
+def _gripper(arm: Hold) -> GripperModel:
+    gripper = arm.item.robot.parts[f'{arm.item.arm}/gripper'].gripper
+    assert gripper is not None
+    return gripper
 
 
 def pointing_down(across: Iterable[FloatArray], rotation: FloatArray) -> FloatArray:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import mujoco
 import numpy as np
 
@@ -34,6 +36,28 @@ def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -
     gripper = robot.parts[f'{arm}/gripper'].gripper
     assert gripper is not None
     return {int(simulation.model.body(name).id) for name in gripper.bodies}
+
+
+def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str] = (),
+             but: Collection[str] = ()) -> float:
+    """
+    Return the sum of the normal forces between bodies and others [N].
+
+    :param bodies: ids of the bodies; forces between them do not count
+    :param on: names of the others; none: all
+    :param but: names of others that do not count
+    """
+    model, data = simulation.model, simulation.data
+    total, force = 0.0, np.empty(6)
+    for number in range(data.ncon):
+        one, other = model.geom_bodyid[data.contact.geom[number]].tolist()
+        if (one in bodies) == (other in bodies):
+            continue
+        name = model.body(other if one in bodies else one).name
+        if name not in but and (not on or name in on):
+            mujoco.mj_contactForce(model, data, number, force)
+            total += float(force[0])
+    return total
 
 
 def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: str) -> bool:

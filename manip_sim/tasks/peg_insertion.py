@@ -104,8 +104,9 @@ class _Inserter(Expert):
         upper = position_of(simulation, 'peg') + [0.0, 0.0, _PEG_LENGTH_M / 2.0 - 0.02]
         down = pointing_down(sides(rotation_of(simulation, 'peg')), arm.rotation)
         yield from self.move(arm, upper + [0.0, 0.0, 0.08], down, within_m=0.02)
+        yield from self.open_to(arm, _PEG_M)
         yield from self.move(arm, upper)
-        yield from self.grip(arm, 1.0)
+        yield from self.grip(arm, 1.0, body='peg')
         yield from self.move(arm, upper + [0.0, 0.0, 0.09], within_m=0.02)
         hole = position_of(simulation, 'hole')
         turned = pointing_down(sides(rotation_of(simulation, 'hole')), self.hand(arm)[1])

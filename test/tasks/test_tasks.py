@@ -15,7 +15,7 @@ from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.robots import create_robot
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode, Task, task_names
-from manip_sim.tasks.grasping import held_only_by
+from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, pressure
 from manip_sim.tasks.placing import place
 from manip_sim.tasks.task import TASKS
 
@@ -40,6 +40,28 @@ def test_an_expert_does_its_task(name, robot):
     expert = episode.task.expert(episode.simulation)
     assert episode.run(expert, 11)
     assert episode.reward == 1.0
+
+
+@pytest.mark.parametrize('seed', [3, 4])
+def test_slow_fingers_are_open_before_the_hand_goes_down_and_hold_before_it_goes_up(seed):
+    # In the first one they would open on the cube, in the second one stand on the table.
+    episode = episode_of('pick_cube', 'Jaco')
+    assert episode.run(episode.task.expert(episode.simulation), seed)
+
+
+def test_the_pressure_on_a_cube_is_its_weight_until_fingers_press():
+    episode = episode_of('pick_cube')
+    episode.reset(0)
+    simulation = episode.simulation
+    cube = {simulation.model.body('cube').id}
+    for _ in range(5):
+        episode.step(np.zeros(episode.actions.size))
+    assert pressure(simulation, cube) == pytest.approx(0.1 * 9.81, rel=1e-2)
+    assert pressure(simulation, cube, {'table'}) == pressure(simulation, cube)
+    assert pressure(simulation, cube, but={'table'}) == 0.0
+    assert episode.run(episode.task.expert(simulation), 0)
+    fingers = bodies_of_gripper(simulation, simulation.robot, 'right')
+    assert pressure(simulation, fingers, {'cube'}) > 4.0 * 0.1 * 9.81
 
 
 def test_the_page_on_experts_has_enough_successes_of_each_task_and_robot():
