@@ -18,12 +18,13 @@ import pytest
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.qos import qos_profile_action_status_default
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 import yaml
 
 from manip_sim.cli.main import main
+from manip_sim.ros.messages import nanoseconds_of
 from manip_sim.testing.simulation_under_test import SimulationStalled
 
 OWN = Path(__file__).parent / 'controllers.yaml'
@@ -88,7 +89,15 @@ def mode_of_the_arm(sim):
 
 
 def send(sim, goal, controller):
-    """Give a controller a trajectory of 1 s; it has it before simulated time goes on."""
+    """
+    Give a controller a trajectory of 1 s, from the next cycle on.
+
+    Simulated time stands. The loop has answered the present state before, and the controller has
+    the goal afterwards.
+    """
+    while nanoseconds_of(sim.receive(JointState, 'joint_command').header.stamp) < round(
+            1e9 * sim.time_s):
+        pass
     name = f'{controller}/follow_joint_trajectory/_action'
     request = FollowJointTrajectory.Impl.SendGoalService.Request()
     request.goal_id.uuid = np.frombuffer(uuid4().bytes, np.uint8)
