@@ -273,6 +273,9 @@ class MessageClock:
         if most <= messages:
             return messages
         moved, certain = (by_goal or _unmoved)(interval_s, late + 1.0 + 3.0 * jitter)
+        if not (math.isfinite(moved) and math.isfinite(certain)):
+            # Goals of joints without a range may be so far away that their squares overflow.
+            moved = certain = 0.0
         by_time = 1.0 / (jitter + _TIME_SPREAD)**2
         return max(min(round((late * by_time + moved) / (by_time + certain)), most), messages)
 

@@ -3,9 +3,11 @@
 
 """What is taken for the velocity of a stream of goals, message by message."""
 
+import math
 import numpy as np
 import pytest
 
+from manip_sim.simulation.message_clock import MessageClock
 from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.streams import StreamEstimator
 
@@ -195,3 +197,9 @@ def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
                 generator.advance(PERIOD_S / 2)
         np.testing.assert_allclose(
             together.position, np.concatenate([one.position for one in alone]), atol=1e-12)
+
+
+@pytest.mark.parametrize('by_goal', [(math.nan, 1.0), (math.inf, math.inf), (1.0, math.inf)])
+def test_goals_that_overflow_leave_the_number_of_messages_to_their_times(by_goal):
+    counted = MessageClock._count(5.0, 0.1, 1, 0.01, lambda *_: by_goal)
+    assert counted == MessageClock._count(5.0, 0.1, 1, 0.01, None) == 5
