@@ -454,7 +454,7 @@ def check_as_found(file: Path) -> dict[str, Any]:
         simulation = Simulation(compose(robot, position=None if free else (0.0, 0.0, 1.5)))
     except ManipSimError as error:
         if 'cannot be expanded by xacro' in str(error):
-            return {'class': 'needs arguments', 'reason': [str(error)[-120:]]}
+            return {'class': 'does not expand', 'reason': [str(error)[-120:]]}
         return {**row, 'loads': False, 'reason': [str(error)]}
     row['parts'] = ', '.join(f'{name} {len(part.joints)}'
                              for name, part in simulation.robot.parts.items()
@@ -483,7 +483,7 @@ def check_folder(folder: Path, words: list[str]) -> None:
               f'{_MARKS[row.get("holds")]} | {row.get("parts", "")} | '
               f'{"; ".join(row["reason"])[:300]} |', flush=True)
     print(f'\n{len(rows)} models of {len({row["repository"] for row in rows})} repositories')
-    for kind in ('MJCF', 'URDF', 'xacro', 'needs arguments', None):
+    for kind in ('MJCF', 'URDF', 'xacro', 'does not expand', None):
         own = [row for row in rows if row.get('class') == kind]
         loaded = [row for row in own if row.get('loads')]
         if own:

@@ -132,3 +132,15 @@ def test_cameras_of_the_world_are_left_out_where_the_root_is_free(tmp_path):
     robot = load_robot(file)
     assert robot.cameras == []
     assert "left out: 1 cameras of the world body ('wide')" in robot.inferred
+
+
+def test_a_rod_beside_a_longer_chain_is_no_second_arm(tmp_path):
+    joint = '<joint name="{0}" armature="0.1"/><geom size="0.02"/>'
+    rod = (f'<body name="rod">{joint.format("rod1")}'
+           f'<body name="tip">{joint.format("rod2")}</body></body>')
+    arm = f'<body name="x">{joint.format("x")}<body name="y">{joint.format("y")}' \
+        f'<body name="z">{joint.format("z")}</body></body></body>'
+    (tmp_path / 'arm.xml').write_text('<mujoco><worldbody><body name="foot">'
+                                      f'<geom size="0.1"/>{arm}{rod}</body></worldbody></mujoco>')
+    robot = load_robot(tmp_path / 'arm.xml')
+    assert robot.arm_joints == ['robot0_x', 'robot0_y', 'robot0_z']

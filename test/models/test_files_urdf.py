@@ -213,3 +213,20 @@ def test_a_mesh_by_the_path_of_another_machine_is_found_in_its_package(tmp_path,
     there = 'file:///home/somebody/ws/install/acme/share/acme/meshes/link.stl'
     file = write(tmp_path / 'acme' / 'urdf' / 'arm.urdf', with_mesh(there))
     assert load_robot(file).compile().nmesh == 1
+
+
+def test_a_mesh_of_a_package_that_was_renamed_is_found_beside_the_file(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    mesh_file(tmp_path / 'acme' / 'meshes' / 'link.stl')
+    file = write(tmp_path / 'acme' / 'urdf' / 'arm.urdf',
+                 with_mesh('package://acme_v2/meshes/link.stl'))
+    assert load_robot(file).compile().nmesh == 1
+
+
+def test_of_several_materials_of_a_shape_the_first_is_read(tmp_path):
+    text = URDF.replace('<link name="upper">', '<link name="upper"><visual><geometry>'
+                        '<box size="0.1 0.1 0.1"/></geometry>'
+                        '<material name="a"><color rgba="1 0 0 1"/></material>'
+                        '<material name="b"><color rgba="0 1 0 1"/></material></visual>')
+    assert '"b"' in text
+    load_robot(write(tmp_path / 'arm.urdf', text))

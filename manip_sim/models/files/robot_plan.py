@@ -94,7 +94,7 @@ def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
 
 
 def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[str, int]:
-    """Return the tip of the longest chain by side, preferring end names; a single one is right."""
+    """Return the tip of the longest chain by side, preferring end names; one alone is right."""
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
     found: dict[str | None, list[int]] = {}
@@ -107,6 +107,8 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[s
         found.setdefault(side_of(map(tree.name, tree.path(tip))), []).append(tip)
     ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
                     for of_side in found.values())
+    if set(found) == {None} and not ambiguous:  # The others are rods beside an arm.
+        return {'right': found[None][0]}
     if set(found) != {'right', 'left'} or ambiguous:
         names = quoted_names([tree.name(tip) for tip in tips])
         raise ModelError(f'{len(tips)} chains of joints could be arms, they end at {names}: '

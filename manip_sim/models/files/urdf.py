@@ -59,6 +59,9 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None) -> tuple[
     """
     robot = _parse(file, _text(file, xacro_args or {}))
     notes = [*_find_meshes(robot, file), *_drop_empty_shapes(robot), *make_physical(robot)]
+    for visual in robot.iter('visual'):
+        for material in visual.findall('material')[1:]:  # MuJoCo reads one.
+            visual.remove(material)
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true')):
@@ -210,7 +213,9 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
         candidates = [path, *_elsewhere(path, file)]
     else:
         package, rest = match.groups()
-        roots = list(package_folders(package, file))
+        roots = list(package_folders(package, file)) or [
+            # The package has another name here.
+            folder for folder in file.resolve().parents[:2] if (folder / rest).is_file()]
         if not roots:
             raise ModelError(f'{where}: package {quoted(package)} is neither in AMENT_PREFIX_PATH '
                              f'or ROS_PACKAGE_PATH nor a folder above the file')
