@@ -22,7 +22,7 @@ from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
 from manip_sim.records import EpisodeRecorder  # noqa: E402
 from manip_sim.records.definitions import definition, full_name  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
-from manip_sim.records.recorder import ACTION  # noqa: E402
+from manip_sim.records.recorder import ACTION, FORMAT  # noqa: E402
 from manip_sim.records.repeating import Replay  # noqa: E402
 
 _SIZE_ARRAY = 'std_msgs/Float64MultiArray'
@@ -110,6 +110,20 @@ def test_a_record_without_actions_cannot_be_repeated(first):
     messages = {topic: found for topic, found in first.messages.items() if topic != ACTION}
     with pytest.raises(RecordError, match='episode 0 has no actions that could be repeated'):
         Replay().repeat(dataclasses.replace(first, messages=messages))
+
+
+def test_a_record_in_the_format_of_another_version_is_one_line(recording, tmp_path, capsys):
+    def entry(value):
+        """Return the format as metadata of MCAP hold it: texts behind their lengths."""
+        return b''.join(len(text).to_bytes(4, 'little') + text for text in (b'format', value))
+    content, now = recording.read_bytes(), entry(FORMAT.encode())
+    assert content.count(now) == 2  # Once for each episode.
+    path = tmp_path / 'later.mcap'
+    path.write_bytes(content.replace(now, entry(b'9')))
+    assert main(['replay', str(path)]) == 1
+    assert capsys.readouterr().err == (
+        f"manip_sim: {path}: the record has the format '9', and manip_sim reads "
+        f'{FORMAT}\n')
 
 
 def test_the_command_verifies_files_and_folders(recording, capsys):
