@@ -113,12 +113,14 @@ PERIODS = st.sampled_from([0.001, 0.002, 0.004, 0.005, 0.01, 0.02, 0.05])
 INTERVALS = st.sampled_from([0.002, 0.004])
 
 
-@given(transports(), PERIODS, INTERVALS, st.booleans(), st.sampled_from([0.105, 0.5]))
+@given(transports(), PERIODS, INTERVALS, st.booleans(), st.sampled_from([0.105, 0.5]),
+       st.sampled_from([0.0, 0.1, 0.3]))
 @settings(max_examples=30)
 def test_whatever_the_order_of_arrival_positions_keep_the_limits_and_end_at_the_last_goal(
-        transport, period_s, interval_s, stamped, longest_s):
-    sent = (np.arange(MESSAGES) + 0.37) / transport.rate
-    sent = sent[sent < LASTS_S]
+        transport, period_s, interval_s, stamped, longest_s, timer):
+    sent = np.arange(MESSAGES) + 0.37
+    sent += np.random.default_rng(transport.seed).uniform(-timer, timer, MESSAGES)
+    sent = np.maximum.accumulate(sent)[sent / transport.rate < LASTS_S] / transport.rate
     goals = np.clip(motions(sent, transport.seed), LOW, HIGH)
     own = np.abs(np.diff(goals, 2, axis=0)).max(axis=0) * transport.rate**2
     times, positions, velocities, last = followed(
