@@ -39,6 +39,8 @@ _NOISE = 0.04
 _LIKE_JITTER = 0.06
 #: A first velocity may be what the acceleration limit allows in so long, at most [s].
 _START_S = 0.02
+#: How many lost messages one message shows at most; stamps may be 2e18 ns apart.
+_MOST_LOST = 2**31
 
 
 class StreamEstimator:
@@ -131,7 +133,7 @@ class StreamEstimator:
 
         lost = clock.take(now_s, period_s, stamp_s, messages, by_goal, errors)
         if lost:
-            self.lost[at] += lost
+            self.lost[at] += min(lost, _MOST_LOST)
         self._steps[1, at], self._steps[0, at] = self._steps[0, at], step
         elapsed_s, interval_s = clock.elapsed_s, max(clock.interval_s, period_s)
         velocity = step / elapsed_s

@@ -4,6 +4,7 @@
 """What is taken for the velocity of a stream of goals, message by message."""
 
 import math
+import random
 import numpy as np
 import pytest
 
@@ -203,3 +204,18 @@ def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
 def test_goals_that_overflow_leave_the_number_of_messages_to_their_times(by_goal):
     counted = MessageClock._count(5.0, 0.1, 1, 0.01, lambda *_: by_goal)
     assert counted == MessageClock._count(5.0, 0.1, 1, 0.01, None) == 5
+
+
+@pytest.mark.parametrize('seed', range(40))
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_any_finite_goals_times_and_stamps_are_taken(seed):
+    rng, estimator, now_s, stamp_s = random.Random(seed), StreamEstimator(2), 0.0, 0.0
+    ((clock, _),) = estimator.clocks.of(np.array([0, 1]), 0.0)
+    numbers = (0.0, 1.0, -1.0, 5e-324, 1e150, -1e200, 1e308, -1e308, 0.1)
+    for _ in range(60):
+        now_s += PERIOD_S * rng.choice((1, 1, 1, 2, 3, 5, 9, 30))
+        # What a message can hold: a nanosecond to 68 years.
+        stamp_s = rng.choice((0.0, now_s, stamp_s + 0.01, stamp_s + 1e-9, 1e-9, 2147483647.0))
+        estimator.take(clock, np.array([rng.choice(numbers), rng.choice(numbers)]), now_s,
+                       PERIOD_S, np.array([10.0, 10.0]), rng.choice((1, 1, 1, 2, 50)), stamp_s)
+    assert (np.abs(estimator.lost) < 2**40).all()
