@@ -83,6 +83,11 @@ def filled(message: Any, values: Mapping[str, Any]) -> Any:
     for name, value in values.items():
         if isinstance(value, Mapping):
             filled(getattr(message, name), value)
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            kind = re.fullmatch(r'sequence<(.+)>', message.get_fields_and_field_types()[name])
+            assert kind is not None
+            setattr(message, name, [
+                filled(interface(kind[1].replace('/', '/msg/'))(), one) for one in value])
         else:
             setattr(message, name, value)
     return message
@@ -180,7 +185,7 @@ class PageRunner:
 
     def _ros2(self, verb: str, rest: list[str]) -> None:
         arguments = [word for word in rest if word not in ('--once', '--feedback')]
-        if arguments[0] == '--rate':
+        if arguments[0] in ('--rate', '-r'):
             del arguments[:2]
         if verb == 'action send_goal':
             name, kind, goal = arguments
