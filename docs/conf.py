@@ -46,7 +46,7 @@ nitpick_ignore_regex = [
     ('py:.*', r'(gymnasium|mujoco|np|numpy|os|collections|typing|pathlib|enum|dataclasses)\..*'),
     ('py:.*', r'(Any|ArrayLike|Callable|FloatArray|Iterable|Mapping|Path|PathLike|Sequence)'),
     ('py:.*', 'Union'),
-    ('py:.*', r'(abc\..*|C|T|GripperT|.*\.[CT]|.*\.GripperT|(.*\.)?Sent)'),
+    ('py:.*', r'(abc\..*|C|P|T|GripperT|.*\.[CPT]|.*\.GripperT|(.*\.)?Sent)'),
     # Fields of instances are part of the text of their class.
     ('py:(attr|data)', '.*'),
     # Classes and functions that the documented ones use.
