@@ -210,7 +210,8 @@ class PageRunner:
     def taken(self) -> int:
         """Return how many commands the node has taken; AssertionError if one was rejected."""
         assert self.served is not None
-        statistics = [entry for commands in self.served.node.commands
+        node = self.served.node
+        statistics = [entry for commands in (*node.commands, node._surroundings)
                       for entry in commands.statistics.values()]
         assert not sum(entry.rejected for entry in statistics), self._client.log()
         return sum(entry.accepted for entry in statistics)
