@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -34,7 +34,7 @@ MOST_WEIGHTS = 5.0
 _GRAVITY = 9.81
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Pull:
     """
     A spring.
@@ -127,10 +127,9 @@ class Pulls:
         self.check(body, point, target)
         found = self._pulls.get(body)
         if found is None or found.number != number:
-            found = self._pulls[body] = self._begin(
-                self._bodies[body], np.asarray(point, float), number)
-        found.target = np.array(target, float)
-        found.until_ns = self._clock.time_ns + round(PULL_S * 1e9)
+            found = self._begin(self._bodies[body], np.asarray(point, float), number)
+        self._pulls[body] = replace(found, target=np.array(target, float),
+                                    until_ns=self._clock.time_ns + round(PULL_S * 1e9))
 
     def _begin(self, body: int, point: FloatArray, number: int) -> _Pull:
         model, data = self._physics.model, self._physics.data
