@@ -22,7 +22,7 @@ from manip_sim.simulation.parts import find_parts
 
 #: The options whose values are those of the parameters of the same name.
 _PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
-               'timestep', 'cameras')
+               'timestep', 'tactile', 'cameras')
 _BOOL = {'true': True, 'false': False}
 
 
@@ -61,7 +61,7 @@ def arena_from(options: argparse.Namespace) -> Arena:
     """Return the arena that the options describe; raises as :func:`compose_from`."""
     given = _given(options)
     parameters = GivenParameters({name: value for name, value in given.items()
-                                  if name not in ('robot', 'gripper', 'base')})
+                                  if name not in ('robot', 'gripper', 'base', 'tactile')})
     declare_node(parameters)
     return compose_arena(parameters)
 

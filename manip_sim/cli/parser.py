@@ -22,8 +22,8 @@ from manip_sim.resources import package_version
 
 #: The options of a composition; None where they are not given.
 COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'idn', 'prefix',
-               'position', 'orientation', 'timestep', 'no_gravity_compensation', 'cameras',
-               'params_file')
+               'position', 'orientation', 'timestep', 'no_gravity_compensation', 'tactile',
+               'cameras', 'params_file')
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects', 'tasks')
 #: The least and the greatest edge of a picture [pixels].
 SMALLEST, LARGEST = 16, 8192
@@ -368,6 +368,8 @@ def add_composition(parser: argparse.ArgumentParser) -> None:
                        help='physics step (default: 0.002)')
     group.add_argument('--no-gravity-compensation', action='store_true', default=None,
                        help='switch gravity compensation off')
+    group.add_argument('--tactile', action='store_true', default=None,
+                       help='tactile sensors on the pads of the grippers')
     group.add_argument('--params-file', type=Path, metavar='FILE', help='parameter file of a '
                        'node, instead of all these options; may have several robots and objects')
     group.add_argument('--cameras', action='append', metavar='NAME', help='camera of the model '

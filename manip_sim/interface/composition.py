@@ -80,9 +80,9 @@ def compose_world(parameters: ParameterSource) -> Composition:
     robots = []
     for scope in scopes:
         parameters.declare(composition_parameters(scope))
-        robot, gripper, base, prefix = (
-            value(scope.parameter(name)) for name in ('robot', 'gripper', 'base', 'prefix'))
-        robots.append(compose_robot(robot, gripper, base, prefix=prefix,
+        robot, gripper, base, prefix, tactile = (value(scope.parameter(name)) for name in (
+            'robot', 'gripper', 'base', 'prefix', 'tactile'))
+        robots.append(compose_robot(robot, gripper, base, prefix=prefix, tactile=tactile,
                                     idn=value('idn') if not scope.name else scope.name))
         _set_actuation(parameters, scope, robots[-1])
     arena = compose_arena(parameters)
@@ -121,7 +121,7 @@ def _compose_task(parameters: ParameterSource, steps: int) -> Composition:
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     # A task with two robots names them itself.
     chosen: dict[str, Any] = {
-        'idn': value('idn'), 'prefix': value('prefix'),
+        'idn': value('idn'), 'prefix': value('prefix'), 'tactile': value('tactile'),
         'lidars': described_lidars(value('lidars')), 'initialization_noise': (
             noise if noise['magnitude'] else None)}
     task = create_task(

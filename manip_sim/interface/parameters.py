@@ -142,6 +142,8 @@ def composition_parameters(scope: Scope) -> list[ParameterSpec]:
         ParameterSpec('prefix', f'{scope.name}_' if scope.name else '',
                       'Start of all names of the robot, its base and its '
                       'grippers: joints, frames, the model. Empty: names such as robot0_joint1.'),
+        ParameterSpec('tactile', False, 'Put tactile sensors on the pads of the grippers: '
+                      'points some 4 mm apart that tell how deep each is pressed.'),
         ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each receive a command before '
                       'lockstep advances by a control period, such as arm or right/gripper; '
                       'of a robot without arm, arm stands for all parts; arena is that of the '

@@ -33,7 +33,8 @@ Base = Union[str, PathLike[str], RobotBaseModel, None]
 
 
 def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
-                  base: Base = DEFAULT, *, idn: int | str = 0, prefix: str = '') -> RobotModel:
+                  base: Base = DEFAULT, *, idn: int | str = 0, prefix: str = '',
+                  tactile: bool = False) -> RobotModel:
     """
     Return a robot with its base and a gripper on every arm.
 
@@ -46,8 +47,9 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param idn: number or word in names, as in ``robot0_joint1``; also for grippers and a base that
         are given by name
     :param prefix: what all names begin with, in place of a prefix with the idn
+    :param tactile: with :meth:`GripperModel.add_tactile_sensors` of its grippers
     :raises UnknownNameError: if a name is not known
-    :raises ModelError: if the parts do not fit together
+    :raises ModelError: if the parts do not fit together, or no gripper has pads for such sensors
     """
     if isinstance(robot, (str, PathLike)):
         robot = create_robot(robot, idn=idn, prefix=prefix)
@@ -56,6 +58,8 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     _add_base(robot, base, idn)
     if isinstance(robot, ManipulatorModel):
         _add_grippers(robot, gripper, idn)
+    if tactile:
+        _add_tactile_sensors(robot)
     return robot
 
 
@@ -83,6 +87,14 @@ def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
         return
     robot.add_base(create_base(wanted, idn=idn) if isinstance(wanted, (str, PathLike))
                    else wanted)
+
+
+def _add_tactile_sensors(robot: RobotModel) -> None:
+    grippers = [part for part in robot.models if isinstance(part, GripperModel)]
+    if not any([gripper.add_tactile_sensors() for gripper in grippers]):
+        names = ' and '.join(dict.fromkeys(gripper.name for gripper in grippers))
+        raise ModelError("'tactile' needs a gripper with pads, which are boxes or capsules that "
+                         f'touch sensors enclose, and {names or robot.name} has none')
 
 
 def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int | str) -> None:
@@ -116,7 +128,7 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
             gravity_compensation: bool = True, objects: Iterable[Description] = (),
             initialization_noise: Mapping[str, Any] | None = None, seed: int | None = None,
             cameras: Iterable[Camera] = (), lidars: Iterable[LidarLike] = (), keyframe: str = '',
-            randomization: RandomizationLike | None = None,
+            randomization: RandomizationLike | None = None, tactile: bool = False,
             **arena_parameters: Any) -> World:
     """
     Return a world with one robot.
@@ -140,11 +152,12 @@ def compose(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :param lidars: of the world, see :class:`World`
     :param keyframe: of a file, that joints start from, see :class:`World`
     :param randomization: what is drawn at each reset with a seed, see :class:`World`
+    :param tactile: with tactile sensors on the pads of the grippers, see :func:`compose_robot`
     :param arena_parameters: parameters of an arena that is given by name, such as ``table_height``
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together
     """
-    whole = compose_robot(robot, gripper, base, idn=idn, prefix=prefix)
+    whole = compose_robot(robot, gripper, base, idn=idn, prefix=prefix, tactile=tactile)
     if orientation is not None:
         whole.set_base_ori(orientation)
     if position is not None:

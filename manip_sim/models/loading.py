@@ -57,7 +57,22 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
     _reject_not_finite(model, name)
+    _reject_what_ends_tactile_sensors(model, name)
     return model
+
+
+def _reject_what_ends_tactile_sensors(model: mujoco.MjModel, name: str) -> None:
+    """Reject shapes at whose contact with a tactile sensor MuJoCo ends the simulation."""
+    fields = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)
+                            & (model.geom_contype | model.geom_conaffinity != 0))
+    sensors = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TACTILE)
+    if len(sensors) and (len(fields) or model.nflex):
+        flex = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, 0)
+        shape = (f'height field {quoted(model.geom(fields[0]).name)}' if len(fields)
+                 else f'flex {quoted(flex)}')
+        sensor = quoted(model.sensor(sensors[0]).name)
+        raise ModelError(f'{name}: tactile sensors such as {sensor} cannot feel {shape}; leave '
+                         'out one of them')
 
 
 def _reject_not_finite(model: mujoco.MjModel, name: str) -> None:

@@ -29,7 +29,7 @@ from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: What an entry of a covariance is set to where there is no such sensor (sensor_msgs/Imu).
 _NONE = -1.0
-#: Rows of a tactile sensor: pressure along the normal and along two tangents.
+#: Rows of a tactile sensor: depths, and speeds of sliding along two tangents.
 _TACTILE_CHANNELS = 3
 
 
@@ -166,7 +166,7 @@ def _values(_: str, found: Instrument) -> Callable[[Time, FloatArray], Float64Mu
     label = ' of '.join(filter(None, (found.types[0], found.elements[0])))
     sizes = [(label, found.length)]
     if found.types[0] == 'tactile' and found.length % _TACTILE_CHANNELS == 0:
-        sizes = [(f'{label}: normal, tangents', _TACTILE_CHANNELS),
+        sizes = [(f'{label}: depth, slip, slip', _TACTILE_CHANNELS),
                  ('taxels', found.length // _TACTILE_CHANNELS)]
 
     def make(_: Time, numbers: FloatArray) -> Float64MultiArray:

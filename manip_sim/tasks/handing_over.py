@@ -74,7 +74,8 @@ class HandOver(Task):
         if alone:
             raise ModelError(f'{self.name} has two robots of {first.name}, for which there is no '
                              + ', '.join(sorted(alone)))
-        second = compose_robot(robot, gripper, composition.get('base', DEFAULT), idn=1)
+        second = compose_robot(robot, gripper, composition.get('base', DEFAULT), idn=1,
+                               tactile=composition.get('tactile', False))
         x, y, z = world.arena.robot_position(first)
         second.set_base_xpos([-x, -y, z])
         second.set_base_ori([0.0, 0.0, math.pi])

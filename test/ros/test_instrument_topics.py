@@ -91,3 +91,17 @@ def test_each_robot_has_its_sensors_in_its_namespace(serve, client):
     messages = client.listen(Imu, 'b/sensors/b_base_imu/imu')
     client.spin_until(lambda: messages != [])
     assert messages[-1].header.frame_id == 'b_base_imu'
+
+
+def test_pads_of_fingers_tell_by_points_how_deep_each_is_pressed(serve, client):
+    serve(tactile=True, stepping='free')
+    pads = [client.listen(Float64MultiArray,
+                          f'sensors/gripper0_right_{finger}_pad_tactile/values')
+            for finger in ('finger1', 'finger2')]
+    client.spin_until(lambda: all(pads))
+    assert not any(pads[0][-1].data)
+    assert [(row.size, row.stride) for row in pads[0][-1].layout.dim] == [(3, 48), (16, 16)]
+    assert pads[0][-1].layout.dim[0].label == (
+        'tactile of gripper0_right_finger1_pad_tactile: depth, slip, slip')
+    client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
+    client.spin_until(lambda: all(min(pad[-1].data[:16]) > 0.0 for pad in pads))

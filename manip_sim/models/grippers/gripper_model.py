@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.models.grippers.tactile import add_tactile_sensors
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.registry import Registry
@@ -150,6 +151,21 @@ class GripperModel(MujocoXMLModel, ABC):
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             root.quat = unit_quaternion(quat_wxyz, f'quaternion of {self.name}')
         self.refresh()
+
+    def add_tactile_sensors(self) -> list[str]:
+        """
+        Add a tactile sensor to each pad: a box or capsule that a touch sensor encloses.
+
+        The points of a box are on the face that looks at the grasp frame, row by row, those of a
+        capsule all around it, some 4 mm apart. MuJoCo puts into each sensor, for all points, how
+        deep each is inside of what touches the finger [m], then the speeds at which that slides
+        [m/s].
+
+        :returns: names of the new sensors; none where all pads have one or there is no pad
+        """
+        added = add_tactile_sensors(self._spec, self._own_model, self._eef_body)
+        self.refresh()
+        return self.correct_naming(added)
 
     def clone(self: GripperT, idn: int | str) -> GripperT:
         """
