@@ -56,10 +56,16 @@ def factorized(matrix: FloatArray, added: float) -> FloatArray:
     :param matrix: without negative eigenvalues, shape (n, n)
     :param added: above 0
     """
-    factor = matrix.copy()
-    factor.reshape(-1)[::len(factor) + 1] += added
+    factor = with_diagonal(matrix, added)
     mujoco.mju_cholFactor(factor, 1e-18)
     return factor
+
+
+def with_diagonal(matrix: FloatArray, added: float) -> FloatArray:
+    """Return a matrix with a number added to its diagonal, shape (n, n)."""
+    result = matrix.copy()
+    result.reshape(-1)[::len(result) + 1] += added
+    return result
 
 
 def solved(factor: FloatArray, vector: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 
 
-def within(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+def within(values: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
     """Return values clipped to a range; np.clip takes several times as long for few of them."""
     return np.asarray(np.minimum(np.maximum(values, low), high))
 

@@ -232,7 +232,8 @@ class Servos:
 
     def any_gives_effort_of(self, indices: IntArray) -> bool:
         """Tell whether any of some actuators is a source of effort."""
-        return self._sources > 0 and bool(np.count_nonzero(self._gives_effort[indices]))
+        return self._sources > 0 and (self._sources == len(self._ids) or bool(
+            np.count_nonzero(self._gives_effort[indices])))
 
     def gives_effort(self, indices: IntArray) -> BoolArray:
         """Return which of some actuators are sources of effort, shape of ``indices``."""

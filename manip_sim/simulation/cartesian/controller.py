@@ -323,9 +323,10 @@ class CartesianController:
 
     def _report(self, command: CartesianCommand, target: Target, solution: EffortSolution,
                 twisted: bool, data: mujoco.MjData, now_s: float) -> None:
-        rests = solution.rests
+        rests, found = solution.rests, solution.wanted.found
         self._see(command, 'the twist' if twisted else 'the motion to the target',
-                  solution.found.held & (not rests), solution.found.singular and not rests,
-                  twisted and solution.slowed)
+                  found.held & (not rests), not rests and found.singular,
+                  twisted and solution.wanted.slowed)
         if not twisted:
-            self._look(command, target, data, now_s, solution.error, rests, solution.progress)
+            self._look(command, target, data, now_s, solution.error, rests,
+                       solution.progress(self.settings[command.arm]))

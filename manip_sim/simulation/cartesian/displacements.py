@@ -12,15 +12,16 @@ the place where the hand is nearest, so the joints come to rest there. Nothing h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.algebra import (
-    dot, factorized, length, product, solved, transposed_product)
+    dot, factorized, length, product, solved, transposed_product, with_diagonal)
+from manip_sim.simulation.profiles import within
 
 #: What needs larger displacements of a joint is not possible here [rad].
 _LARGEST = 1.0
@@ -50,8 +51,7 @@ _INVERSE_ITERATIONS = 4
 _NEAR, _SMALLEST = 0.06, 0.03
 
 
-@dataclass(frozen=True)
-class Displacement:
+class Displacement(NamedTuple):
     """
     Displacements of the joints of an arm.
 
@@ -59,18 +59,27 @@ class Displacement:
     :ivar drift: of a redundant arm towards its posture, which leaves the hand where it is [rad],
         shape (n,)
     :ivar held: whether the range of a joint keeps it from doing more, shape (n,)
-    :ivar singular: whether a motion is wanted in a direction in which the hand can hardly move
     :ivar factor: Cholesky factor of the second derivative of what the step makes smaller, with the
         weight of the posture, shape (n, n)
     :ivar rests: whether the hand is as near as it can come, so that there is no step
+    :ivar jacobian: of the hand, shape (6, n)
+    :ivar task: wanted motion of the hand, shape (6,)
+    :ivar easy: whether nothing singular can be wanted, as the step is small for it
     """
 
     step: FloatArray
     drift: FloatArray
     held: BoolArray
-    singular: bool
     factor: FloatArray
     rests: bool
+    jacobian: FloatArray
+    task: FloatArray
+    easy: bool = False
+
+    @property
+    def singular(self) -> bool:
+        """Whether a motion is wanted in a direction in which the hand can hardly move."""
+        return not self.easy and _is_singular(self.jacobian, self.task)
 
     def slack(self, velocity: FloatArray) -> FloatArray:
         """Return the part of joint velocities that makes no difference to the task, shape (n,)."""
@@ -97,37 +106,37 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
                               away)
     if displacement is not None:
         return displacement
-    unit = np.eye(len(low))
     stiffness, weight = square, _POSTURE
-    step = _minimum(square + _REGULAR * unit, pull, np.clip(low, -_LARGEST, _LARGEST),
-                    np.clip(high, -_LARGEST, _LARGEST))
+    step = _minimum(with_diagonal(square, _REGULAR), pull, within(low, -_LARGEST, _LARGEST),
+                    within(high, -_LARGEST, _LARGEST))
     missed = task - product(jacobian, step)
     size = length(missed)
     possible = size <= _NEGLIGIBLE * whole
     if not possible:
         bent = _curvature(jacobian, missed)
-        stiffness = square + _positive_part(bent) + min(_DAMPING, _DAMPING_RATE * size) * unit
+        stiffness = with_diagonal(square + _positive_part(bent),
+                                  min(_DAMPING, _DAMPING_RATE * size))
         weight += _POSTURE_RATE * size
-    step = _minimum(stiffness + _REGULAR * unit, pull + _REGULAR * step, low, high)
+    step = _minimum(with_diagonal(stiffness, _REGULAR), pull + _REGULAR * step, low, high)
     held = ((step <= low) & (wanted < low)) | ((step >= high) & (wanted > high))
-    drift = away
+    drift, weighted, lowest, highest = (
+        away, with_diagonal(stiffness, weight), low - step, high - step)
     for _ in range(2):  # The first one still moves the hand by a millionth.
-        drift = _minimum(stiffness + weight * unit, weight * drift, low - step, high - step)
+        drift = _minimum(weighted, weight * drift, lowest, highest)
     rests = False
     if not possible:
         nearer, moved = dot(pull, step), length(step)
         drift = min(max(nearer / max(whole**2, 1e-18) / _PROGRESS, 0.0), 1.0)**2 * drift
         # The posture must not hold up the motion for the task: the arm would hardly move.
-        drift = np.clip(drift - min(dot(drift, step), 0.0) / max(moved**2, 1e-18) * step,
-                        low - step, high - step)
+        drift = within(drift - min(dot(drift, step), 0.0) / max(moved**2, 1e-18) * step,
+                       lowest, highest)
         second = dot(step, product(square + bent, step))
         again = _WORTH_AGAIN if rested else 1.0
         rests = nearer <= again * _WORTH * whole * moved and (
             again * _FARTHEST * whole * moved**2 <= second <= again * _CLEAR * moved**2)
         if rests:
             step, drift = np.zeros(len(step)), np.zeros(len(step))
-    return Displacement(step, drift, held, _is_singular(jacobian, task),
-                        factorized(stiffness, _POSTURE), rests)
+    return Displacement(step, drift, held, factorized(stiffness, _POSTURE), rests, jacobian, task)
 
 
 def _unbounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole: float,
@@ -141,7 +150,8 @@ def _unbounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole
     :param square: of the Jacobian, ``regular`` its factor
     :param whole: length of the task, ``pull`` and ``wanted`` it and its solution in joints
     """
-    if not (length(wanted) <= _LARGEST
+    far = length(wanted)
+    if not (far <= _LARGEST
             and length(task - product(jacobian, wanted)) <= _NEGLIGIBLE * whole):
         return None
     step = solved(regular, pull + _REGULAR * wanted)
@@ -152,8 +162,8 @@ def _unbounded(jacobian: FloatArray, task: FloatArray, square: FloatArray, whole
     if np.count_nonzero((ends < low) | (ends > high)):
         return None
     # Half of the task in a direction in which the hand can hardly move would need more than that.
-    singular = length(wanted) * _SINGULAR > 0.4 * whole and _is_singular(jacobian, task)
-    return Displacement(step, drift, np.zeros(len(low), dtype=bool), singular, factor, False)
+    return Displacement(step, drift, np.zeros(len(low), dtype=bool), factor, False, jacobian, task,
+                        easy=far * _SINGULAR <= 0.4 * whole)
 
 
 def _minimum(matrix: FloatArray, vector: FloatArray, low: FloatArray, high: FloatArray

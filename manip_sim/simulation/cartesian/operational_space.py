@@ -11,14 +11,15 @@ well behaved where the arm is singular. What leaves the hand where it is goes to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.algebra import length
 from manip_sim.simulation.cartesian.displacements import displace, Displacement
+from manip_sim.simulation.cartesian.inverse_kinematics import STILL
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 
 #: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
@@ -27,8 +28,7 @@ _POSTURE = 10.0
 _LARGEST_STEP, _LARGEST_TURN = 0.1, 0.5
 
 
-@dataclass(frozen=True)
-class WantedMotion:
+class WantedMotion(NamedTuple):
     """
     The motion wanted of the joints of an arm.
 
@@ -51,8 +51,13 @@ class WantedMotion:
         :param damping: [1/s]
         """
         slack = self.found.slack(velocity)
-        return (damping * (self.joints - velocity + slack)
-                + _POSTURE * self.found.drift - 2.0 * math.sqrt(_POSTURE) * slack)
+        result = self.joints - velocity
+        result += slack
+        result *= damping
+        result += _POSTURE * self.found.drift
+        slack *= 2.0 * math.sqrt(_POSTURE)
+        result -= slack
+        return result
 
 
 def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
@@ -77,12 +82,17 @@ def wanted_motion(jacobian: FloatArray, error: FloatArray, twist: FloatArray,
     wanted = rate * error
     for half, limit in ((wanted[:3], settings.linear_velocity),
                         (wanted[3:], settings.angular_velocity)):
-        half *= min(1.0, limit / max(length(half), 1e-12))
-    wanted = wanted + twist
+        size = length(half)
+        if size > limit:
+            half *= limit / size
+    if twist is not STILL:
+        wanted += twist
     while_s = min(1.0 / rate,
                   _LARGEST_STEP / max(length(wanted[:3]), 1e-12),
                   _LARGEST_TURN / max(length(wanted[3:]), 1e-12))
     found = displace(jacobian, while_s * wanted, low, high, away, rested)
     joints = found.step / while_s
-    excess = max(1.0, *(np.abs(joints) / velocity_limit).tolist())
-    return WantedMotion(joints / excess, found, excess > 1.0 + 1e-6)
+    excess = max((np.abs(joints) / velocity_limit).tolist())
+    if excess > 1.0:
+        joints /= excess
+    return WantedMotion(joints, found, excess > 1.0 + 1e-6)

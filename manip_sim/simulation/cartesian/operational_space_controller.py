@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import mujoco
@@ -13,10 +12,9 @@ import numpy as np
 
 from manip_sim.arrays import as_slice, FloatArray, IntArray
 from manip_sim.algebra import dot, product
-from manip_sim.simulation.cartesian.displacements import Displacement
 from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.cartesian.inverse_kinematics import STILL
-from manip_sim.simulation.cartesian.operational_space import wanted_motion
+from manip_sim.simulation.cartesian.operational_space import wanted_motion, WantedMotion
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target
 from manip_sim.simulation.physics import Physics
@@ -28,27 +26,27 @@ _REACHED = np.array([1e-3] * 3 + [1e-2] * 3)
 _SLOW_TWIST = 2e-3
 
 
-@dataclass(frozen=True)
-class EffortSolution:
+class EffortSolution(NamedTuple):
     """
     Efforts of the joints of an arm, and how near its hand is to its target.
 
     :ivar effort: [N m], shape (n,)
     :ivar error: translation [m] and rotation vector [rad] to the target, shape (6,)
-    :ivar found: the displacements that are wanted
-    :ivar slowed: whether joint velocity limits slow the motion down
+    :ivar wanted: motion of the joints that spring and damper want
     :ivar still: whether the target rests
-    :ivar moved: velocity of the hand [m/s, rad/s], shape (6,)
-    :ivar goes: velocity that spring and damper want [m/s, rad/s], shape (6,)
+    :ivar velocity: of the joints [rad/s], shape (n,), a view
     """
 
     effort: FloatArray
     error: FloatArray
-    found: Displacement
-    slowed: bool
+    wanted: WantedMotion
     still: bool
-    moved: FloatArray
-    goes: FloatArray
+    velocity: FloatArray
+
+    @property
+    def moved(self) -> FloatArray:
+        """Velocity of the hand [m/s, rad/s], shape (6,)."""
+        return product(self.wanted.found.jacobian, self.velocity)
 
     @property
     def rests(self) -> bool:
@@ -56,10 +54,10 @@ class EffortSolution:
         return self.still and bool((np.abs(self.error) <= _REACHED).all()
                                    and (np.abs(self.moved) < _SLOW_TWIST).all())
 
-    @property
-    def progress(self) -> float:
-        """Share of the wanted motion that the hand makes."""
-        return dot(self.moved, self.goes) / max(dot(self.goes, self.goes), 1e-12)
+    def progress(self, settings: CartesianSettings) -> float:
+        """Return the share of the motion that spring and damper want which the hand makes."""
+        goes = settings.stiffness / settings.damping * self.error
+        return dot(self.moved, goes) / max(dot(goes, goes), 1e-12)
 
 
 class _ArmJoints(NamedTuple):
@@ -150,6 +148,4 @@ class OperationalSpaceController:
         given = (self._forces[arm.dofs] + (physics.bias[arm.dofs] - physics.gravcomp[arm.dofs])
                  + arm.damping * velocity)
         return EffortSolution(
-            within(given, arm.lowest_effort, arm.highest_effort), error, wanted.found,
-            wanted.slowed, still, product(jacobian, velocity),
-            settings.stiffness / damping * error)
+            within(given, arm.lowest_effort, arm.highest_effort), error, wanted, still, velocity)

@@ -151,4 +151,7 @@ def _bounded(vector: FloatArray, limit: float) -> FloatArray:
 def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, FloatArray]
                ) -> FloatArray:
     """Return translation [m] and rotation vector [rad] from here to the goal, shape (6,)."""
-    return np.concatenate([goal[0] - here[0], rotation_vector(product(goal[1], here[1].T))])
+    error = np.empty(6)
+    np.subtract(goal[0], here[0], out=error[:3])
+    error[3:] = rotation_vector(product(goal[1], here[1].T))
+    return error
