@@ -146,7 +146,7 @@ $(MUTATE_READY): $(TEST_READY)
 	touch $@
 
 # All extras, but not those of hundreds of megabytes that tests do without.
-LOCKED_EXTRAS = docs env jazzy jazzy-test meshes mutate records run test viewer xacro
+LOCKED_EXTRAS = docs env jazzy jazzy-test meshes mutate onnx records run test viewer xacro
 # For all Pythons at once, users and tests with the same versions.
 COMPILE = $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --generate-hashes \
 	--no-annotate --custom-compile-command 'make requirements' $(REQUIREMENTS_ARGS) setup.py

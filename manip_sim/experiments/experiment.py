@@ -94,16 +94,20 @@ class Worker:
         episode, recorder = self._episode, self._recorder(seed)
         total, error = 0.0, ''
         episode.reset(seed)
+        recorded = recorder is not None and episode.observer.pictures is not None
+        observed = recorded or not isinstance(self._policy, Expert)
+        observation = episode.observation if observed else None
         if recorder is not None:
-            recorder.begin(seed)
+            recorder.begin(seed, _images(observation))
         try:
             self._reset_policy(seed)
             while not episode.over:
-                observation = None if isinstance(self._policy, Expert) else episode.observation
                 action = self._act(observation)
                 episode.step(action)
                 reward = episode.reward
                 total += reward
+                if recorded or observed and not episode.over:
+                    observation = episode.observation
                 if recorder is not None:
                     recorder.period(action, reward, images=_images(observation))
         except ManipSimError as failure:

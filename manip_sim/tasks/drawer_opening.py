@@ -13,7 +13,7 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.simulation import Simulation
-from manip_sim.tasks.expert import Expert, pointing_down
+from manip_sim.tasks.expert import Expert, fingers_side_by_side, pointing_down
 from manip_sim.tasks.placing import draw, draw_yaw, move_mocap, nearness, rotation_of
 from manip_sim.tasks.task import Task, TOO_SHORT
 
@@ -73,7 +73,10 @@ class _Puller(Expert):
     def script(self) -> Iterator[None]:
         arm, up = self.arms[0], np.array([0.0, 0.0, 0.1])
         out, along, _ = -rotation_of(self.simulation, 'cabinet').T
-        down = pointing_down([along, -along], arm.rotation)
+        # Closed, two fingers are narrow across the way in which they close; fingers side by side
+        # are narrow along it.
+        across = out if fingers_side_by_side(self.simulation.model, arm) else along
+        down = pointing_down([across, -across], arm.rotation)
         behind = (np.array(self.simulation.data.site('handle').xpos) - _BEHIND_M * out
                   - [0.0, 0.0, _BELOW_M])
         arm.closing = 1.0

@@ -202,6 +202,18 @@ def _gripper(arm: Hold) -> GripperModel:
     return gripper
 
 
+def fingers_side_by_side(model: mujoco.MjModel, arm: Hold) -> bool:
+    """
+    Return whether a gripper has several fingers on one side, as one with three fingers has.
+
+    :param model: of the simulation
+    :param arm: that has the gripper
+    """
+    geoms = _gripper(arm).important_geoms
+    return any(len({int(model.geom(name).bodyid[0]) for name in geoms[side]}) > 1
+               for side in ('left_fingerpad', 'right_fingerpad'))
+
+
 def pointing_down(across: Iterable[FloatArray], rotation: FloatArray) -> FloatArray:
     """
     Return a rotation of ``grip_site`` with z down and the fingers closing along a direction.

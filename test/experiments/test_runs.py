@@ -173,6 +173,27 @@ def test_a_run_can_record_its_episodes(tmp_path):
         '3.mcap', '4.mcap']
 
 
+@pytest.mark.parametrize('policy', ['Towards', 'expert'])
+def test_recorded_images_are_those_of_the_states_beside_them(renderer, policy, tmp_path):
+    pytest.importorskip('mcap_ros2', reason='needs the extra records')
+    from manip_sim.records.frames import Frames
+    from manip_sim.records.recorded import Record
+    name = policy if policy == 'expert' else f'{POLICIES}:{policy}'
+    setting = Setting('reach', cameras=('agentview',), image_size=(64, 48))
+    row = Experiment(setting, name, tmp_path).create_worker().run(3)
+    assert row == Experiment(Setting('reach'), name).create_worker().run(3)
+    (recorded,) = Record(tmp_path / '3.mcap').episodes()
+    assert row.digest == recorded.result['digest']
+    found, episode = Frames(recorded).images('agentview'), setting.create_episode()
+    episode.reset(3)
+    for action, image in zip(recorded.actions, found):
+        seen = episode.observation['image/agentview'].astype(int)
+        assert np.abs(seen - image).mean() < 4.0  # It is a JPEG.
+        episode.step(action)
+    assert np.abs(found[0].astype(int) - found[-1]).max() > 50  # The robot has moved.
+    episode.observer.pictures.close()
+
+
 def test_latency_is_a_part_of_the_run(whole, tmp_path):
     assert run(tmp_path / 'late', '--latency', '0.2', worlds='1', seeds='0:2') == 0
     assert [row['digest'] for row in rows(tmp_path / 'late')] != [
@@ -185,6 +206,7 @@ def test_latency_is_a_part_of_the_run(whole, tmp_path):
     ({'task': 'pick_cub'}, "unknown task 'pick_cub': did you mean 'pick_cube'"),
     ({'more': ['--robot', 'Pandda']}, "unknown robot 'Pandda': did you mean 'Panda'"),
     ({'task': 'pick_cube', 'more': ['--gripper', 'none']}, 'pick_cube needs 1 arm with grippers'),
+    ({'more': ['--robot', 'GR1']}, 'reach: GR1 cannot do it, its hands do not reach the middle'),
     ({'more': ['--action', 'osc']}, "unknown action 'osc': did you mean 'osc_pose'"),
     ({'policy': 'WithoutAct'}, 'it has no act'),
     ({'policy': 'NeedsArguments'}, 'cannot be created without arguments: TypeError'),

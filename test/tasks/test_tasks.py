@@ -49,6 +49,14 @@ def test_slow_fingers_are_open_before_the_hand_goes_down_and_hold_before_it_goes
     assert episode.run(episode.task.expert(episode.simulation), seed)
 
 
+@pytest.mark.parametrize('seed', [0, 2])
+def test_fingers_side_by_side_go_down_between_the_handle_and_the_drawer(seed):
+    # Turned as hands with two fingers are, one of the three stands on the front of the drawer.
+    episode = episode_of('open_drawer', 'Jaco')
+    assert episode.run(episode.task.expert(episode.simulation), seed)
+    assert episode.periods * episode.period_s < 7.0
+
+
 def test_the_pressure_on_a_cube_is_its_weight_until_fingers_press():
     episode = episode_of('pick_cube')
     episode.reset(0)
