@@ -72,7 +72,7 @@ def offers(group: str) -> dict[str, Offer]:
 def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
     distributions = list(metadata.distributions(path=list(path)))
     # Reading names takes long; they are needed because only the first package of a name counts.
-    if not any(_offers_some(distribution) for distribution in distributions):
+    if not any(map(_offers_some, distributions)):
         return ()
     found, packages = [], set()
     for distribution in distributions:

@@ -19,8 +19,11 @@ from xml.parsers import expat
 
 from manip_sim.errors import ModelError
 from manip_sim.models.regular_files import Files
-from manip_sim.models.xml_limits import Budget, excess, flex_vertices, product
+from manip_sim.models.xml_limits import Budget, excess, flex_vertices, LIMITED, product
 from manip_sim.quoting import one_line, quoted
+
+#: The elements that name files, or say where they are.
+_FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
 
 
 @dataclass
@@ -129,7 +132,7 @@ class XmlModel:
                              f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
                              f'that are loaded by others {limits.depth} deep')
         parser = expat.ParserCreate()
-        parser.StartElementHandler = self._start
+        parser.StartElementHandler = self._start if self._builder is None else self._keep
         parser.EndElementHandler = self._end
         parser.EntityDeclHandler = self._reject_entities
         self._chain.append(real)
@@ -153,7 +156,6 @@ class XmlModel:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         if not self.root:
             self._begin(tag, attributes)
-        self._keep(tag, attributes)
         times = self._times[-1]
         self.elements += times
         if times > 1:
@@ -163,13 +165,16 @@ class XmlModel:
         elif tag in ('composite', 'flexcomp'):
             self._make(times * product(attributes, 'count'))
         self._times.append(times)
-        self._count_vertices(times * flex_vertices(tag, attributes))
-        self._check_numbers(tag, attributes)
-        self._follow(tag, attributes)
+        if tag in LIMITED:
+            self._count_vertices(times * flex_vertices(tag, attributes))
+            self._check_numbers(tag, attributes)
+        if tag in _FOLLOWED:
+            self._follow(tag, attributes)
 
     def _keep(self, tag: str, attributes: dict[str, str]) -> None:
-        if self._builder is None:
-            return
+        assert self._builder is not None
+        if not self.root:
+            self._begin(tag, attributes)
         limits = self._budget.limits
         if self.elements >= limits.elements or len(self._kept) >= limits.nested:
             raise ModelError(f'{self._place}: a model may have at most {limits.elements} '
@@ -180,6 +185,7 @@ class XmlModel:
             not is_included_root and not (tag == 'include' and bool(attributes.get('file'))))
         if self._kept[-1]:
             self._builder.start(tag, attributes)
+        self._start(tag, attributes)
 
     def _end(self, tag: str) -> None:
         self._times.pop()

@@ -20,6 +20,9 @@ _MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
     ('size', ('nuserdata',)): 1e7,
     **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
         'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
+#: The elements that :func:`excess` and :func:`flex_vertices` look at, and keyframes.
+LIMITED = frozenset(
+    ['mesh', 'texture', 'flexcomp', 'flex', 'key', *(tag for tag, _ in _MAX_PRODUCT)])
 #: Larger textures and meshes take many seconds and gigabytes.
 _MAX_PIXELS = 120_000_000
 _MAX_MESH_PARAMETER = 500
