@@ -5,8 +5,8 @@
 Break the code on purpose, one place at a time, and tell which changes no test sees.
 
 Run it by ``make mutate``. The changes are those of cosmic-ray. They are made in a copy of the
-sources; a change is tried by tests that run the line that it is in, the shortest ones first. All
-changes take many hours, so give the size of a sample: ``make mutate MUTATE_ARGS='--sample 150'``.
+sources; a change is tried by the files of tests that run the line that it is in. All changes take
+many hours, so give the size of a sample: ``make mutate MUTATE_ARGS='--sample 150'``.
 """
 
 from __future__ import annotations
@@ -283,34 +283,35 @@ class Record:
         record = json.loads(text)
         self._tests: list[tuple[str, float]] = [tuple(test) for test in record['tests']]
         self._lines: dict[str, dict[str, list[int]]] = record['lines']
+        self._durations_s: dict[str, float] = {}
+        for name, duration_s in self._tests:
+            of = name.partition('::')[0]
+            self._durations_s[of] = self._durations_s.get(of, 0.0) + duration_s
 
-    def tests_of(self, file: str, line: int, most_s: float) -> list[tuple[str, float]]:
+    def files_of(self, file: str, line: int, most_s: float) -> list[tuple[str, float]]:
         """
-        Return tests that run a line and how long they take, the shortest first.
+        Return whole files of tests that run a line and how long they take.
 
-        Of a test with many cases, a second case comes behind the first ones of all others. A line
-        that runs only as its module is imported is left to all tests that use the module, or to
-        all tests if the module does nothing later.
+        Whole files, because what runs for a fixture or in a process that several tests share is
+        recorded for the first of them only. Files that are named as the module come first, then
+        the shortest ones. A line that runs only as its module is imported is left to the tests of
+        the module.
 
-        :param most_s: how long they may take together [s]
+        :param most_s: how long they may take together, except for the first file [s]
         """
         of_file = self._lines.get(file, {})
         numbers = of_file.get(str(line)) or sorted(
             {n for tests in of_file.values() for n in tests}) or range(len(self._tests))
-        cases: dict[str, int] = {}
-        ranked = []
-        for name, duration_s in sorted((self._tests[n] for n in numbers), key=lambda t: t[1]):
-            function = name.partition('[')[0]
-            cases[function] = cases.get(function, -1) + 1
-            # Tests that are named as the module come first: they say the most about it.
-            strange = Path(file).stem not in name.lower()
-            ranked.append((cases[function] // 3, strange, duration_s, name))
+        parts = set(Path(file).stem.split('_'))
+        found = {self._tests[n][0].partition('::')[0] for n in numbers}
+        ranked = sorted(found, key=lambda name: (
+            -len(parts & set(Path(name).stem.split('_'))), self._durations_s[name]))
         chosen, sum_s = [], 0.0
-        for _, _, duration_s, name in sorted(ranked):
-            if sum_s + duration_s <= most_s or not chosen:
-                chosen.append((name, duration_s))
-                sum_s += duration_s
-        return chosen[:400]
+        for name in ranked:
+            if sum_s + self._durations_s[name] <= most_s or not chosen:
+                chosen.append((name, self._durations_s[name]))
+                sum_s += self._durations_s[name]
+        return chosen
 
 
 def _sources_digest(scope: Scope) -> str:
@@ -352,8 +353,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument('--begin', type=int, default=1, metavar='N',
                         help='begin with the N-th change, as to go on with a sample')
     parser.add_argument('--only', default='', help='part of the names of files')
-    parser.add_argument('--seconds', type=float, default=40.0,
-                        help='of tests for each change at most, 40 by default')
+    parser.add_argument('--seconds', type=float, default=100.0,
+                        help='of tests for each change at most, 100 by default')
     parser.add_argument('--record', action='store_true',
                         help='find out again which lines each test runs, as tests have changed')
     return parser.parse_args()
@@ -369,7 +370,7 @@ def main() -> int:
         _import_early()
         record = _recorded(laboratory, options.scope, options.record)
         for count, mutant in list(enumerate(mutants, 1))[options.begin - 1:]:
-            tests = record.tests_of(mutant.file, mutant.line, options.seconds)
+            tests = record.files_of(mutant.file, mutant.line, options.seconds)
             names = [name for name, _ in tests]
             outcome = laboratory.outcome(mutant, names, sum(
                 duration_s for _, duration_s in tests)) if tests else 'SURVIVED'
@@ -377,7 +378,7 @@ def main() -> int:
             survivors, undecided = survivors + survived, undecided + (outcome == 'undecided')
             print(f'{count}/{len(mutants)} {outcome} {mutant.file}:'
                   f'{mutant.line} {mutant.operator.removeprefix("core/")} #{mutant.occurrence}, '
-                  f'{len(tests)} tests, {time.monotonic() - begin_s:.0f} s', flush=True)
+                  f'{len(tests)} files of tests, {time.monotonic() - begin_s:.0f} s', flush=True)
             if survived:
                 print(mutant.difference, flush=True)
     tried = len(mutants) - options.begin + 1 - undecided

@@ -3,7 +3,9 @@
 
 """``robot_description``: latched, of every robot, in agreement with what the node publishes."""
 
+from dataclasses import dataclass
 import json
+import math
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -139,6 +141,20 @@ def test_the_dynamics_of_all_robots_are_latched_as_json(node, client):
         assert joint['position_range'] == (
             model.joint(name).range.tolist() if model.joint(name).limited[0] else None)
     assert told['joints']['ur_elbow_joint']['velocity_limit'] == pytest.approx(np.pi, abs=0.01)
+
+
+def test_dynamics_that_json_cannot_say_are_never_published():
+    @dataclass
+    class Joint:
+        damping: float
+    robot = SimpleNamespace(dynamics=lambda: {'elbow': Joint(math.inf)})
+    published = []
+    publisher = robot_description.DynamicsPublisher(
+        SimpleNamespace(create_publisher=lambda *_: SimpleNamespace(publish=published.append)),
+        SimpleNamespace(timestep_s=0.002, robots={'robot0': robot}), False)
+    with pytest.raises(ValueError, match='not JSON compliant'):
+        publisher.publish()
+    assert not published
 
 
 @pytest.mark.parametrize(('scope', 'note'), [

@@ -14,7 +14,7 @@ import pytest
 from manip_sim.errors import CommandError, SimulationEnded, UnknownNameError
 from manip_sim.models import World
 from manip_sim.models.robots import Panda, UR5e
-from manip_sim.runtime import SimulationThread
+from manip_sim.runtime import simulation_thread, SimulationThread
 from manip_sim.runtime.observers import Observers
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Status
@@ -68,6 +68,19 @@ def test_a_call_that_waits_is_rejected_at_the_end():
         with pytest.raises(SimulationEnded, match='the simulation has ended'):
             waiting.result(timeout=300.0)
         ending.result(timeout=300.0)
+
+
+def test_a_call_to_a_paused_simulation_does_not_wait_until_the_state_is_repeated(
+        free, monkeypatch):
+    monkeypatch.setattr(simulation_thread, '_REPEAT_S', 1e6)
+    thread = free(paused=True)
+    thread.start()
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(thread.call, lambda: 7)
+        try:
+            assert asked.result(timeout=30.0) == 7
+        finally:
+            thread.stop()
 
 
 def wait_until(condition):

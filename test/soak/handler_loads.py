@@ -22,8 +22,7 @@ from typing import Any
 from builtin_interfaces.msg import Duration
 import numpy as np
 from random_messages import NUMBERS, random_message, TEXTS
-from request_loads import MAX_GROWTH_MB
-from target import Row, SoakError
+from target import MAX_GROWTH_MB, Row, SoakError
 from test_action_messages import Plain, request, tolerance, trajectory, TYPES
 from test_standard_services import BALL, MJCF, spawn_request, Standard
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory

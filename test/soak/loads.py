@@ -30,6 +30,8 @@ _CLIENTS = str(Path(__file__).parent / 'clients.py')
 #: What ends the node; with nohup it does not end by SIGHUP.
 _SIGNALS = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if signal.getsignal(number) != signal.SIG_IGN]
+#: Malformed messages after which caches are filled and growth counts.
+_WARM = 2_000
 _NUMBERS = (0.0, 1.0, -1.0, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
 _NAMES = ('robot0_joint1', 'robot0_joint2', '', 'elbow', "x'y'z", 'a\nb', '\x1b[2J', 'j' * 5000,
           'gripper0_right_finger_joint1')
@@ -81,8 +83,11 @@ def malformed(count: int, seed: int) -> Row:
         publishers = [(client.publisher(kind, topic), kind) for topic, kind in _TOPICS.items()]
         arrays = client.listen(DiagnosticArray, '/diagnostics', 10)
         parameters = client.node.create_client(SetParameters, 'manip_sim/set_parameters')
-        sent, begin = 0, time.monotonic()
+        sent, begin, warm = 0, time.monotonic(), False
         while sent < count:
+            if not warm and sent >= min(_WARM, count // 10):
+                target.mark()
+                warm = True
             for _ in range(min(200, count - sent)):
                 publisher, kind = rng.choice(publishers)
                 message = random_message(rng, kind)
@@ -100,7 +105,7 @@ def malformed(count: int, seed: int) -> Row:
             del arrays[:-1]
         elapsed_s = time.monotonic() - begin
         seen = _handled(client, arrays)
-        growth = target.growth()
+        growth = target.checked_growth()
         target.check()
         target.stop()
     return {'load': 'malformed messages', 'amount': f'{sent} sent, {seen} came to a callback',

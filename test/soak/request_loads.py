@@ -21,8 +21,6 @@ from target import Row, SoakError, Target
 _BURST = 8
 #: How long an answer may take [s].
 _PATIENCE_S = 20.0
-#: Growth of memory that is no leak [MB].
-MAX_GROWTH_MB = 40.0
 _FIELDS = {
     ParameterType.PARAMETER_BOOL: ('bool_value', (True, False)),
     ParameterType.PARAMETER_INTEGER: ('integer_value', (0, 1, -1, 7, 2**62, -2**63)),
@@ -116,7 +114,7 @@ def requests(count: int, seed: int) -> list[Row]:
             while asked.sent.total() - sent < count:
                 asked.ask(burst())
             rate = (asked.sent.total() - sent) / (time.monotonic() - begin)
-            growth = target.checked_growth(MAX_GROWTH_MB)
+            growth = target.checked_growth()
             number = len(names) if what == 'parameters' else len(asked.types)
             rows.append({
                 'load': f'random {what}', 'growth': growth,

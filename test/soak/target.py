@@ -24,6 +24,8 @@ from usage import Usage
 
 #: A row of the table, by column.
 Row = dict[str, str]
+#: Growth of memory that is no leak [MB].
+MAX_GROWTH_MB = 40.0
 
 
 class SoakError(Exception):
@@ -68,8 +70,13 @@ class Watched:
         """Return what the process holds more than at the start."""
         return Usage.of(self.process.pid).since(self.before)
 
-    def checked_growth(self, most_mb: float) -> str:
-        """Return what the process holds more than at the start: so much memory at most [MB]."""
+    def checked_growth(self, most_mb: float = MAX_GROWTH_MB) -> str:
+        """
+        Return what the process holds more than at the start.
+
+        :param most_mb: how much memory it may be [MB]
+        :raises SoakError: if it is more
+        """
         growth = self.growth()
         if Usage.of(self.process.pid).memory_mb - self.before.memory_mb > most_mb:
             raise SoakError(f'growth is {growth}, and at most {most_mb:g} MB are no leak')

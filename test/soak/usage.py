@@ -28,6 +28,6 @@ class Usage:
 
     def since(self, before: Usage) -> str:
         """Return the growth since a usage before, as the table shows it."""
-        return (f'{self.memory_mb - before.memory_mb:+.1f} MB, '
+        return (f'{self.memory_mb - before.memory_mb:+.1f} to {self.memory_mb:.0f} MB, '
                 f'{self.threads - before.threads:+d} threads, '
                 f'{self.descriptors - before.descriptors:+d} descriptors')

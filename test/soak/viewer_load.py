@@ -17,7 +17,6 @@ import msgspec
 from page_client import page_client, PageClient
 from random_messages import damaged, mutate, random_message, TEXTS
 from rclpy.serialization import serialize_message
-from request_loads import MAX_GROWTH_MB
 from std_msgs.msg import String, UInt8MultiArray
 from target import Row, SoakError, Watched
 
@@ -54,7 +53,7 @@ def viewer(count: int, seed: int) -> Row:
             rate = sent / (time.monotonic() - begin)
         finally:
             hostile.close()
-        growth = target.checked_growth(MAX_GROWTH_MB)
+        growth = target.checked_growth()
         target.check_alive()
         output = target.output(10**9)
         # As RejectionLog writes what nobody expected; what is rejected has no name of a class.

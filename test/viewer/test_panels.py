@@ -260,6 +260,11 @@ def test_images_are_asked_for_only_while_they_are_shown(rig):
     panel.show(20.0, images, wanted=False)
     assert rig.gui.found['image'].image[0, 0, 0] == 9
     assert not images
+    # Asked for again, it stays; what was never shown need not be removed.
+    box.use(value=True)
+    rig.events.run()
+    assert rig.sent.taken() == [('watch', 'front', True)]
+    assert not rig.gui.found['image'].removed
     box.use(value=False)
     rig.events.run()
     assert rig.sent.taken() == [('watch', 'front', False)]
