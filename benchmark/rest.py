@@ -11,8 +11,8 @@ turn; those that are reached do not count. Every other one is sought from the st
 the rest from anywhere, three joints of ten at an end of their range. Nothing collides. An arm
 rests if all of its joints stay slower than 0.002 rad/s for a second.
 
-- arrives: how long the hand takes until it moves less than 1 mm in 0.4 s, for the first time: the
-  median and the longest. Time to rest counts from there.
+- arrives: how long the hand takes until it moves less than 1 mm and turns less than 0.01 rad in
+  0.4 s, for the first time: the median and the longest. Time to rest counts from there.
 - rests: how many arms rest within 3 s from there, and when half of them and the last of them do.
 """
 
@@ -36,8 +36,8 @@ from manip_sim.simulation.commands import CommandHandle, Status
 PERIOD_S = 0.01
 #: Rest [rad/s], for how long [s], and how soon it shall come [s].
 REST, RESTS_S, SOON_S = 0.002, 1.0, 3.0
-#: A hand that moves less than this [m] in this time [s] has arrived.
-STILL, STILL_S = 1e-3, 0.4
+#: A hand that moves less than this [m], and turns less [rad], in this time [s] has arrived.
+STILL, TURN, STILL_S = 1e-3, 0.01, 0.4
 #: A target is given up after so long [s].
 LIMIT_S = 24.0
 AWAY_M, AT_ENDS = (0.4, 2.0), 0.3
@@ -110,6 +110,12 @@ def send_away(simulation: Simulation, arm: Arm, random: np.random.Generator) -> 
     return command.handle
 
 
+def is_still(before: tuple[Any, Any], now: tuple[Any, Any]) -> bool:
+    """Return whether a hand has hardly moved between two poses, each position and matrix."""
+    turned = np.linalg.norm(now[1] - before[1]) / math.sqrt(2.0)
+    return bool(np.linalg.norm(now[0] - before[0]) < STILL and turned < TURN)
+
+
 def run_to_rest(simulation: Simulation, arms: Sequence[Arm]) -> None:
     """Let arms move until all of them rest, and note when."""
     data, steps = simulation.data, round(PERIOD_S / simulation.timestep_s)
@@ -119,11 +125,11 @@ def run_to_rest(simulation: Simulation, arms: Sequence[Arm]) -> None:
         now_s = period * PERIOD_S
         for arm in arms:
             trace = hands[arm.name]
-            trace.append(data.site_xpos[arm.site].copy())
+            trace.append((data.site_xpos[arm.site].copy(), data.site_xmat[arm.site].copy()))
             if np.abs(data.qvel[arm.dofs]).max() >= REST:
                 arm.moved_s = now_s
-            if not math.isfinite(arm.arrives_s) and len(trace) == trace.maxlen and np.linalg.norm(
-                    trace[-1] - trace[0]) < STILL:
+            if (not math.isfinite(arm.arrives_s) and len(trace) == trace.maxlen
+                    and is_still(trace[0], trace[-1])):
                 arm.arrives_s = now_s
         if all(math.isfinite(arm.arrives_s) and now_s - arm.moved_s >= RESTS_S for arm in arms):
             return

@@ -193,19 +193,27 @@ class JointController(ControlledJoints):
 
         :param restart: whether gains of servos have changed
         """
-        gives = self._servos.gives_effort(indices)
-        free, held = indices[gives], indices[~gives]
-        self._setpoints.brake(held)
+        servos, setpoints = self._servos, self._setpoints
+        gives = servos.gives_effort(indices)
+        free = indices[gives]
+        behind = np.stack(servos.behind(setpoints.acceleration))
         if free.size:
             self._effort[free] = 0.0
-            self._servos.give_effort(free, False)
-            self._setpoints.place(free, data.qpos[self._servos.qpos[free]],
-                                  data.qvel[self._servos.dofs[free]])
-            self._setpoints.brake(free)
-        if free.size or restart:
+            servos.give_effort(free, False)
+            setpoints.place(free, data.qpos[servos.qpos[free]], data.qvel[servos.dofs[free]])
+            behind[:, free] = 0.0
+        setpoints.brake(indices)
+        braking = indices[setpoints.acceleration[indices] != 0.0]
+        if braking.size:
+            # From the first step on, as far ahead of their joints as when they brake for long.
+            position, velocity = (np.stack(servos.behind(setpoints.acceleration)) - behind)[
+                :, braking]
+            setpoints.position[braking] += position
+            setpoints.velocity[braking] += velocity
+            setpoints.brake(braking)
+        if free.size or braking.size or restart:
             # Those that brake push the others, which have to withstand at once.
-            self._servos.start(data, self._setpoints.position, self._setpoints.velocity,
-                               self._setpoints.acceleration)
+            servos.start(data, setpoints.position, setpoints.velocity, setpoints.acceleration)
 
     def reset(self, data: mujoco.MjData) -> None:
         """Abort all commands and hold the joints where they are; modes stay."""

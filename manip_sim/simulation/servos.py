@@ -290,11 +290,21 @@ class Servos:
         :param position: [rad or m], shape (n,); ``velocity`` and ``acceleration`` too
         """
         servos = np.flatnonzero(~self._gives_effort)
-        # The integrator takes the damping at the end of a step.
-        ahead = velocity + self._physics.model.opt.timestep * acceleration
-        goal = self._goal(data, position, ahead, acceleration)
+        goal = self._goal(data, position, velocity, acceleration)
         data.act[self._activation[servos]] = goal[servos]
         data.ctrl[self._ids[servos]] = 0.0
+
+    def behind(self, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return how far joints are behind their setpoints that accelerate for long.
+
+        The damping acts with the velocity at the end of a step, which the setpoint has not yet.
+
+        :param acceleration: [rad/s^2 or m/s^2], shape (n,)
+        :returns: position [rad or m] and velocity [rad/s or m/s], each of shape (n,)
+        """
+        velocity = self._physics.model.opt.timestep / 2.0 * acceleration
+        return np.asarray(self._drag / self._stiffness * velocity), np.asarray(velocity)
 
     def hold(self, data: mujoco.MjData, position: FloatArray) -> None:
         """Set the setpoints of all servos at rest [rad or m], shape (n,)."""

@@ -136,7 +136,9 @@ def approach(jacobian: FloatArray, error: FloatArray, joints: JointState, interv
     velocity = along + rate * found.step
     pace = _pace(velocity, joints)
     velocity = _with_drift(velocity / max(1.0, pace), found.drift, joints)
-    if follows:
+    if found.rests and before is STILL and twist is STILL:
+        possible = _slowed_evenly(joints, interval_s)
+    elif follows:
         possible = along + _evenly(velocity - along, relative, interval_s)
     else:
         possible = _evenly(velocity, joints, interval_s)
@@ -243,6 +245,13 @@ def _evenly(velocity: FloatArray, joints: JointState, interval_s: float) -> Floa
     share = float((change[gains] / np.maximum(changes, 1e-12)).min(initial=1.0))
     return np.where(gains, joints.velocity + share * (velocity - joints.velocity),
                     _reached(velocity, joints, interval_s))
+
+
+def _slowed_evenly(joints: JointState, interval_s: float) -> FloatArray:
+    """Return the velocities after braking by one factor for all joints, so the way is kept."""
+    size = np.maximum(np.abs(joints.velocity), 1e-12)
+    share = interval_s * float(min((joints.acceleration_limit / size).tolist()))
+    return np.asarray(max(1.0 - share, 0.0) * joints.velocity)
 
 
 def _reached(velocity: FloatArray, joints: JointState, interval_s: float) -> FloatArray:
