@@ -20,7 +20,8 @@ from manip_sim.examples.arm import Arm
 from manip_sim.examples.demonstration import run, Demonstration, TaskFailed
 
 GRAVITY = 9.81
-_LIFT_M = 0.10
+#: How high the cube is lifted, and how high by arms that do not point down there [m].
+_LIFT_M, _LOW_LIFT_M = 0.10, 0.05
 _HOLD_S = 2.0
 _SETTLE_S = 1.0
 
@@ -46,7 +47,10 @@ class CubePicker(Demonstration):
         arm.connect(model)
         cube = model.body('cube').pos
         down = _pointing_down(arm.grip[1])
-        above = arm.posture(cube + [0.0, 0.0, _LIFT_M], [down])
+        try:
+            lift_m, above = _LIFT_M, arm.posture(cube + [0.0, 0.0, _LIFT_M], [down])
+        except TaskFailed:
+            lift_m, above = _LOW_LIFT_M, arm.posture(cube + [0.0, 0.0, _LOW_LIFT_M], [down])
         at_cube = arm.posture(cube, [down], start=above)
 
         self.say('opening the gripper and moving over the cube')
@@ -59,7 +63,7 @@ class CubePicker(Demonstration):
         arm.move(at_cube)
         self.say('closing the gripper')
         arm.close()
-        self.say(f'lifting by {_LIFT_M:.2f} m')
+        self.say(f'lifting by {lift_m:.2f} m')
         arm.move(above)
         self.wait(_SETTLE_S)
         self._report(empty, self._average_force(_HOLD_S), model)

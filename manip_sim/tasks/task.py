@@ -33,7 +33,8 @@ _NOISE: Mapping[str, Any] = {'type': 'gaussian', 'magnitude': 0.02}
 _RIGHT_M = -0.2
 #: Robots of the catalogue that do not reach the area on the table from where they stand.
 TOO_SHORT: Mapping[str, str] = MappingProxyType({
-    'GR1': 'its hands do not reach the middle of the table'})
+    'GR1': 'its hands do not reach the middle of the table',
+    'SO101': 'its hand points down no farther than 0.28 m away and 0.1 m above its foot'})
 
 
 class Task(ABC):

@@ -99,7 +99,7 @@ def test_tasks_tell_what_is_to_be_done(here):
     rows = json.loads(here('list', 'tasks', '--json')[1])['tasks']
     assert [row['name'] for row in rows] == task_names()
     assert {'name': 'pick_cube', 'instruction': 'Pick up the red cube.', 'arms': 1,
-            'horizon_s': 6.0, 'not_for': ['GR1'], 'from': 'manip_sim'} in rows
+            'horizon_s': 6.0, 'not_for': ['GR1', 'SO101'], 'from': 'manip_sim'} in rows
 
 
 def test_a_robot_of_the_users_own_file_tells_its_folder(here, one_joint_arm, tmp_path):

@@ -114,6 +114,11 @@ class Lift:
         at_cube = np.argmax(stroke.gaps <= edge)
         middle = stroke.pads[at_cube].mean(axis=0)
         across = np.diff(stroke.pads[at_cube], axis=0)[0]
+        left_moved, right_moved = np.linalg.norm(
+            stroke.pads[at_cube] - stroke.pads[0], axis=1) > 1e-4
+        if left_moved != right_moved:  # A jaw that does not move must not land on the part.
+            away = across if right_moved else -across
+            middle += CLEARANCE_M * away / np.linalg.norm(across)
         rig = GripperRig(name, cube(edge, middle[0], middle[1], np.arctan2(across[1], across[0])))
         low = max(edge / 2.0 - middle[2], 0.002 - stroke.lowest[:at_cube + 1].min())
         rig.actuate(np.negative(action))
@@ -133,7 +138,10 @@ class Lift:
         self.depth = rig.deepest_contact()
 
 
-lift_of = cache(Lift)
+@cache
+def lift_of(name):
+    """Return the lift of a cube that fits, or of the edge that suits a gripper [m]."""
+    return Lift(name, GRASPS['lifted_m'].get(name))
 
 
 @pytest.mark.parametrize('name', PINCHING)

@@ -127,7 +127,7 @@ def test_the_catalogue_has_values_with_sources_for_the_arm_of_each_robot(name):
     assert list(robot.velocity_laws) == robot.arm_joints
     for law in robot.velocity_laws.values():
         assert 0.0 < law.coulomb < law.static
-        assert 0.0 < law.knee < law.no_load
+        assert 0.0 <= law.knee < law.no_load
     file = robot.file.parent / 'actuators.yaml'
     text = file.read_text()
     assert 'sources:' in text and ('Guess' in text or 'guess' in text)

@@ -99,10 +99,12 @@ class DrawerArena(Arena):
 
     def robot_position(self, robot: RobotModel) -> FloatArray:
         """
-        Return the place of a robot in ``world``, as beside a table [m], shape (3,).
+        Return the place of a robot in ``world`` [m], shape (3,), by default as at a table.
 
         :param robot: the robot to place
         """
+        if self.arena_name in robot.base_xpos_offset:
+            return super().robot_position(robot)
         return TableArena(cube=False).robot_position(robot)
 
 

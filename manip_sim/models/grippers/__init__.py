@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from manip_sim.models.grippers.catalogue_grippers import (
     FourierLeftHand, FourierRightHand, JacoThreeFingerDexterousGripper, JacoThreeFingerGripper,
     NullGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
-    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, WipingGripper)
+    RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, SO101Gripper, WipingGripper)
 from manip_sim.models.grippers.gripper_model import GripperModel, GRIPPERS
 from manip_sim.models.registry import import_submodules
 
@@ -49,4 +49,4 @@ __all__ = [
     'FourierLeftHand', 'FourierRightHand', 'GripperModel', 'JacoThreeFingerDexterousGripper',
     'JacoThreeFingerGripper', 'NullGripper', 'PandaGripper', 'RethinkGripper', 'Robotiq140Gripper',
     'Robotiq85Gripper', 'RobotiqThreeFingerDexterousGripper', 'RobotiqThreeFingerGripper',
-    'WipingGripper', 'create_gripper', 'gripper_names']
+    'SO101Gripper', 'WipingGripper', 'create_gripper', 'gripper_names']

@@ -148,6 +148,12 @@ class RobotiqThreeFingerDexterousGripper(RobotiqThreeFingerGripper):
     _action = FromPart('each_action', {})
 
 
+class SO101Gripper(CatalogueGripper):
+    """Jaw of the SO-101 that closes on a fixed one."""
+
+    _folder = 'so101_gripper'
+
+
 class WipingGripper(CatalogueGripper):
     """Eraser with a touch sensor at each corner of its wiping surface."""
 

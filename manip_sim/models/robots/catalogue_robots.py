@@ -131,6 +131,12 @@ class PandaOmron(Panda):
         return np.array([lifted.get(joint, 0.0) for joint in self.base.joints])
 
 
+class SO101(CatalogueRobot):
+    """Five-joint arm of printed parts and hobby servos, 0.27 m reach with the hand down."""
+
+    _folder = 'so101'
+
+
 class Sawyer(CatalogueRobot):
     """Seven-joint arm with a screen, 4 kg payload, 1.26 m reach."""
 
