@@ -8,13 +8,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 import logging
-import math
 from pathlib import Path
 import shutil
 import sys
 import textwrap
 from typing import Any, NoReturn
 
+from manip_sim.cli.option_types import (
+    assignment, count, image_size, number, numbers, positive, whole)
 from manip_sim.cli.verb import GROUP, OfferedVerb
 from manip_sim.errors import ModelError
 from manip_sim.entry_points import offers
@@ -25,8 +26,6 @@ COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'id
                'position', 'orientation', 'timestep', 'no_gravity_compensation', 'tactile',
                'cameras', 'params_file')
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects', 'tasks')
-#: The least and the greatest edge of a picture [pixels].
-SMALLEST, LARGEST = 16, 8192
 #: Text is never wrapped to fewer characters than this, the minimum of argparse.
 _NARROWEST = 11
 _EXIT_CODES = ('Exit codes: 0 success; 1 a problem was found, or the command failed; 2 wrong '
@@ -194,11 +193,11 @@ def _add_render(commands: Any) -> None:
         '          manip_sim render hand.png --robot none --gripper FourierRightHand\n'
         'On Linux, pictures are rendered with EGL; MUJOCO_GL selects glfw or osmesa instead.')
     parser.add_argument('file', type=Path, metavar='FILE', help='such as out.png or out.jpg')
-    parser.add_argument('--size', type=_size, default=(800, 540), metavar='WIDTHxHEIGHT',
+    parser.add_argument('--size', type=image_size, default=(800, 540), metavar='WIDTHxHEIGHT',
                         help='size of the picture [pixels] (default: 800x540)')
-    parser.add_argument('--azimuth', type=_number, metavar='DEGREES',
+    parser.add_argument('--azimuth', type=number, metavar='DEGREES',
                         help='show one side: 0 looks along x, 90 along y')
-    parser.add_argument('--elevation', type=_number, metavar='DEGREES',
+    parser.add_argument('--elevation', type=number, metavar='DEGREES',
                         help='show one side: negative looks down')
     parser.add_argument('--camera', metavar='NAME', help='show the view of a camera of the model')
     add_composition(parser)
@@ -229,7 +228,7 @@ def _add_record(commands: Any) -> None:
                         'subscribes to)')
     parser.add_argument('--node', default='manip_sim', metavar='NAME', help='full name of the '
                         'node, such as /left/manip_sim (default: /manip_sim)')
-    parser.add_argument('--duration', type=_positive, metavar='SECONDS',
+    parser.add_argument('--duration', type=positive, metavar='SECONDS',
                         help='end after this time, of the wall clock [s]')
 
 
@@ -284,7 +283,7 @@ def _add_run(commands: Any) -> None:
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
                         'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '
                         'node that answers observations')
-    parser.add_argument('--policy-limit', type=_positive, default=10.0, metavar='SECONDS',
+    parser.add_argument('--policy-limit', type=positive, default=10.0, metavar='SECONDS',
                         help='how long a node may take for an answer, wall time; then its episode '
                         'fails (default: 10)')
     parser.add_argument('--seeds', required=True, metavar='SEEDS',
@@ -295,16 +294,16 @@ def _add_run(commands: Any) -> None:
                         help="(default: the robot's own, unless the task needs another one)")
     parser.add_argument('--action', default='osc_pose', metavar='KIND', help='osc_pose, '
                         'joint_position, joint_velocity or joint_effort (default: osc_pose)')
-    parser.add_argument('--control-hz', type=_number, default=20.0, metavar='HZ',
+    parser.add_argument('--control-hz', type=number, default=20.0, metavar='HZ',
                         help='actions per second of simulated time (default: 20)')
-    parser.add_argument('--latency', type=_numbers, metavar='SECONDS[,...]',
+    parser.add_argument('--latency', type=numbers, metavar='SECONDS[,...]',
                         help='how much later a command takes effect, in simulated time (default: '
                         '0); several are runs in DIR/latency_SECONDS, with one table')
-    parser.add_argument('--state-latency', type=_numbers, metavar='SECONDS[,...]',
+    parser.add_argument('--state-latency', type=numbers, metavar='SECONDS[,...]',
                         help='how old the observed state is (default: 0); several as above')
     for option, what in (('--latency-jitter', '--latency'),
                          ('--state-latency-jitter', '--state-latency')):
-        parser.add_argument(option, type=_number, metavar='SECONDS',
+        parser.add_argument(option, type=number, metavar='SECONDS',
                             help=f'standard deviation of {what}, drawn from the seed (default: '
                             '0)')
     parser.add_argument('--noise', action='append', metavar='NOISE', help="of what is observed: a "
@@ -315,9 +314,9 @@ def _add_run(commands: Any) -> None:
                         'distributions, drawn at each start from its seed')
     parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
                         'are observed, or description of another camera; may be repeated')
-    parser.add_argument('--image-size', type=_size, metavar='WIDTHxHEIGHT',
+    parser.add_argument('--image-size', type=image_size, metavar='WIDTHxHEIGHT',
                         help='size of the images [pixels] (default: as the camera has it)')
-    parser.add_argument('--worlds', type=_count, metavar='N', help='episodes at once, each in a '
+    parser.add_argument('--worlds', type=count, metavar='N', help='episodes at once, each in a '
                         'process (default: one for each processor)')
     parser.add_argument('--engine', choices=('processes', 'ray'), default='processes',
                         help='what runs the episodes (default: processes of this machine)')
@@ -349,22 +348,22 @@ def add_composition(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--base', metavar='NAME', help="what the robot stands on; 'default' is the "
                        "robot's own, 'none' is the floor (default: default)")
     group.add_argument('--arena', metavar='NAME', help='what surrounds the robot (default: empty)')
-    group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=_assignment,
+    group.add_argument('--arena-param', action='append', metavar='NAME=VALUE', type=assignment,
                        help="parameter of the arena, such as table_height=0.9; 'manip_sim list "
                        "arenas' lists them; may be repeated")
     group.add_argument('--object', action='append', metavar='OBJECT', help='a free body: a YAML '
                        "or MJCF file, or a description such as '{name: can, shape: cylinder, "
                        "size: [0.03, 0.12], mass: 0.3, position: [0.5, 0, 0.06]}'; may be "
                        'repeated')
-    group.add_argument('--idn', type=_whole, metavar='N', help='number in names such as '
+    group.add_argument('--idn', type=whole, metavar='N', help='number in names such as '
                        'robot0_joint1 (default: 0)')
     group.add_argument('--prefix', metavar='TEXT', help='start of all names, such as left_, '
                        'instead of that number')
-    group.add_argument('--position', nargs=3, type=_number, metavar=('X', 'Y', 'Z'),
+    group.add_argument('--position', nargs=3, type=number, metavar=('X', 'Y', 'Z'),
                        help='position of the floor below the root [m] (default: set by the arena)')
-    group.add_argument('--orientation', nargs=3, type=_number, metavar=('ROLL', 'PITCH', 'YAW'),
+    group.add_argument('--orientation', nargs=3, type=number, metavar=('ROLL', 'PITCH', 'YAW'),
                        help='orientation of the root [rad]')
-    group.add_argument('--timestep', type=_number, metavar='SECONDS',
+    group.add_argument('--timestep', type=number, metavar='SECONDS',
                        help='physics step (default: 0.002)')
     group.add_argument('--no-gravity-compensation', action='store_true', default=None,
                        help='switch gravity compensation off')
@@ -376,55 +375,3 @@ def add_composition(parser: argparse.ArgumentParser) -> None:
                        'whose images the node publishes, or description of another camera, as '
                        "for the node: '{name: front, position: [2, 0, 1], look_at: [0, 0, 1]}'; "
                        'may be repeated')
-
-
-def _number(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f'must be a finite number, got {text[:60]!r}')
-    return number
-
-
-def _numbers(text: str) -> list[float]:
-    return [_number(part) for part in text.split(',')]
-
-
-def _positive(text: str) -> float:
-    number = _number(text)
-    if number <= 0.0:
-        raise argparse.ArgumentTypeError(f'must be above 0, got {text[:60]!r}')
-    return number
-
-
-def _whole(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()):
-        raise argparse.ArgumentTypeError(f'must be a whole number, got {text[:60]!r}')
-    return int(text[:9])
-
-
-def _count(text: str) -> int:
-    number = _whole(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f'must be at least 1, got {text[:60]!r}')
-    return number
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition('x')
-    if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f'must be like 800x540, got {text[:60]!r}')
-    size = int(width[:9]), int(height[:9])
-    if not all(SMALLEST <= edge <= LARGEST for edge in size):
-        raise argparse.ArgumentTypeError(
-            f'must be from {SMALLEST} to {LARGEST} pixels each way, got {text[:60]!r}')
-    return size
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition('=')
-    if not (name and equals):
-        raise argparse.ArgumentTypeError(f'must be like NAME=VALUE, got {text[:60]!r}')
-    return name, value
