@@ -23,7 +23,7 @@ from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.saved_state import is_foreign, is_frozen, ViewPickler
+from manip_sim.simulation.saved_state import is_foreign, is_frozen, owner_of, ViewPickler
 
 #: What has no state, or one that all copies share: descriptions of what exists.
 _SHARED = (type, types.FunctionType, types.BuiltinFunctionType, types.ModuleType, enum.Enum,
@@ -51,13 +51,19 @@ class Template:
         pickler = _Pickler(file, self._model, self._data)
         pickler.dump(simulation)
         self._pickled, self._outside = file.getvalue(), pickler.outside
+        #: What each copy has of its own, by its place in :attr:`_outside`.
+        self._own = [(number, found) for number, found in enumerate(self._outside)
+                     if isinstance(found, (_Own, _OwnArray))]
 
     def copy(self) -> Simulation:
         """Return a new simulation in the state that the first one had."""
         model = copy.copy(self._model)
         data = mujoco.MjData(model)
         mujoco.mj_copyData(data, model, self._data)
-        simulation: Simulation = _Unpickler(self._pickled, self._outside, model, data).load()
+        outside = self._outside.copy()
+        for number, own in self._own:
+            outside[number] = own.of(model, data)
+        simulation: Simulation = _Unpickler(self._pickled, outside).load()
         return simulation
 
 
@@ -83,6 +89,17 @@ class _Own:
         return as_strided(found[self.offset // found.strides[0]:], self.shape, self.strides)
 
 
+@dataclass(frozen=True)
+class _OwnArray:
+    """An array of which each copy has its own, made much faster than by pickle."""
+
+    array: NDArray[Any]
+
+    def of(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[Any]:
+        """Return a new array with the same numbers."""
+        return self.array.copy('K')
+
+
 class _Pickler(ViewPickler):
     """
     A pickler that keeps aside what copies share, and what belongs to model and data.
@@ -94,6 +111,8 @@ class _Pickler(ViewPickler):
         super().__init__(file, protocol=5)
         self.outside: list[object] = []
         self._number_of: dict[int, int] = {}
+        #: So that no other object gets the id of one that is kept aside.
+        self._kept: list[object] = []
         self._model, self._data = model, data
         self._fields = [(of_model, name, array)
                         for of_model, found in ((False, data), (True, model))
@@ -116,12 +135,17 @@ class _Pickler(ViewPickler):
                 return None
             number = self._number_of[id(found)] = len(self.outside)
             self.outside.append(outside)
+            self._kept.append(found)
         return number
 
     def _outside(self, found: object) -> object | None:
         """Return what stands for an object in every copy, or None if it is copied."""
         if isinstance(found, np.ndarray):
-            return self._find(found) if is_foreign(found) else None
+            if is_foreign(found):
+                return self._find(found)
+            if owner_of(found) is not found or found.dtype.hasobject:
+                return None
+            return _OwnArray(found.copy('K')) if found.flags.writeable else found
         if found is self._model or found is self._data:
             return _Own(found is self._model, '')
         if isinstance(found, mujoco.MjOption):
@@ -157,13 +181,11 @@ def _arrays(found: Any) -> list[tuple[str, NDArray[Any]]]:
 
 
 class _Unpickler(pickle.Unpickler):
-    """A reader of what :class:`_Pickler` has written, for another model and its data."""
+    """A reader of what :class:`_Pickler` has written."""
 
-    def __init__(self, pickled: bytes, outside: list[object], model: mujoco.MjModel,
-                 data: mujoco.MjData) -> None:
+    def __init__(self, pickled: bytes, outside: list[object]) -> None:
         super().__init__(io.BytesIO(pickled))
-        self._outside = [found.of(model, data) if isinstance(found, _Own) else found
-                         for found in outside]
+        self._outside = outside
 
     def persistent_load(self, number: int) -> object:
         return self._outside[number]
