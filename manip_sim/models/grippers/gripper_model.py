@@ -163,7 +163,12 @@ class GripperModel(MujocoXMLModel, ABC):
 
         :returns: names of the new sensors; none where all pads have one or there is no pad
         """
-        added = add_tactile_sensors(self._spec, self._own_model, self._eef_body)
+        data = mujoco.MjData(self._own_model)
+        if self.init_qpos is not None:
+            for joint, position in zip(self._joints, np.asarray(self.init_qpos, dtype=float)):
+                data.joint(joint).qpos = position
+        mujoco.mj_kinematics(self._own_model, data)
+        added = add_tactile_sensors(self._spec, self._own_model, data, self._eef_body)
         self.refresh()
         return self.correct_naming(added)
 

@@ -24,21 +24,22 @@ _BOX, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CAPSU
 _TOUCH, _TACTILE = '_touch', '_tactile'
 
 
-def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, eef: str) -> list[str]:
+def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, eef: str
+                        ) -> list[str]:
     """
     Add a tactile sensor to each pad that a touch sensor encloses.
 
-    A pad that is a box has a grid of points on the face that looks at the grasp frame in the start
-    pose, row by row; a finger that is a capsule has rings of points. The sensor is named like the
-    touch sensor, with ``_tactile`` at its end, and so are the shape and the mesh of its points.
+    A pad that is a box has a grid of points, row by row, on the face through which the way from
+    its centre to the grasp frame leaves it; a finger that is a capsule has rings of points. The
+    sensor is named like the touch sensor, with ``_tactile`` at its end, and so are the shape and
+    the mesh of its points.
 
     :param spec: of a gripper
     :param model: compiled from it
+    :param data: with its poses in a start of the fingers
     :param eef: the body that is the grasp frame
     :returns: names of the new sensors, none if all pads have one or there is no pad
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
     present, added = {sensor.name for sensor in spec.sensors}, []
     for name, pad in _pads(model):
         if name in present:
@@ -97,8 +98,8 @@ def _centres(half: float) -> FloatArray:
 
 
 def _face(size: FloatArray, inward: FloatArray) -> _Grid:
-    """Return points on a face of a box, the one that looks most along a direction."""
-    normal = int(np.abs(inward).argmax())
+    """Return points on the face of a box through which a way from its centre leaves it."""
+    normal = int(np.abs(inward / size).argmax())
     first, second = (axis for axis in range(3) if axis != normal)
     across, along = np.meshgrid(_centres(size[first]), _centres(size[second]), indexing='ij')
     points = np.empty((*across.shape, 3))
