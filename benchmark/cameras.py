@@ -6,12 +6,11 @@ What a camera costs the node, as ratios to the same node without one that listen
 
 The node publishes 500 states per second in real time. A process of its own listens to colour and
 depth of one camera with 640 x 480 pixels at 15 Hz, in every second round.
-
-usage: python3 benchmark/cameras.py [seconds of a round] [rounds]
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import signal
 import statistics
@@ -96,8 +95,14 @@ def report(what: str, rounds: list[dict[str, float]]) -> dict[str, float]:
 
 def main() -> None:
     """Print the figures without and with a listener, and their ratios."""
-    duration_s = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
-    count = int(sys.argv[2]) if len(sys.argv) > 2 else 5
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('duration_s', nargs='?', type=float, default=10.0, metavar='SECONDS',
+                        help='of a round, %(default)s by default')
+    parser.add_argument('rounds', nargs='?', type=int, default=5, metavar='ROUNDS',
+                        help='%(default)s by default')
+    options = parser.parse_args()
+    duration_s, count = options.duration_s, options.rounds
     rclpy.init()
     process = subprocess.Popen(
         [sys.executable, '-m', 'manip_sim', '--ros-args', '-p', 'arena:=table', '-p',

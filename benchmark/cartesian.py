@@ -7,14 +7,12 @@ What Cartesian commands cost, as ratios to the bare physics, how many poses are 
 The poses to be reached are those of random joint positions within 40 % of the ranges about their
 middle, so each can be reached by some way; local methods such as this one find about four of five
 from the start. Straightness is measured on paths of setpoints to poses nearby.
-
-usage: python3 benchmark/cartesian.py [robot ...]
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
-import sys
 import time
 from typing import Any
 
@@ -150,7 +148,11 @@ def print_costs(simulation: Simulation, steps: int, arm: str) -> None:
 
 def main() -> None:
     """Print a table for each robot."""
-    names = sys.argv[1:] or ['Panda']
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('robots', nargs='*', default=['Panda'], metavar='ROBOT',
+                        help='Panda by default')
+    names = parser.parse_args().robots
     everywhere: list[float] = []
     for name in names:
         print(f'{name}, mujoco {mujoco.__version__}')

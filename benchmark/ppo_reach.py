@@ -4,7 +4,7 @@
 """
 Train the PPO of stable-baselines3 on the task reach, and draw how its success rises.
 
-    python3 benchmark/ppo_reach.py [--periods 20000] [--minutes 10] [--curve FILE.svg]
+    python3 benchmark/ppo_reach.py [--periods 20000] [--minutes 10] [--seed 0] [--curve FILE.svg]
 
 It needs ``pip install 'manip_sim[env]' stable-baselines3 matplotlib``. The observation is the way
 from the hand to the point. A row is printed for each rollout: wall time, CPU time, control
@@ -22,14 +22,14 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.env_util import make_vec_env
 
 from manip_sim.env import TaskEnv
 from manip_sim.experiments import wilson_interval
 
 SEEDS_OF_TEST = range(10**6, 10**6 + 100)
+_ENVIRONMENTS, _STEPS = 4, 128
+#: Control periods of a rollout.
+_ROLLOUT = _ENVIRONMENTS * _STEPS
 
 
 class Way(gymnasium.ObservationWrapper):
@@ -52,31 +52,30 @@ def make() -> Any:
     return gymnasium.wrappers.TransformReward(env, lambda reward: float(reward) - 1.0)
 
 
-class Curve(BaseCallback):
-    """Notes the success after each rollout, and ends the training when time is up."""
+class Curve:
+    """A callback that notes the success after each rollout, and ends training in time."""
 
     def __init__(self, minutes: float) -> None:
-        super().__init__()
         self._end = time.monotonic() + 60.0 * minutes
         self._begin = time.monotonic(), time.process_time()
         self._last: deque[bool] = deque(maxlen=100)
         self.rows: list[tuple[float, float, int, float]] = []
 
-    def _on_step(self) -> bool:
+    def __call__(self, local: dict[str, Any], _: dict[str, Any]) -> bool:
+        """Take a step of all environments; return whether training goes on."""
         self._last += [info['success'] for info, done in
-                       zip(self.locals['infos'], self.locals['dones']) if done]
-        return time.monotonic() < self._end
-
-    def _on_rollout_end(self) -> None:
-        if self._last:
+                       zip(local['infos'], local['dones']) if done]
+        periods = local['self'].num_timesteps
+        if self._last and not periods % _ROLLOUT:
             row = (time.monotonic() - self._begin[0], time.process_time() - self._begin[1],
-                   self.num_timesteps, float(np.mean(self._last)))
+                   periods, float(np.mean(self._last)))
             self.rows.append(row)
             print('| {:.0f} s | {:.0f} s | {} | {:.0f} % |'.format(*row[:3], 100.0 * row[3]),
                   flush=True)
+        return time.monotonic() < self._end
 
 
-def success_of(model: PPO) -> int:
+def success_of(model: Any) -> int:
     """Return how many of the seeds of the test succeed."""
     env, found = make(), 0
     for seed in SEEDS_OF_TEST:
@@ -105,9 +104,12 @@ def main() -> None:
     parser.add_argument('--minutes', type=float, default=10.0)
     parser.add_argument('--periods', type=int, default=20_000)
     parser.add_argument('--curve', type=Path)
+    parser.add_argument('--seed', type=int, default=0)
     options = parser.parse_args()
-    model = PPO('MlpPolicy', make_vec_env(make, 4, seed=0), n_steps=128, batch_size=128,
-                gamma=0.95, learning_rate=1e-3, seed=0, device='cpu')
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_util import make_vec_env
+    model = PPO('MlpPolicy', make_vec_env(make, _ENVIRONMENTS, seed=options.seed), n_steps=_STEPS,
+                batch_size=128, gamma=0.95, learning_rate=1e-3, seed=options.seed, device='cpu')
     curve = Curve(options.minutes)
     print('| wall time | CPU time | periods | success |\n|---|---|---|---|')
     model.learn(options.periods, callback=curve)

@@ -11,6 +11,7 @@ square of the degrees of freedom. Rounds alternate; each figure is the least [ms
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 import time
 from typing import Any
@@ -33,6 +34,8 @@ def _box(number: int) -> ObjectModel:
 
 def main() -> None:
     """Print a row for each count of objects."""
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     use_one_blas_thread()
     print(f'{"objects":>8}', *(f'{name:>15}' for name in (
         'plan spawn', 'plan delete', 'change', 'compile', 'mj_setConst')))

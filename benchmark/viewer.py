@@ -8,12 +8,11 @@ The node publishes 500 states per second in real time and has a camera of 640 x 
 rounds: alone, with the viewer, with chromium on its page, and with the images of the camera shown
 there. A browser draws with its graphics card, or on another machine; chromium without a screen
 draws with the processor, so it gets the lowest priority here.
-
-usage: python3 benchmark/viewer.py [seconds of a round]
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import shutil
@@ -92,7 +91,11 @@ def chromium(address: str) -> Any:
 
 def main() -> None:
     """Print the rounds."""
-    duration_s = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('duration_s', nargs='?', type=float, default=20.0, metavar='SECONDS',
+                        help='of a round, %(default)s by default')
+    duration_s = parser.parse_args().duration_s
     rclpy.init()
     node: subprocess.Popen[Any] = subprocess.Popen(
         [*PYTHON, 'manip_sim', '--ros-args', '-p', 'arena:=table', '-p', f'publish_rate:={RATE}',

@@ -30,6 +30,38 @@ def test_help_names_every_row(bench):
     assert all(name in done.stdout for name in entrance.ROWS)
 
 
+#: Starts all programs of a folder with --help in one process, as imports take most of the time.
+HELP = """
+import contextlib, io, json, pathlib, runpy, sys
+folder, found = pathlib.Path(sys.argv[1]), {}
+sys.path.insert(0, str(folder))
+for path in sorted(folder.glob('*.py')):
+    if '__main__' not in path.read_text():
+        continue
+    out, sys.argv = io.StringIO(), [str(path), '--help']
+    try:
+        with contextlib.redirect_stdout(out):
+            runpy.run_path(str(path), run_name='__main__')
+        found[path.name] = f'it ran: {out.getvalue()}'
+    except SystemExit as end:
+        found[path.name] = end.code, out.getvalue()
+    except ModuleNotFoundError as error:
+        found[path.name] = error.name
+print(json.dumps(found))
+"""
+
+
+def test_every_program_answers_help_and_does_nothing_else():
+    done = subprocess.run([sys.executable, '-c', HELP, ROOT / 'benchmark'], capture_output=True,
+                          text=True, timeout=300, check=True)
+    found = json.loads(done.stdout)
+    assert len(found) > 15
+    for name, answer in found.items():
+        if answer in ('rclpy', 'diagnostic_msgs'):
+            continue  # There is no ROS here.
+        assert answer[0] == 0 and answer[1].startswith('usage: '), f'{name}: {answer}'
+
+
 def test_every_row_of_the_entrance_has_its_function(bench):
     _, entrance = bench
     for module, function, _, limit_s in entrance.ROWS.values():

@@ -31,12 +31,10 @@ from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import quoted
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.records.record_file import RecordFile
-from manip_sim.records.recorder import MODEL
+from manip_sim.records.recorder import MODEL, NODE
 from manip_sim.resources import package_version
 from manip_sim.startup import EndSignals
 
-#: Name of the metadata with what is known of the node.
-NODE = 'manip_sim/node'
 #: How often the topics of the node are looked up, how long is waited for the node, for topics that
 #: were asked for, and for parameters [s].
 _LOOK_S, _NODE_S, _TOPICS_S, _PARAMETERS_S = 0.5, 10.0, 3.0, 5.0

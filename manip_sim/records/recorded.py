@@ -1,7 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read records of episodes, whole or cut off, and reject damaged ones with bounded memory."""
+"""
+Read records of episodes and of nodes, whole or cut off.
+
+Damaged ones are rejected with bounded memory.
+"""
 
 from __future__ import annotations
 
@@ -17,32 +21,87 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
 from manip_sim.quoting import quoted
 from manip_sim.records.definitions import definition, full_name
-from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, FORMAT, MODEL, RESULT, STATE
+from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, FORMAT, MODEL, NODE, RESULT, STATE
 
-#: Largest record in a file, largest chunk, and most content of one episode [bytes].
-_MAX_RECORD, _MAX_CHUNK, _MAX_EPISODE = 2**28, 2**26, 2**31
+#: Largest record in a file, largest chunk, and most content of one episode or world [bytes].
+_MAX_RECORD, _MAX_CHUNK, _MAX_BYTES = 2**28, 2**26, 2**31
+#: What is kept of nodes.
+_SHOWN = {full_name(name) for name in (
+    'geometry_msgs/PoseStamped', 'geometry_msgs/WrenchStamped', 'sensor_msgs/CompressedImage',
+    'sensor_msgs/JointState')}
 _MAGIC = b'\x89MCAP0\r\n'
 _KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
          'action', 'action_names', 'latency', 'settings', 'steps', 'manip_sim', 'mujoco')
 
 
 @dataclass
-class RecordedEpisode:
+class Recorded:
     """
-    An episode of a record.
+    What was recorded of one model.
 
     :ivar about: what its recorder wrote at its begin
-    :ivar result: what its recorder wrote at its end; None if the record ends before
+    :ivar model: the model archive, as ``load_archive`` takes it
     :ivar types: of the topics
     :ivar messages: time [ns] and serialized content, by topic, in the order of the file
-    :ivar model: the model archive, as ``load_archive`` takes it
     """
 
     about: Mapping[str, str]
     model: bytes
-    result: Mapping[str, str] | None = None
     types: dict[str, str] = field(default_factory=dict)
     messages: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+    _size: int = field(default=0, init=False, repr=False)
+
+    def add(self, topic: str, type_name: str, time_ns: int, content: bytes) -> None:
+        """
+        Add a message.
+
+        :raises RecordError: if it is too much
+        """
+        self._size += len(content)
+        if self._size > _MAX_BYTES:
+            raise RecordError(f'an episode, or a world of a node, has more than {_MAX_BYTES} '
+                              'bytes')
+        self.types[topic] = type_name
+        self.messages.setdefault(topic, []).append((time_ns, content))
+
+    def decoded(self, topic: str, type_name: str) -> list[Any]:
+        """
+        Return the messages of a topic; there are none if nothing was recorded.
+
+        :param topic: its name
+        :param type_name: that it must have, such as ``std_msgs/Bool``
+        :raises RecordError: if it has another type, or a message cannot be read
+        """
+        found = self.types.get(topic)
+        if found not in (None, full_name(type_name)):
+            raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(found)}')
+        decode = _decoder(type_name)
+        return [decode(content) for _, content in self.messages.get(topic, ())]
+
+
+class RecordedWorld(Recorded):
+    """
+    A world of a node: what it sent while its model was the same.
+
+    Only messages of types that can be shown are kept: joints, poses, wrenches and compressed
+    images.
+    """
+
+    @property
+    def node(self) -> str:
+        """The full name of the node."""
+        return self.about.get('node', '')
+
+
+@dataclass
+class RecordedEpisode(Recorded):
+    """
+    An episode of a record.
+
+    :ivar result: what its recorder wrote at its end; None if the record ends before
+    """
+
+    result: Mapping[str, str] | None = None
 
     @property
     def number(self) -> int:
@@ -77,20 +136,6 @@ class RecordedEpisode:
         """
         found: dict[str, Any] = json.loads(self.about.get(key, '{}'))
         return found
-
-    def decoded(self, topic: str, type_name: str) -> list[Any]:
-        """
-        Return the messages of a topic; there are none if nothing was recorded.
-
-        :param topic: its name
-        :param type_name: that it must have, such as ``std_msgs/Bool``
-        :raises RecordError: if it has another type, or a message cannot be read
-        """
-        found = self.types.get(topic)
-        if found not in (None, full_name(type_name)):
-            raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(found)}')
-        decode = _decoder(type_name)
-        return [decode(content) for _, content in self.messages.get(topic, ())]
 
     def arrays(self, topic: str) -> FloatArray:
         """
@@ -156,9 +201,23 @@ class Record:
 
         :raises RecordError: if it is no record of episodes, of another version, or damaged
         """
+        for found in self.contents():
+            if not isinstance(found, RecordedEpisode):
+                raise RecordError(
+                    f'{self.path}: it is of the node {quoted(found.node)}, and cannot be repeated '
+                    'or converted: when its commands took effect is not part of it; sim_view '
+                    '--record shows it')
+            yield found
+
+    def contents(self) -> Iterator[RecordedEpisode | RecordedWorld]:
+        """
+        Yield the episodes, or the worlds of a node, each once it is read.
+
+        :raises RecordError: if it is no such record, of another version, or damaged
+        """
         try:
             with self.path.open('rb') as file:
-                yield from self._episodes(file)
+                yield from self._contents(file)
         except OSError as error:
             raise RecordError(f'{self.path}: {error.strerror or error}') from error
         except ImportError as error:
@@ -167,44 +226,50 @@ class Record:
         except RecordError as error:
             raise RecordError(f'{self.path}: {error}') from error
 
-    def _episodes(self, file: BinaryIO) -> Iterator[RecordedEpisode]:
+    def _contents(self, file: BinaryIO) -> Iterator[RecordedEpisode | RecordedWorld]:
         from mcap.records import Attachment, Channel, Message, Metadata, Schema
-        model, episode, size = b'', None, 0
+        model, any_yet = b'', False
+        open_one: RecordedEpisode | RecordedWorld | None = None
         schemas: dict[int, str] = {}
         channels: dict[int, tuple[str, str]] = {}
-        any_episode = False
         for item in self._items(file):
             if isinstance(item, Attachment) and item.name == MODEL:
+                if isinstance(open_one, RecordedWorld):
+                    if open_one.model and open_one.messages:
+                        yield open_one
+                        open_one = RecordedWorld(open_one.about, item.data)
+                    open_one.model = item.data
                 model = item.data
             elif isinstance(item, Schema):
                 schemas[item.id] = item.name
             elif isinstance(item, Channel):
                 channels[item.id] = item.topic, schemas.get(item.schema_id, '')
-            elif isinstance(item, Metadata) and item.name == EPISODE:
-                if episode is not None:
-                    yield episode
-                _check(item.metadata)
-                episode, size, any_episode = RecordedEpisode(item.metadata, model), 0, True
-            elif isinstance(item, Metadata) and item.name == RESULT and episode is not None:
-                if item.metadata.get('number') != episode.about['number'] or not {
+            elif isinstance(item, Metadata) and item.name in (EPISODE, NODE):
+                if open_one is not None:
+                    yield open_one
+                any_yet = True
+                if item.name == NODE:
+                    open_one = RecordedWorld(item.metadata, b'')
+                else:
+                    _check(item.metadata)
+                    open_one = RecordedEpisode(item.metadata, model)
+            elif isinstance(item, Metadata) and item.name == RESULT and isinstance(
+                    open_one, RecordedEpisode):
+                if item.metadata.get('number') != open_one.about['number'] or not {
                         'success', 'digest'} <= item.metadata.keys():
-                    raise RecordError(f'the end of episode {episode.number} is damaged')
-                episode.result = item.metadata
-                yield episode
-                episode = None
-            elif isinstance(item, Message) and episode is not None:
-                size += len(item.data)
-                if size > _MAX_EPISODE:
-                    raise RecordError(f'episode {episode.number} has more than {_MAX_EPISODE} '
-                                      'bytes')
+                    raise RecordError(f'the end of episode {open_one.number} is damaged')
+                open_one.result = item.metadata
+                yield open_one
+                open_one = None
+            elif isinstance(item, Message) and open_one is not None:
                 if item.channel_id not in channels:
                     raise RecordError('damaged: a message of a topic that is not described')
-                topic, type_name = channels[item.channel_id]
-                episode.types[topic] = type_name
-                episode.messages.setdefault(topic, []).append((item.log_time, item.data))
-        if episode is not None and episode.messages:
-            yield episode
-        if not any_episode:
+                topic, kind = channels[item.channel_id]
+                if kind in _SHOWN or isinstance(open_one, RecordedEpisode):
+                    open_one.add(topic, kind, item.log_time, item.data)
+        if open_one is not None and open_one.messages:
+            yield open_one
+        if not any_yet:
             raise RecordError('no episodes of tasks are recorded in it' + (
                 ', it ends early' if self.cut_off else ''))
 

@@ -31,6 +31,8 @@ from manip_sim.tasks import Episode
 FORMAT = '1'
 #: Names of metadata: of an episode at its begin, and at its end.
 EPISODE, RESULT = 'manip_sim/episode', 'manip_sim/result'
+#: Name of metadata with what is known of a node.
+NODE = 'manip_sim/node'
 #: Name of the attachment with the model.
 MODEL = 'model.mjz'
 ACTION, STATE, GOAL, REWARD, SUCCESS, DIGEST = (

@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
         description='Show a running sim_node on a page for the browser, and drive it from there; '
-        'or show records of episodes.')
+        'or show records.')
     parser.add_argument('--listen', '--host', default='127.0.0.1', metavar='ADDRESS',
                         help='where to listen, %(default)s by default: this machine alone; with '
                         '0.0.0.0, everyone on the network who knows the token can drive the robot')
@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
                         'without it they are lost when sim_view ends')
     parser.add_argument('--dark', action='store_true', help='begin with a dark page')
     parser.add_argument('--record', type=Path, nargs='+', metavar='FILE',
-                        help='show records of episodes instead of a node: files, or folders with '
+                        help='show records of episodes or nodes instead: files, or folders with '
                         '*.mcap; needs no ROS')
     parser.add_argument('--native', action='store_true',
                         help="open MuJoCo's own viewer in a window instead; it only shows")

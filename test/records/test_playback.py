@@ -14,11 +14,19 @@ import pytest
 for needed in ('mcap', 'mcap_ros2', 'viser'):
     pytest.importorskip(needed, reason='needs the extras records and viewer')
 
+from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
+
+from manip_sim.cli.main import main as manip_sim  # noqa: E402
+from manip_sim.errors import RecordError  # noqa: E402
+from manip_sim.records.definitions import definition, full_name  # noqa: E402
 from manip_sim.records.frames import Frames  # noqa: E402
+from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
+from manip_sim.records.recorder import MODEL, NODE  # noqa: E402
 from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
-from manip_sim.viewer.playback import Entry, Player  # noqa: E402
+from manip_sim.viewer.playback import Player  # noqa: E402
+from manip_sim.viewer.shown_records import described, entries_in, Entry  # noqa: E402
 
 #: Runs the program as if ROS were not installed.
 WITHOUT_ROS = """
@@ -131,3 +139,104 @@ def test_a_file_that_is_no_record_is_one_line(tmp_path):
     done = subprocess.run([sys.executable, '-m', 'manip_sim.viewer', '--record', str(path)],
                           capture_output=True, text=True, timeout=300.0)
     assert (done.returncode, done.stderr) == (1, f'sim_view: {path}: no MCAP file\n')
+
+
+class NodeRecord:
+    """Writes what a node sends as ``manip_sim record`` does."""
+
+    def __init__(self, path, *archives):
+        self._file = RecordFile(path)
+        self._file.describe(NODE, {'node': '/cell/manip_sim', 'manip_sim': '0.1.0'})
+        for archive in archives:
+            self.attach(archive)
+
+    def attach(self, archive):
+        self._file.attach(MODEL, 'application/zip', archive)
+
+    def write(self, topic, kind, time_s, **content):
+        name, text = full_name(kind), definition(kind)
+        content['header'] = {'stamp': {'sec': int(time_s), 'nanosec': round(time_s % 1 * 1e9)},
+                             'frame_id': 'world'}
+        self._file.write(self._file.channel(topic, name, text), 5,
+                         serialize_dynamic(name, text)[name](content))
+
+    def joints(self, time_s, *positions, topic='/cell/joint_states'):
+        self.write(topic, 'sensor_msgs/JointState', time_s, position=list(positions), effort=[],
+                   name=['robot0_joint1', 'robot0_joint4'], velocity=[0.0, 0.0])
+
+    def close(self):
+        self._file.close()
+
+
+@pytest.fixture
+def show():
+    """Return a function that opens records on a page."""
+    servers = []
+
+    def show(*paths):
+        servers.append(open_server('127.0.0.1', 0, Access.of({}, ())))
+        return Player(servers[-1], entries_in(paths))
+    yield show
+    for server in servers:
+        close_server(server)
+
+
+def angles(player):
+    return [player._kinematics.data.joint(name).qpos[0]
+            for name in ('robot0_joint1', 'robot0_joint4')]
+
+
+def test_a_record_of_a_node_is_shown_as_its_messages_say(show, episode, recording, tmp_path):
+    archive = episode.task.world.to_archive()
+    record = NodeRecord(tmp_path / 'node.mcap', archive)
+    record.joints(7.0, 0.1, -2.0)
+    record.joints(7.0, 0.9, -0.9)  # A paused node repeats its state.
+    record.joints(7.5, np.nan, -2.1)
+    record.joints(8.0, 0.3, -2.2)
+    record.attach(archive)  # It begins another world.
+    record.joints(2.0, 0.4, -2.3)
+    record.joints(2.1, 0.7, -2.3, topic='/cell/truth/joint_states')
+    record.joints(2.1, 0.5, -2.4)
+    record.close()
+    player = show(tmp_path / 'node.mcap', recording)
+    assert described(player._entries) == (
+        '2 episodes, 1 of them failed and 2 worlds of nodes')
+    assert slider_of(player).max == 1 and angles(player) == [0.1, -2.0]
+    assert '7.00 s of the simulation, state 0 of 1' in player._text._shown
+    assert 'Not recorded, and so at their start: gripper0_right_finger_joint1' in (
+        player._text._shown)
+    slider_of(player).value = 1
+    player._quantity.value = 'cell joint position'
+    player.update(0.0)
+    assert angles(player) == [0.3, -2.2]
+    times, one, four, now = player._plot.data
+    assert (times.min(), times.max()) == pytest.approx((0.0, 1.0), abs=1e-3)
+    assert (one.min(), one.max(), four.min()) == pytest.approx((0.1, 0.3, -2.2))
+    assert times[np.argmax(now)] == pytest.approx(1.0)
+    player._jump('Next')
+    player._timeline.go(1)
+    assert player._choice.value == 'node #1, node /cell/manip_sim'
+    assert angles(player) == [0.7, -2.3]  # The exact state, in place of the measured one.
+    player._jump('Failure')
+    assert player._choice.value.endswith('#1, seed 11: FAILED')
+
+
+def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):
+    archive, path = episode.task.world.to_archive(), tmp_path / 'no_model.mcap'
+    record = NodeRecord(path)
+    record.joints(1.0, 0.1, -2.0)
+    record.close()
+    with pytest.raises(RecordError, match='of /cell/manip_sim cannot be shown: it has no model'):
+        entries_in([path])
+    for verb in (['replay', str(path)], ['convert', str(path), '--to', 'hdf5', f'{path}.hdf5']):
+        assert manip_sim(verb) == 1
+        error = capsys.readouterr().err
+        assert error.count('\n') == 1 and (
+            "is of the node '/cell/manip_sim', and cannot be repeated or converted: when its "
+            'commands took effect is not part of it; sim_view --record shows it') in error
+    record = NodeRecord(tmp_path / 'no_joints.mcap', archive)
+    record.write('/objects/cube/pose', 'geometry_msgs/PoseStamped', 1.0, pose={
+        'position': dict.fromkeys('xyz', 0.0), 'orientation': dict.fromkeys('xyzw', 0.5)})
+    record.close()
+    with pytest.raises(RecordError, match='cannot be shown: it has no joint_states'):
+        entries_in([tmp_path / 'no_joints.mcap'])

@@ -20,6 +20,7 @@ from mcap.stream_reader import StreamReader  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from manip_sim.models.archive import load_archive  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
 
 WAIT_S = 300.0
 
@@ -41,6 +42,20 @@ def typed(path, topic):
         connections = [found for found in reader.connections if found.topic == topic]
         return [reader.deserialize(content, found.msgtype)
                 for found, _, content in reader.messages(connections)]
+
+
+def assert_shown(path, state):
+    """Check that the viewer shows the last state of a record."""
+    pytest.importorskip('viser', reason='needs the extra viewer')
+    from manip_sim.viewer.page.kinematics import Kinematics
+    from manip_sim.viewer.shown_records import ShownWorld
+    (world,) = Record(path).contents()
+    shown, kinematics = ShownWorld(world), Kinematics(load_archive(world.model))
+    shown.check(kinematics.model)
+    shown.place(kinematics, len(shown.times) - 1)
+    assert [kinematics.data.joint(name).qpos[0] for name in state.name] == list(state.position)
+    assert kinematics.data.body('cube').xpos[2] == pytest.approx(0.82, abs=0.01)
+    assert len(shown.lines(0)) == 2  # All joints and bodies are recorded.
 
 
 @pytest.mark.parametrize('number', END_SIGNALS[:2])
@@ -74,6 +89,7 @@ def test_all_topics_of_a_node_are_recorded_until_a_signal(
     assert stamps == sorted(stamps)
     (model,) = typed(path, '/manip_sim/mjcf')
     assert '<mujoco' in model.data
+    assert_shown(path, states[-1])
 
 
 def test_named_topics_are_recorded_for_a_time(sim_process, record, client, tmp_path):
