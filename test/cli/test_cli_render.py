@@ -14,6 +14,8 @@ import numpy as np
 from PIL import Image, ImageChops, ImageStat
 import pytest
 
+from manip_sim.models import compose
+
 SOURCE = Path(__file__).resolve().parents[2]
 #: Runs commands, each a line of JSON, and tells their exit codes.
 COMMANDS = """
@@ -139,6 +141,28 @@ def test_a_world_that_cannot_be_controlled_has_a_picture_too(one_joint_arm):
     two = '<motor name="m" joint="joint1"/><motor name="n" joint="joint1"/>'
     model, data = _start_of(World([one_joint_arm(two)]))
     assert model.joint('robot0_joint1').id == 0 and data.time == 0.0
+
+
+def test_grippers_are_open_where_that_is_asked_for():
+    from manip_sim.cli.rendering import _start_of
+    world = compose('Panda')
+    width = [sum(data.joint(f'gripper0_right_finger_joint{n}').qpos[0] * sign
+                 for n, sign in ((1, 1.0), (2, -1.0)))
+             for _, data in (_start_of(world), _start_of(world, grippers_open=True))]
+    assert width[1] == pytest.approx(0.08, abs=0.001)
+    assert width[0] < 0.05
+
+
+def test_the_ground_of_the_studio_has_no_material():
+    from manip_sim.cli.rendering import prepare_studio
+    model = compose('Panda', arena='table').compile()
+    ground = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == 0
+              and int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE)]
+    others = np.delete(model.geom_matid.copy(), ground)
+    assert (model.geom_matid[ground] >= 0).all()
+    prepare_studio(model)
+    assert (model.geom_matid[ground] == -1).all()
+    np.testing.assert_array_equal(np.delete(model.geom_matid, ground), others)
 
 
 @pytest.mark.parametrize('azimuth', [0.0, 30.0, -135.0])

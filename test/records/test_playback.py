@@ -96,6 +96,7 @@ def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, fr
     at = np.searchsorted(times, np.arange(len(joints.values)) * 0.05 - 1e-9)
     np.testing.assert_allclose(np.array(columns)[:, at].T, joints.values, atol=1e-6)
     assert times[np.argmax(now)] == pytest.approx(0.2)
+    assert player._plot.scales == {'x': {'time': False}}  # Seconds, not dates.
     assert {'reward', 'action', 'right position', 'right external force'} <= set(
         player._quantity.options)
 

@@ -3,6 +3,7 @@
 
 """In lock-step the simulation's thread takes commands itself, where rclpy is known to allow it."""
 
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError
 import threading
 import time
@@ -14,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from manip_sim.ros import command_inbox
-from manip_sim.ros.command_inbox import create_command_inbox
+from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.commands import CommandSubscription
 from manip_sim.ros.log import RejectionLog
 
@@ -142,3 +143,40 @@ def test_a_command_that_came_before_a_step_is_used_in_it(serve, client):
         assert node.commands[0].statistics['arm'].accepted == count
         address = node.simulation.robot.joints._servos._activation[0]
         assert node.simulation.data.act[address] == pytest.approx(4.0 + count)
+
+
+class Waking:
+    """An inbox without messages, which counts."""
+
+    def __init__(self):
+        self.taken = self.waits = 0
+        self._wake = threading.Event()
+
+    def wake(self):
+        self._wake.set()
+
+    def wait(self, timeout_s):
+        self.waits += 1
+        self._wake.wait(timeout_s)
+        self._wake.clear()
+
+    def take(self, most):
+        self.taken += 1
+
+
+def test_the_thread_of_commands_takes_at_once_what_somebody_waits_for_and_waits_itself_else():
+    inbox = Waking()
+    thread = CommandThread(inbox)
+    thread.start()
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            asked = [pool.submit(thread.take) for _ in range(3)]
+            try:
+                for one in asked:
+                    one.result(timeout=30.0)
+            finally:
+                thread.stop()
+    finally:
+        thread.stop()
+    assert inbox.taken == 3
+    assert inbox.waits > 0

@@ -20,10 +20,12 @@ from std_msgs.msg import Header
 from manip_sim.errors import DivergenceError
 from manip_sim.models import compose
 from manip_sim.models.regular_files import FilesBelow
+from manip_sim.ros import spawning_services
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_codes import (
-    Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, SpawnCode, State)
+    BoundsType, Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, SpawnCode,
+    State)
 from manip_sim.ros.standard_services import SimulationInterfaces
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
@@ -154,6 +156,24 @@ def test_features_are_numbers_and_formats_are_told(standard):
     assert set(features.features) == set(Feature)
     assert features.spawn_formats == ['mjcf', 'yaml']
     assert 'control period' in features.custom_info
+
+
+def test_numbers_are_those_of_version_2_1_of_the_package():
+    # Of its messages Result, SimulatorFeatures, SpawnResult, EntityCategory, SimulationState,
+    # Bounds, and of its services SetSimulationState, SetEntityState, ResetSimulation.
+    for codes, numbers in {
+            ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
+            SpawnCode: [101, 102, 103, 104, 105, 106, 109], State: [0, 1, 2],
+            Scope: [0, 1, 2, 255], Category: [0, 1], BoundsType: [0],
+            Feature: [0, 1, 8, 9, 10, 11, 20, 22, 24, 25, 26, 31, 32]}.items():
+        assert [int(code) for code in codes.__members__.values()] == numbers
+
+
+@pytest.mark.parametrize('length, quick', [(10, True), (5000, False)])
+def test_short_texts_alone_are_made_at_once(length, quick):
+    text = MJCF.replace('<mujoco', f'<!-- {"x" * length} --><mujoco', 1)
+    found, _ = spawning_services._prepared(Plain(**spawn_request(text)), None)
+    assert found is quick
 
 
 def test_simulation_plays_is_paused_and_stopped(standard):

@@ -17,7 +17,8 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.models.objects import create_object
 from manip_sim.ros import transforms
-from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.ros.messages import nanoseconds_of, stamp_of
+from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation.spawning import plan_with, plan_without
 
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.05, 'mass': 0.1, 'position': [1.5, 0.0, 0.5]}
@@ -55,6 +56,12 @@ class Record:
 def records(monkeypatch):
     """Return what takes the messages of /tf and /tf_static of nodes that are served."""
     found = Record(), Record()
+
+    def serialized(make, count):
+        # As plain messages have no bytes, look at what those of tf2_msgs are made of.
+        found[0].frames = [t.child_frame_id for t in make(stamp_of(0), np.zeros(count)).transforms]
+        return SerializedMessage(make, count)
+    monkeypatch.setattr(transforms, 'SerializedMessage', serialized)
     monkeypatch.setattr(transforms, 'TFMessage', PlainMessage)
     monkeypatch.setattr(transforms, 'create_outputs', lambda node, log: found)
     return found
@@ -103,6 +110,7 @@ def test_the_messages_make_one_tree_in_which_all_bodies_are_where_they_are(
     client.spin_until(lambda: moving.time_ns == sim.time_ns)
     message = moving.messages[-1]
     assert {nanoseconds_of(t.header.stamp) for t in message.transforms} == {sim.time_ns}
+    assert moving.frames == [t.child_frame_id for t in message.transforms]
     assert all(abs(sim.data.joint(n).qpos[0] - start[n]) > 0.01 for n in goals)
     found = in_world(message, static.messages[-1])
     assert_bodies_are_there(sim.model, sim.data, found)

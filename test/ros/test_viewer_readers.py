@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 import re
 import signal
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -22,6 +23,9 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from page_client import page_client  # noqa: E402
 from test_viewer import end, start_viewer  # noqa: E402
+
+from manip_sim.errors import ManipSimError  # noqa: E402
+from manip_sim.viewer.ros.readers import Readers  # noqa: E402
 
 
 NAN = float('nan')
@@ -162,3 +166,14 @@ def test_a_model_that_takes_long_is_checked_beside_the_page_and_given_up_at_the_
         for pid in held:
             if Path(f'/proc/{pid}').exists():
                 os.kill(pid, signal.SIGKILL)
+
+
+def test_readers_have_rejected_nothing_at_first_and_count_each():
+    warnings = []
+    logger = SimpleNamespace(warn=warnings.append, warning=warnings.append)
+    readers = Readers(SimpleNamespace(get_logger=lambda: logger))
+    assert readers.rejected == 0
+    for count in (1, 2):
+        readers.reject('/joint_states', ManipSimError('no'))
+        assert readers.rejected == count
+    assert len(warnings) == 1

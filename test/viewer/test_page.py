@@ -19,12 +19,12 @@ from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatu
 from manip_sim.viewer.page.kinematics import Kinematics  # noqa: E402
 from manip_sim.viewer.page.latest import Latest, PoseInWorld, RealTimeFactor  # noqa: E402
 from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
-from manip_sim.viewer.page.page import Page  # noqa: E402
+from manip_sim.viewer.page.page import _UNFOLDED, Page  # noqa: E402
 from manip_sim.viewer.page.page_commands import Events, Following  # noqa: E402
 from manip_sim.viewer.page.plain_text import Line  # noqa: E402
 from manip_sim.viewer.page.plots import History  # noqa: E402
 from manip_sim.viewer.page.robots import (  # noqa: E402
-    commanded_joints, declared_limits, short_labels)
+    commanded_joints, declared_limits, Robot, short_labels, ShownJoint, ShownPart)
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.ros.layout import layout_of, RobotTopics  # noqa: E402
 
@@ -321,3 +321,38 @@ def test_a_model_that_cannot_be_drawn_leaves_the_rest_of_the_page(server, monkey
     page.update(2.0, Latest(objects={'b': PoseInWorld(
         np.array([0.0, 0.0, 3.0]), np.array([1.0, 0.0, 0.0, 0.0]))}), False)
     assert page._posture.data.body('b').xpos[2] == pytest.approx(3.0)
+
+
+class Ignored:
+    """Takes all commands."""
+
+    def __getattr__(self, command):
+        return lambda *_: None
+
+
+def test_panels_have_the_order_of_the_parts_and_all_but_the_first_ones_are_folded(
+        server, monkeypatch):
+    made = []
+
+    class Panel:
+        field = 'position'
+
+        def __init__(self, gui, robot, part, field, commands, events, folded, order):
+            made.append((robot.space, part.name, folded, order))
+
+        def remove(self):
+            made.append('removed')
+
+        show = update = remove
+    monkeypatch.setattr('manip_sim.viewer.page.page.JointPanel', Panel)
+    page = Page(server, Ignored(), lambda *_: None)
+    joint = ShownJoint('j', 'j', False, {'position': (-1.0, 1.0)})
+    robots = [Robot(f'/{name}/', name, (ShownPart('arm', (joint,)), ShownPart('head', (joint,))),
+                    (), (0.0, 0.0, 0.0)) for name in ('a', 'b', 'c')]
+    page.show_robots(robots, [])
+    page._fields = {'a/arm': 'position'}
+    page._follow(1.0, Latest(), False)
+    assert [one[:2] for one in made] == [
+        (robot.space, part.name) for robot in robots for part in robot.parts]
+    assert [one[3] for one in made] == [float(n) for n in range(6)]
+    assert [one[2] for one in made] == [n >= _UNFOLDED for n in range(6)]

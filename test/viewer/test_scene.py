@@ -135,6 +135,30 @@ class Recorder:
         return None
 
 
+class Made(Recorder):
+    """Keeps how frames and grids are made."""
+
+    def __getattr__(self, method):
+        def make(name='', *_, **properties):
+            self.log.append((method, properties))
+            return Recorder(name)
+        return super().__getattr__(method) if method == 'atomic' else make
+
+
+def test_a_floor_has_the_size_of_its_plane_and_axes_are_hidden_at_first():
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody>
+        <geom type="plane" size="3 2 0.1"/><geom type="plane" size="0 2 0.1"/>
+        <body><geom size="0.1"/></body></worldbody></mujoco>""")
+    server = Made()
+    Scene(server, model, Kinematics(model).data)
+    grids = [made for method, made in server.log if method == 'add_grid']
+    assert [(one['width'], one['height'], bool(one['infinite_grid'])) for one in grids] == [
+        (6.0, 4.0, False), (20.0, 4.0, True)]
+    frames = [made for method, made in server.log if method == 'add_frame']
+    assert frames
+    assert not any(made['show_axes'] for made in frames)
+
+
 def test_only_what_has_moved_in_its_parent_is_sent(omron):
     model, _ = omron
     posture = Kinematics(model)
