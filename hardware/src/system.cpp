@@ -17,6 +17,7 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstdint>
+#include <deque>
 #include <limits>
 #include <map>
 #include <memory>
@@ -56,6 +57,42 @@ std::int64_t nanoseconds(const builtin_interfaces::msg::Time & stamp)
 }
 
 bool same(double a, double b) {return a == b || (std::isnan(a) && std::isnan(b));}
+
+//! Stamps are rounded to nanoseconds; control periods are longer than this.
+constexpr std::int64_t kRoundingNs = 10'000;
+
+//! The last instant, up to a given one, at which a sensor measures; a rate of 0: with each state.
+std::int64_t last_measured(std::int64_t stamp_ns, double rate_hz)
+{
+  if (rate_hz <= 0.0) {return stamp_ns;}
+  const double count = std::floor(1e-9 * static_cast<double>(stamp_ns + kRoundingNs) * rate_hz);
+  return std::llround(1e9 * count / rate_hz);
+}
+
+template<typename Message>
+struct Sensor
+{
+  std::string name;
+  double rate_hz;
+  typename Message::ConstSharedPtr message;
+  typename rclcpp::Subscription<Message>::SharedPtr subscription;
+
+  //! A node that is paused publishes what it holds between two measurements too: not taken here.
+  void take(typename Message::ConstSharedPtr newer)
+  {
+    const std::int64_t stamp_ns = nanoseconds(newer->header.stamp);
+    if (!message || stamp_ns - last_measured(stamp_ns, rate_hz) <= kRoundingNs) {
+      message = std::move(newer);
+    }
+  }
+
+  //! Whether what belongs to the state of an instant has come; a silent sensor is not waited for.
+  bool has_measured(std::int64_t stamp_ns) const
+  {
+    return !message ||
+           nanoseconds(message->header.stamp) + kRoundingNs >= last_measured(stamp_ns, rate_hz);
+  }
+};
 }  // namespace
 
 /**
@@ -66,7 +103,8 @@ bool same(double a, double b) {return a == b || (std::isnan(a) && std::isnan(b))
  * - lockstep: whether the physics waits for commands (false)
  * - state_timeout: how long a cycle waits for its state, wall time [s] (1.0; lockstep: 10.0)
  *
- * of a joint: mode_parameter, such as control_mode.arm, if its mode can change; of a sensor: topic.
+ * of a joint: mode_parameter, such as control_mode.arm, if its mode can change; of a sensor: topic, and
+ * rate if it measures less often than states come [Hz].
  */
 class ManipSimSystem : public hardware_interface::SystemInterface
 {
@@ -179,7 +217,8 @@ public:
       const bool came = arrived_.wait_for(lock, state_timeout_, [this, now] {return complete(now);});
       if (!came) {
         RCLCPP_WARN_THROTTLE(
-          get_logger(), *node_->get_clock(), 1000, "no state of %.6f s; the last one is of %.6f s",
+          get_logger(), *node_->get_clock(), 1000,
+          "%s of %.6f s has not come; the last state is of %.6f s", missing(now).c_str(),
           now * 1e-9, stamp_ns_ * 1e-9);
       }
     }
@@ -192,18 +231,18 @@ public:
       put(name + "/velocity", read_->velocity[i]);
       put(name + "/effort", read_->effort[i]);
     }
-    for (const auto & [name, wrench] : wrenches_) {
-      if (wrench) {
-        put(name, "force", wrench->wrench.force);
-        put(name, "torque", wrench->wrench.torque);
+    for (const auto & sensor : wrenches_) {
+      if (sensor.message) {
+        put(sensor.name, "force", sensor.message->wrench.force);
+        put(sensor.name, "torque", sensor.message->wrench.torque);
       }
     }
-    for (const auto & [name, imu] : imus_) {
-      if (imu) {
-        put(name, "orientation", imu->orientation);
-        put(name + "/orientation.w", imu->orientation.w);
-        put(name, "angular_velocity", imu->angular_velocity);
-        put(name, "linear_acceleration", imu->linear_acceleration);
+    for (const auto & sensor : imus_) {
+      if (sensor.message) {
+        put(sensor.name, "orientation", sensor.message->orientation);
+        put(sensor.name + "/orientation.w", sensor.message->orientation.w);
+        put(sensor.name, "angular_velocity", sensor.message->angular_velocity);
+        put(sensor.name, "linear_acceleration", sensor.message->linear_acceleration);
       }
     }
     return return_type::OK;
@@ -278,38 +317,52 @@ private:
     if (topic == sensor.parameters.end()) {
       throw std::invalid_argument("sensor '" + sensor.name + "' has no parameter 'topic'");
     }
-    const std::string name = sensor.name;
+    const auto rate = sensor.parameters.find("rate");
+    const double rate_hz = rate == sensor.parameters.end() ? 0.0 : std::stod(rate->second);
     const bool is_wrench = std::any_of(
       sensor.state_interfaces.begin(), sensor.state_interfaces.end(),
       [](const auto & state) {return state.name.rfind("force.", 0) == 0;});
     if (is_wrench) {
-      wrenches_[name] = nullptr;
-      wrench_subscriptions_.push_back(node_->create_subscription<WrenchStamped>(
-        topic->second, rclcpp::QoS(10), [this, name](WrenchStamped::ConstSharedPtr message) {
-          std::lock_guard<std::mutex> lock(mutex_);
-          wrenches_[name] = std::move(message);
-          arrived_.notify_all();
-        }));
+      subscribe(wrenches_, sensor.name, topic->second, rate_hz);
     } else {
-      imus_[name] = nullptr;
-      imu_subscriptions_.push_back(node_->create_subscription<Imu>(
-        topic->second, rclcpp::QoS(10), [this, name](Imu::ConstSharedPtr message) {
-          std::lock_guard<std::mutex> lock(mutex_);
-          imus_[name] = std::move(message);
-          arrived_.notify_all();
-        }));
+      subscribe(imus_, sensor.name, topic->second, rate_hz);
     }
+  }
+
+  template<typename Message>
+  void subscribe(
+    std::deque<Sensor<Message>> & sensors, const std::string & name, const std::string & topic,
+    double rate_hz)
+  {
+    auto & sensor = sensors.emplace_back(Sensor<Message>{name, rate_hz, nullptr, nullptr});
+    sensor.subscription = node_->create_subscription<Message>(
+      topic, rclcpp::QoS(10), [this, &sensor](typename Message::ConstSharedPtr message) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        sensor.take(std::move(message));
+        arrived_.notify_all();
+      });
   }
 
   //! Tell whether the state of an instant has come, and the measurements that belong to it.
   bool complete(std::int64_t now) const
   {
     if (!state_ || stamp_ns_ < now) {return false;}
-    const auto has_come = [this](const auto & named) {
-        return !named.second || nanoseconds(named.second->header.stamp) >= stamp_ns_;
-      };
+    const auto has_come = [this](const auto & sensor) {return sensor.has_measured(stamp_ns_);};
     return std::all_of(wrenches_.begin(), wrenches_.end(), has_come) &&
            std::all_of(imus_.begin(), imus_.end(), has_come);
+  }
+
+  //! Name what a cycle waits for.
+  std::string missing(std::int64_t now) const
+  {
+    if (!state_ || stamp_ns_ < now) {return "the state";}
+    for (const auto & sensor : wrenches_) {
+      if (!sensor.has_measured(stamp_ns_)) {return sensor.name;}
+    }
+    for (const auto & sensor : imus_) {
+      if (!sensor.has_measured(stamp_ns_)) {return sensor.name;}
+    }
+    return "the state";
   }
 
   void take_state(JointState::ConstSharedPtr message)
@@ -350,7 +403,8 @@ private:
     in_a_cycle_ = false;
     answer_.reset();
     read_.reset();
-    for (auto & [name, wrench] : wrenches_) {wrench.reset();}
+    for (auto & sensor : wrenches_) {sensor.message.reset();}
+    for (auto & sensor : imus_) {sensor.message.reset();}
     hold_commands();
     modes_are_lost_ = true;
   }
@@ -487,8 +541,6 @@ private:
   rclcpp::AsyncParametersClient::SharedPtr modes_client_;
   rclcpp::Publisher<JointState>::SharedPtr publisher_;
   rclcpp::Subscription<JointState>::SharedPtr subscription_;
-  std::vector<rclcpp::Subscription<WrenchStamped>::SharedPtr> wrench_subscriptions_;
-  std::vector<rclcpp::Subscription<Imu>::SharedPtr> imu_subscriptions_;
   std::thread spinner_;
   std::atomic<bool> ended_{false};
 
@@ -499,8 +551,8 @@ private:
   std::int64_t stamp_ns_ = 0;
   //! The last message that was sent.
   std::optional<JointState> answer_;
-  std::map<std::string, WrenchStamped::ConstSharedPtr> wrenches_;
-  std::map<std::string, Imu::ConstSharedPtr> imus_;
+  std::deque<Sensor<WrenchStamped>> wrenches_;
+  std::deque<Sensor<Imu>> imus_;
   bool looping_ = false;
   bool in_a_cycle_ = false;
   std::int64_t next_cycle_ns_ = 0;

@@ -31,8 +31,8 @@ OWN = Path(__file__).parent / 'controllers.yaml'
 JOINTS = [f'robot0_joint{n}' for n in range(1, 8)]
 MOVE = np.array([0.3, -0.2, 0.1, 0.2, -0.1, 0.2, 0.3])
 NODE = {'stepping': 'lockstep', 'ros2_control_plugin': 'manip_sim_hardware/ManipSimSystem'}
-FROM_APT = {'control_mode__arm': 'velocity', 'ros2_control_plugin':
-            'joint_state_topic_hardware_interface/JointStateTopicSystem'}
+FROM_APT = {
+    'ros2_control_plugin': 'joint_state_topic_hardware_interface/JointStateTopicSystem'}
 
 
 @pytest.fixture(scope='module')
@@ -205,8 +205,27 @@ def test_the_gripper_controller_reaches_its_goal(controlled):
 
 
 @pytest.mark.parametrize('parameters', [{}, FROM_APT], ids=['own', 'from apt'])
+def test_a_pushed_arm_stops_after_the_manager_was_killed(controlled, parameters):
+    sim, process = controlled(stepping='free', control_mode__arm='effort', **parameters)
+    spawn(sim, 'effort_forward')
+
+    def turns():
+        # [N m]
+        sim.publish('effort_forward/commands', Float64MultiArray(data=[*[0.0] * 6, 0.3]))
+        return sim.states('arm/joint_states').velocity[-1, 6] > 0.15
+    sim.wait_for(turns)
+    process.kill()
+    process.wait()
+    killed = len(sim.states('arm/joint_states').time_s)
+    sim.run_for(2.0)
+    states = sim.states('arm/joint_states')
+    assert states.velocity[killed + 10, 6] > 0.15
+    assert np.abs(states.velocity[-20:]).max() < 2e-3
+
+
+@pytest.mark.parametrize('parameters', [{}, FROM_APT], ids=['own', 'from apt'])
 def test_the_arm_stops_after_the_manager_was_killed_while_it_moved(controlled, parameters):
-    sim, process = controlled(stepping='free', **parameters)
+    sim, process = controlled(stepping='free', control_mode__arm='velocity', **parameters)
     spawn(sim, 'velocity_forward')
     turn(sim)
     process.kill()
@@ -248,6 +267,28 @@ def test_the_broadcaster_publishes_what_the_imu_of_the_hand_measures(controlled)
         assert message.orientation == imu.orientation
 
 
+def test_cycles_do_not_wait_for_a_sensor_with_a_lower_rate(controlled):
+    sim, _ = controlled(sensors=['{name: robot0_right_imu, rate: 20.0}'])
+    received, measured = [], {}
+    sim.node.create_subscription(Imu, 'robot0_right_imu_broadcaster/imu', received.append, 1000)
+    sim.node.create_subscription(
+        Imu, 'sensors/robot0_right_imu/imu',
+        lambda imu: measured.update({nanoseconds_of(imu.header.stamp): imu}), 1000)
+    spawn(sim, 'robot0_right_imu_broadcaster', 'arm_position_controller')
+    received.clear()
+    start_ns = round(1e9 * sim.time_s)
+    move(sim)
+    # Where time stands, the node publishes the instants between two measurements too.
+    assert any(stamp % 50_000_000 for stamp in measured)
+    assert len(received) > 100
+    for message in received:
+        stamp = nanoseconds_of(message.header.stamp)
+        imu = measured[stamp - stamp % 50_000_000]
+        assert stamp >= start_ns
+        assert message.linear_acceleration == imu.linear_acceleration
+        assert message.angular_velocity == imu.angular_velocity
+
+
 def test_the_admittance_controller_gives_way_to_what_its_sensor_measures(controlled):
     sim, _ = controlled()
     height = sim.messages('right/eef_pose')[-1].pose.position.z
@@ -273,6 +314,25 @@ def test_time_stands_while_the_manager_is_gone_and_another_one_goes_on(
     spawn(sim, 'arm_position_controller')
     goal = move(sim)
     assert np.abs(sim.states('arm/joint_states').position[-1] - goal).max() < 1e-3
+
+
+def test_the_node_is_killed_and_another_one_is_controlled_by_the_same_manager(
+        sim_node, written):
+    sim = sim_node(as_process=True, **NODE, ros2_control_tag=True)
+    manager(sim, written)
+    spawn(sim, 'arm_velocity_controller')
+    move(sim, 'arm_velocity_controller')
+    known_s = sim.time_s
+    sim.crash()
+    assert sim.time_s < 0.1
+    start = sim.states('arm/joint_states').position[-1]
+    # The manager sleeps until the time that it knew.
+    sim.run_for(known_s + 1.0)
+    assert mode_of_the_arm(sim) == 'velocity'
+    rest_at(sim, move(sim, 'arm_velocity_controller'))
+    states = sim.states('arm/joint_states')
+    assert np.ptp(np.round(np.diff(states.time_s), 9)) == 0.0
+    assert np.abs(states.position[-1] - start).max() > 0.25
 
 
 def test_a_reset_is_not_undone_by_the_controller_that_is_active(controlled):

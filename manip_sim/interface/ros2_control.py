@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from manip_sim.interface.instruments import served_instruments
 from manip_sim.interface.topics import Scope
@@ -27,8 +28,8 @@ def remapped(topic: str) -> str:
 
 
 def hardware_of(simulation: Simulation, robot: SimulatedRobot, scope: Scope, plugin: str,
-                lockstep: bool, resolve: Callable[[str], str], node: str = '/manip_sim'
-                ) -> Hardware:
+                lockstep: bool, resolve: Callable[[str], str], node: str = '/manip_sim',
+                rates_hz: Mapping[str, float] = MappingProxyType({})) -> Hardware:
     """
     Return the hardware of the ``<ros2_control>`` tag, in the present control modes.
 
@@ -39,6 +40,7 @@ def hardware_of(simulation: Simulation, robot: SimulatedRobot, scope: Scope, plu
     :param lockstep: whether the physics waits for commands
     :param resolve: returns what a topic is called
     :param node: name of the node, with its namespace
+    :param rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
     modes = {joint: scope.parameter(f'control_mode.{name}') for name, part in robot.parts.items()
              if part.gripper is None and part.atomic == (name,) for joint in part.joints}
@@ -50,4 +52,5 @@ def hardware_of(simulation: Simulation, robot: SimulatedRobot, scope: Scope, plu
             if served.instrument.kind == 'imu' and served.instrument.sensors[0] in own}
     return Hardware(
         robot.command_interfaces(), resolve(scope.topic('joint_states')),
-        resolve(scope.topic('joint_command')), plugin, node, modes, wrenches, lockstep, imus)
+        resolve(scope.topic('joint_command')), plugin, node, modes, wrenches, lockstep, imus,
+        {name: rates_hz[name] for name in imus if name in rates_hz})

@@ -31,12 +31,14 @@ class SensorSettings:
     :raises UnknownNameError: if there is no such sensor
     :raises ParameterError: if a sensor is faster than ``publish_rate``
     :ivar every: after how many control periods a message comes
+    :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
     :ivar noise: standard deviation on each number that is read, in its unit
     """
 
     def __init__(self, given: Sequence[str], served: Iterable[ServedInstrument],
                  publish_rate: float) -> None:
         self.every: dict[str, int] = {}
+        self.rates_hz: dict[str, float] = {}
         self.noise: dict[str, float] = {}
         texts = [text for text in given if text]
         if not texts:
@@ -52,6 +54,8 @@ class SensorSettings:
             seen.add(name)
             if rate is not None:
                 self.every[name] = periods_per_image(publish_rate, rate, f'sensors: {name}')
+                if self.every[name] > 1:
+                    self.rates_hz[name] = publish_rate / self.every[name]
             if noise:
                 self.noise[name] = noise
 

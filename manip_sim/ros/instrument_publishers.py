@@ -43,6 +43,7 @@ class InstrumentPublishers(Publications):
     :param frame_prefix: prefix of the names of frames
     :param simulation: its instruments are published
     :raises ManipSimError: if the parameter ``sensors`` cannot be used
+    :ivar rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
 
     def __init__(self, node: Any, robots: Mapping[Scope, SimulatedRobot], log: RejectionLog,
@@ -54,6 +55,7 @@ class InstrumentPublishers(Publications):
         if settings.noise:
             simulation.instruments.set_noise(settings.noise)
         self._every = settings.every
+        self.rates_hz = settings.rates_hz
         self._node = node
         self._robots = robots
         self._log = log

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 import json
+from types import MappingProxyType
 from typing import Any
 
 from std_msgs.msg import String
@@ -54,11 +55,13 @@ class DescriptionPublisher:
     :param plugin: hardware component of a ``<ros2_control>`` tag for the present control modes,
         which names the topics as they are called after remapping; empty for no tag
     :param lockstep: whether the physics waits for commands
+    :param rates_hz: of the sensors with fewer messages than control periods [Hz]
     """
 
     def __init__(self, node: Any, world: World, simulation: Simulation,
                  robots: Mapping[Scope, SimulatedRobot], plugin: str = '',
-                 lockstep: bool = False) -> None:
+                 lockstep: bool = False,
+                 rates_hz: Mapping[str, float] = MappingProxyType({})) -> None:
         self._node = node
         self._world = world
         self._robots = robots
@@ -70,7 +73,7 @@ class DescriptionPublisher:
         if plugin:
             self._hardware = {robot.name: hardware_of(
                 simulation, robot, scope, plugin, lockstep, node.resolve_topic_name,
-                node.get_fully_qualified_name()) for scope, robot in robots.items()}
+                node.get_fully_qualified_name(), rates_hz) for scope, robot in robots.items()}
 
     def publish(self) -> None:
         """

@@ -192,7 +192,7 @@ class SimNode(Node):
             model, DescriptionPublisher(
                 self, world, self.simulation, self._robots,
                 value('ros2_control_plugin') if value('ros2_control_tag') else '',
-                value('stepping') == 'lockstep'),
+                value('stepping') == 'lockstep', instruments.rates_hz),
             self._dynamics]
 
     def _control(self, scope: Scope, robot: SimulatedRobot) -> None:

@@ -26,7 +26,8 @@ NODES = {
     'panda': {'robot': 'Panda', 'prefix': 'panda_'},
     'velocity': {'robot': 'UR5e', 'control_mode.arm': 'velocity'},
     'baxter': {'robot': 'Baxter', 'ros2_control_plugin': OWN_PLUGIN, 'stepping': 'lockstep'},
-    'omron': {'robot': 'PandaOmron', 'ros2_control_plugin': OWN_PLUGIN}}
+    'omron': {'robot': 'PandaOmron', 'ros2_control_plugin': OWN_PLUGIN,
+              'sensors': ['{name: robot0_right_imu, rate: 10.0}']}}
 
 
 @pytest.fixture(params=NODES)
@@ -83,6 +84,12 @@ def test_wrenches_and_imus_are_broadcast_in_the_frame_of_the_sensor(package):
     assert frames.keys() == sensors
     assert bool(sensors) == ('ros2_control_plugin' in package.given)
     assert set(frames.values()) <= {link.get('name') for link in package.urdf.findall('link')}
+
+
+def test_the_tag_names_the_rate_of_a_sensor_that_is_slower_than_the_states(package):
+    rates = {sensor.get('name'): param.text for sensor in package.urdf.iter('sensor')
+             for param in sensor.findall('param') if param.get('name') == 'rate'}
+    assert rates == ({'robot0_right_imu': '10.0'} if 'sensors' in package.given else {})
 
 
 def test_the_node_is_started_as_the_package_was_written_for(package):

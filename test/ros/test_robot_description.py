@@ -101,7 +101,8 @@ def test_the_tag_of_ros2_control_is_that_of_this_node(node, client):
 def test_the_tag_for_the_own_plugin_names_parameters_and_sensors_of_this_node(serve, client):
     # Other names than those of the node of this module, which goes on.
     serve(robots=['front', 'back'], stepping='lockstep', ros2_control_tag=True,
-          ros2_control_plugin='manip_sim_hardware/ManipSimSystem')
+          ros2_control_plugin='manip_sim_hardware/ManipSimSystem',
+          sensors=['{name: front_right_imu, rate: 30.0}', '{name: back_right_imu, rate: 100.0}'])
     tag = description(client, 'front/robot_description').find('ros2_control')
     assert {p.text for p in tag.findall('hardware/param')} == {
         '/front/joint_states', '/front/joint_command', '/manip_sim', 'true'}
@@ -111,6 +112,9 @@ def test_the_tag_for_the_own_plugin_names_parameters_and_sensors_of_this_node(se
         'right_external_wrench': '/front/right/external_wrench',
         'front_base_imu': '/front/sensors/front_base_imu/imu',
         'front_right_imu': '/front/sensors/front_right_imu/imu'}
+    assert {s.get('name'): p.text for s in tag.findall('sensor')
+            for p in s.findall('param') if p.get('name') == 'rate'} == {
+                'front_right_imu': str(1.0 / 0.03)}
     # What the tag names exists.
     known = {name for name, _ in client.node.get_topic_names_and_types()}
     client.spin_until(lambda: known.update(

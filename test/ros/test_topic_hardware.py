@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
+from test_robot_description import description
 from topic_hardware import Mimic, tag, TagJoint, TopicHardware
 
 from manip_sim.models import compose
@@ -436,3 +437,31 @@ def test_lock_step_goes_on_with_a_hardware_that_answers_each_state_as_the_own_pl
     client.spin_until(lambda: abs(states[-1].velocity[0] - 0.2) < 1e-6)
     assert [round(stamp(state) * 100.0) for state in states] == list(range(1, len(states) + 1))
     assert rejected(node) == 0
+
+
+def test_lock_step_goes_on_with_a_hardware_that_waits_for_the_sensors_that_the_tag_says_are_due(
+        serve, client):
+    serve(stepping='lockstep', ros2_control_tag=True,
+          ros2_control_plugin='manip_sim_hardware/ManipSimSystem',
+          sensors=['{name: robot0_right_imu, rate: 20.0}'])
+    (sensor,) = (s for s in description(client, 'robot_description').iter('sensor')
+                 if s.get('name') == 'robot0_right_imu')
+    told = {param.get('name'): param.text for param in sensor.findall('param')}
+    interval = round(1000.0 / float(told['rate']))  # [ms]
+    publisher = client.publisher(JointState, 'joint_command')
+    states, imus, answered = [], [], []
+
+    def answer(message):
+        (imus if isinstance(message, Imu) else states).append(round(1000.0 * stamp(message)))
+        due = states and states[-1] // interval * interval
+        if states and states[-1] not in answered and (due == 0 or due in imus):
+            answered.append(states[-1])
+            command = JointState(name=['robot0_joint1'], position=[NAN])
+            command.header.stamp.nanosec = states[-1] * 1_000_000
+            publisher.publish(command)
+    client.node.create_subscription(Imu, told['topic'], answer, 10)
+    client.node.create_subscription(JointState, 'joint_states', answer, 10)
+    client.spin_until(lambda: answered and answered[-1] >= 300)
+    assert answered[:30] == list(range(10, 310, 10))
+    # Between two measurements nothing comes but the state at the start.
+    assert {imu for imu in imus if imu % interval} <= {10}

@@ -37,6 +37,7 @@ class Hardware:
     :ivar wrench_topics: topics of wrenches, by name of the sensor
     :ivar lockstep: whether the physics waits for commands
     :ivar imu_topics: topics of IMUs, by name of the sensor
+    :ivar rates_hz: of the sensors that measure less often than joint states come, by name [Hz]
     """
 
     interfaces: Mapping[str, str]
@@ -48,6 +49,7 @@ class Hardware:
     wrench_topics: Mapping[str, str] = field(default_factory=dict)
     lockstep: bool = False
     imu_topics: Mapping[str, str] = field(default_factory=dict)
+    rates_hz: Mapping[str, float] = field(default_factory=dict)
 
 
 def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequence[str],
@@ -88,5 +90,8 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
         for name, topic in topics.items() if own else ():
             sensor = ElementTree.SubElement(tag, 'sensor', name=name)
             ElementTree.SubElement(sensor, 'param', name='topic').text = topic
+            if name in hardware.rates_hz:
+                rate = repr(float(hardware.rates_hz[name]))
+                ElementTree.SubElement(sensor, 'param', name='rate').text = rate
             for interface in interfaces:
                 ElementTree.SubElement(sensor, 'state_interface', name=interface)
