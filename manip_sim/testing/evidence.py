@@ -19,12 +19,17 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
+from manip_sim.errors import ManipSimError
 from manip_sim.models.archive import load_archive
 
 if TYPE_CHECKING:
     from manip_sim.testing.simulation_under_test import SimulationUnderTest
 
 _SIZE = (960, 720)
+#: How often to ask for the model; the report of the test waits meanwhile.
+_TRIES = 20
+#: The longest time for a picture, also of a machine with many other processes [s].
+_RENDERING_S = 300.0
 _ARCHIVE, _STATES, _PICTURE = 'model.mjz', 'states.npz', 'picture.png'
 
 
@@ -48,19 +53,31 @@ def save_evidence(simulation: SimulationUnderTest, folder: Path) -> list[str]:
             pose.position.x, pose.position.y, pose.position.z, pose.orientation.w,
             pose.orientation.x, pose.orientation.y, pose.orientation.z])
     np.savez(folder / _STATES, **arrays)
-    (folder / _ARCHIVE).write_bytes(_archive(simulation))
     lines.append(f'states at each control period: {folder / _STATES}')
-    done = subprocess.run([sys.executable, '-m', __name__, str(folder)], capture_output=True,
-                          text=True, check=False, env={'MUJOCO_GL': 'egl', **os.environ})
-    error = (done.stderr.strip().splitlines() or ['it ended without output'])[-1]
-    lines.append(f'no picture: {error}' if done.returncode
-                 else f'the last instant: {folder / _PICTURE}')
+    try:
+        (folder / _ARCHIVE).write_bytes(_archive(simulation))
+        _picture(folder)
+        lines.append(f'the last instant: {folder / _PICTURE}')
+    except ManipSimError as error:
+        lines.append(f'no picture: {error}')
     return lines
 
 
 def _archive(simulation: SimulationUnderTest) -> bytes:
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    return bytes(simulation.receive(UInt8MultiArray, 'manip_sim/mjcf_archive', latched).data)
+    return bytes(simulation.receive(
+        UInt8MultiArray, 'manip_sim/mjcf_archive', latched, _TRIES).data)
+
+
+def _picture(folder: Path) -> None:
+    try:
+        done = subprocess.run(
+            [sys.executable, '-m', __name__, str(folder)], capture_output=True, text=True,
+            check=False, env={'MUJOCO_GL': 'egl', **os.environ}, timeout=_RENDERING_S)
+    except subprocess.TimeoutExpired as error:
+        raise ManipSimError(f'rendering took more than {_RENDERING_S:g} s') from error
+    if done.returncode:
+        raise ManipSimError((done.stderr.strip().splitlines() or ['it ended without output'])[-1])
 
 
 def render(folder: Path) -> None:

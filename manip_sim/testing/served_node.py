@@ -36,6 +36,13 @@ class ServedNode(Protocol):
         :raises ManipSimError: with the reason why it has ended
         """
 
+    def kill(self) -> None:
+        """
+        End the node without warning, as a crash does.
+
+        :raises ManipSimError: if it runs in this process
+        """
+
     def close(self) -> None:
         """
         End the node.
@@ -73,6 +80,11 @@ class NodeInProcess:
         """Check that the node still runs."""
         if self.node.thread.error is not None:
             raise ManipSimError(f'the node has ended: {self.node.thread.error}')
+
+    def kill(self) -> None:
+        """Say that the node cannot be killed."""
+        raise ManipSimError('a node in the process of the test cannot be killed: start it with '
+                            'as_process=True')
 
     def close(self) -> None:
         """End the node; after a signal, rclpy has shut its context down already."""
@@ -115,6 +127,12 @@ class NodeProcess:
 
     def _last_line(self) -> str:
         return (self._log.read_text().strip().splitlines() or ['no output'])[-1]
+
+    def kill(self) -> None:
+        """Send SIGKILL to the process."""
+        self._process.kill()
+        self._process.wait()
+        self._files.close()
 
     def close(self) -> None:
         """End the node."""

@@ -73,7 +73,7 @@ class SimulationUnderTest:
     """
 
     def __init__(self, domain: int, parameters: Mapping[str, Any], as_process: bool) -> None:
-        given = {'stepping': 'free', **parameters, 'start_paused': True}
+        given = self._given = {'stepping': 'free', **parameters, 'start_paused': True}
         self._lockstep = given['stepping'] == 'lockstep'
         self.domain = domain
         self.server: ServedNode = (
@@ -103,10 +103,15 @@ class SimulationUnderTest:
         for topic, types in self.node.get_topic_names_and_types():
             if types[0] in _RECORDED and self.node.count_publishers(topic):
                 self._record(topic, _RECORDED[types[0]])
+        self._states = wanted
+        self._wait_for_the_start()
+
+    def _wait_for_the_start(self) -> None:
         # Topics of a robot without an arm, or of objects that come later, have no message yet.
-        self._spin_until(lambda: self._repeats > 2 and all(self._messages[t] for t in wanted))
+        self._spin_until(lambda: self._repeats > 2 and all(
+            self._messages[topic] for topic in self._states))
         self._topics = [topic for topic, messages in self._messages.items() if messages]
-        self._now_ns = nanoseconds_of(self._messages[wanted[0]][0].header.stamp)
+        self._now_ns = nanoseconds_of(self._messages[self._states[0]][0].header.stamp)
 
     def _parameters(self, *names: str) -> Any:
         """Ask for parameters until an answer comes: DDS may lose the first one of a new client."""
@@ -225,6 +230,23 @@ class SimulationUnderTest:
             for topic in self._topics))
         self._now_ns = end_ns
 
+    def crash(self) -> None:
+        """
+        Kill the node (SIGKILL), and start it again: its time and what was recorded begin anew.
+
+        The controllers under test go on, and find another node of the same name.
+
+        :raises ManipSimError: if the node was not started with ``as_process=True``
+        """
+        self.server.kill()
+        for messages in self._messages.values():
+            messages.clear()
+        self._repeats = 0
+        self.server = NodeProcess(self._given)
+        self._wait_for_the_start()
+        # DDS knows the services of the node that was killed for some time yet.
+        self._parameters('publish_rate')
+
     # ------------------------------------------------------------------ what was published
 
     def messages(self, topic: str) -> list[Any]:
@@ -249,18 +271,34 @@ class SimulationUnderTest:
         return sorted(f'{space.rstrip("/")}/{name}'
                       for name, space in self.node.get_node_names_and_namespaces())
 
-    def receive(self, message_type: Any, topic: str, qos: Any = 10) -> Any:
+    def receive(self, message_type: Any, topic: str, qos: Any = 10,
+                tries: int | None = None) -> Any:
         """
         Return the next message of any topic; of a latched one the last that was published.
 
         :param message_type: such as ``std_msgs.msg.String``
         :param topic: such as ``manip_sim/mjcf``
         :param qos: profile, or depth of the history
+        :param tries: how often to subscribe, some seconds each; None: until there is a message
+        :raises ManipSimError: if there is none, or the node has ended
         """
         messages: list[Any] = []
-        subscription = self.node.create_subscription(message_type, topic, messages.append, qos)
-        self._spin_until(lambda: bool(messages))
-        self.node.destroy_subscription(subscription)
+        subscriptions: list[Any] = []
+        looks = itertools.count()
+
+        def received() -> bool:
+            # DDS may lose a latched message on its way to a new subscription.
+            if not messages and next(looks) % _LOOKS == 0:
+                if len(subscriptions) == tries:
+                    raise ManipSimError(f'no message on {topic}')
+                subscriptions.append(self.node.create_subscription(
+                    message_type, topic, messages.append, qos))
+            return bool(messages)
+        try:
+            self._spin_until(received)
+        finally:
+            for subscription in subscriptions:
+                self.node.destroy_subscription(subscription)
         return messages[0]
 
     def states(self, topic: str = 'joint_states') -> JointHistory:

@@ -14,7 +14,9 @@ pytest.importorskip('rclpy', reason='the fixture sim_node needs ROS 2')
 import numpy as np  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.node import Node  # noqa: E402
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
 
 from manip_sim.errors import ManipSimError, UnknownNameError  # noqa: E402
 
@@ -151,3 +153,48 @@ def test_a_process_is_in_the_domain_of_the_simulation_that_starts_it(sim_node):
     for sim in (first, second):
         with sim.start([sys.executable, '-c', TELLS_ITS_DOMAIN], stdout=subprocess.PIPE) as told:
             assert int(told.stdout.read()) == sim.domain
+
+
+def test_a_model_that_does_not_come_costs_the_picture_alone(sim_node, monkeypatch, tmp_path):
+    from manip_sim.testing import simulation_under_test
+    sim = sim_node()
+    publishers = {p.topic_name: p for p in sim.server.node.publishers}
+    sim.server.node.destroy_publisher(publishers['/manip_sim/mjcf_archive'])
+    monkeypatch.setattr(simulation_under_test, '_LOOKS', 2)
+    *_, states, picture = sim.save_evidence(tmp_path / 'failed')
+    assert picture == 'no picture: no message on manip_sim/mjcf_archive'
+    assert states.endswith('states.npz') and (tmp_path / 'failed' / 'states.npz').is_file()
+
+
+def test_a_message_that_is_lost_is_asked_for_again(sim_node, monkeypatch):
+    sim = sim_node()
+    subscribe, subscriptions = sim.node.create_subscription, []
+
+    def lose_the_first(message_type, topic, callback, qos):
+        subscriptions.append(topic)
+        return subscribe(message_type, topic, callback if len(subscriptions) > 1 else
+                         lambda message: None, qos)
+    monkeypatch.setattr(sim.node, 'create_subscription', lose_the_first)
+    latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    assert sim.receive(String, 'manip_sim/mjcf', latched).data.startswith('<mujoco')
+    assert len(subscriptions) == 2
+
+
+def test_a_node_that_crashes_comes_back_and_what_was_recorded_begins_anew(sim_node):
+    sim = sim_node(as_process=True, control_mode__arm='velocity')
+    command = JointState(name=['robot0_joint1'], velocity=[0.2])
+
+    def turns():
+        sim.publish('arm/joint_command', command)
+        return sim.states().velocity[-1, 0] > 0.15
+    sim.wait_for(turns)
+    sim.crash()
+    assert len(sim.states().time_s) == 1 and sim.time_s < 0.1
+    # The same controller goes on with the node that is new.
+    sim.wait_for(turns)
+    assert np.ptp(np.round(np.diff(sim.states().time_s), 9)) == 0.0
+
+
+def test_a_node_in_the_process_of_the_test_cannot_crash(sim_node):
+    with pytest.raises(ManipSimError, match='start it with as_process=True'):
+        sim_node().crash()
