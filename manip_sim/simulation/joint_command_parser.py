@@ -103,7 +103,8 @@ class JointCommandParser:
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         what = part or 'joint_command'
-        given = {field: as_numbers(of, f'{what}: {field}') for field, of in fields.items()}
+        given = {field: as_numbers(of, f'{what}: {field}') for field, of in fields.items()
+                 if not (isinstance(of, tuple) and not of)}
         if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.

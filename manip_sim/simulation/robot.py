@@ -326,7 +326,7 @@ class SimulatedRobot:
         position, velocity, effort = read('joints').reshape(3, -1)
         return State(
             time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
-            end_effectors={arm: end_effector(partial(_of_arm, read, arm))
+            end_effectors={arm: end_effector(*[read(f'{arm}/{name}') for name in READINGS])
                            for arm in self.end_effectors})
 
     def measured(self, part: str | None = None) -> FloatArray:
@@ -494,7 +494,3 @@ class SimulatedRobot:
         self.joints.reset(self._physics.data)
         for gripper in self.grippers.values():
             gripper.reset(self._physics.data)
-
-
-def _of_arm(read: Callable[[str], FloatArray], arm: str, name: str) -> FloatArray:
-    return read(f'{arm}/{name}')

@@ -5,14 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
-from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.external_wrench import ExternalWrench
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose, Twist
@@ -60,7 +57,7 @@ class EndEffectorReader:
 
         :param data: the ``mujoco.MjData``
         """
-        return end_effector(lambda name: getattr(self, name)(data))
+        return end_effector(*(getattr(self, name)(data) for name in READINGS))
 
     def pose(self, data: mujoco.MjData) -> FloatArray:
         """
@@ -69,9 +66,11 @@ class EndEffectorReader:
         :param data: the ``mujoco.MjData``
         :returns: position [m] and quaternion x, y, z, w, shape (7,)
         """
-        quat_wxyz = np.empty(4)
+        pose, quat_wxyz = np.empty(7), np.empty(4)
         mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
-        return np.concatenate([data.site_xpos[self._grip_site], wxyz_to_xyzw(quat_wxyz)])
+        pose[:3] = data.site_xpos[self._grip_site]
+        pose[3:6], pose[6] = quat_wxyz[1:], quat_wxyz[0]
+        return pose
 
     def twist(self, data: mujoco.MjData) -> FloatArray:
         """
@@ -104,13 +103,9 @@ class EndEffectorReader:
         return self.external.read(data)
 
 
-def end_effector(read: Callable[[str], FloatArray]) -> EndEffector:
-    """
-    Return the state of a gripper.
-
-    :param read: returns ``pose``, ``twist``, ``wrench`` or ``external_wrench``
-    """
-    pose, twist, wrench, external = map(read, READINGS)
+def end_effector(pose: FloatArray, twist: FloatArray, wrench: FloatArray, external: FloatArray
+                 ) -> EndEffector:
+    """Return the state of a gripper, from its :data:`READINGS` as :class:`EndEffectorReader`'s."""
     return EndEffector(
         pose=Pose(pose[:3], pose[3:]), twist=Twist(twist[:3], twist[3:]),
         wrench=Wrench(wrench[:3], wrench[3:]),

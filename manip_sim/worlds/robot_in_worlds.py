@@ -187,7 +187,7 @@ class Commands(RowByRow):
                  for field, values in (('position', position), ('velocity', velocity),
                                        ('effort', effort)) if values is not None}
         alike: dict[int, JointSetpoint] = {}
-        if len(given) == 1:
+        if len(given) == 1 and len(self._robots) > 1:
             (field, values), = given.items()
             alike = self._alike(names, field, values, part, where)
         self._apply(lambda robot, world: [alike[world]] if world in alike else
