@@ -4,6 +4,7 @@
 """The node as a process: its start, its end, and real time."""
 
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import END_SIGNALS
+from pages import blocks
 import pytest
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
@@ -260,3 +262,34 @@ while time.monotonic() < end:
     publisher.publish(JointState(name=['robot0_joint1'], **{sys.argv[1]: [float(sys.argv[2])]}))
     time.sleep(0.02)
 """
+
+
+def segments(process):
+    """Return the files of shared memory that a process maps."""
+    maps = Path(f'/proc/{process.pid}/maps').read_text()
+    return set(re.findall(r'/dev/shm/fastrtps_[0-9a-f]{16}$', maps, re.MULTILINE))
+
+
+def test_a_killed_node_leaves_memory_that_the_command_of_the_page_removes(sim_process, client):
+    page = Path(__file__).parents[2] / 'docs/how_to/security.md'
+    (command,) = (block.text for block in blocks(page) if 'flock' in block.text)
+    process = sim_process()
+    client.state()
+    # Those of others that it writes to are theirs.
+    found = {file for file in segments(process) if Path(f'{file}_el').exists()}
+    if not found:
+        pytest.skip('this middleware has no shared memory here')
+
+    def remove():
+        """Run the command for the files of this node alone, and return which are left."""
+        pattern = '/dev/shm/fastrtps_????????????????_el'
+        assert pattern in command
+        subprocess.run(['sh', '-c', command.replace(pattern, ' '.join(
+            f'{file}_el' for file in sorted(found)))], check=False, timeout=300.0)
+        return {file for file in found if Path(file).exists()}
+    assert remove() == found
+    process.kill()
+    process.wait(timeout=300.0)
+    left = remove()
+    assert left < found
+    assert not any(Path(f'{file}_el').exists() for file in found - left)

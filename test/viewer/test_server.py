@@ -61,3 +61,15 @@ def test_who_waits_is_woken_after_another_thread_has_set_the_event(buffer):
     buffer.event_loop.call_soon_threadsafe(event.set)
     for task in waiting:
         task.result(timeout=300.0)
+
+
+def test_buffers_of_all_servers_have_such_an_event_and_it_is_put_in_once(buffer):
+    from viser.infra import _infra
+    again = open_server('127.0.0.1', 0, Access.of({}, []))
+    try:
+        kinds = type(again._websock_server._broadcast_buffer).__mro__
+        assert kinds[0] is type(buffer) is _infra.AsyncMessageBuffer
+        assert [kind.__name__ for kind in kinds].count('Buffer') == 1
+        assert type(buffer.message_event).__module__ == 'manip_sim.viewer.page.server'
+    finally:
+        close_server(again)
