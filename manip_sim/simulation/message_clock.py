@@ -78,7 +78,6 @@ class MessageClock:
     :ivar jitter_s: how far arrivals are off the times of sending [s]; zero for none
     :ivar spread_s: the same of arrivals and the even schedule [s]
     :ivar number: of messages, up to the last one
-    :ivar fitted: whether an estimator has begun a fit to goals off schedule
     :ivar on_time: whether the last message was on the schedule, as others before it
     :ivar until_s: when the stream ends that goes on without messages [s]
     """
@@ -92,7 +91,7 @@ class MessageClock:
         self.where: slice | IntArray = slice(0)
         self.interval_s = self.sent_s = self.elapsed_s = 0.0
         self.jitter_s = self.slack_s = 0.0
-        self.on_time, self.until_s, self.fitted = False, -math.inf, False
+        self.on_time, self.until_s = False, -math.inf
         self._arrived_s = -math.inf
         self.number = self._astray = self._skipped = self._together = self._even = 0
         # The even schedule: when the last message was due by it, how far arrivals are off it.

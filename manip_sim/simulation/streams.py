@@ -80,8 +80,8 @@ class StreamEstimator:
         self._curves = np.zeros((2, count))
         #: Of streams off schedule: value, velocity and acceleration of a parabola that follows
         #: the goals; the acceleration by the last two steps; by how much the last goal missed
-        #: those of the three before, and the power of what misses at random.
-        self._fit = np.zeros((6, count))
+        #: those of the three before, the power of what misses at random, and whether it has begun.
+        self._fit = np.zeros((7, count))
 
     @property
     def usual_acceleration(self) -> FloatArray:
@@ -158,7 +158,7 @@ class StreamEstimator:
             self._smooth(clock, goal, velocity, change, smooth, before_s, interval_s, period_s,
                          acceleration_limit)
         else:
-            clock.fitted = False
+            self._fit[6, at] = 0.0
         self._change[at] = size
         self.acceleration[at] = size * 2.0 / (elapsed_s + before_s) if clock.on_time else 0.0
         curves = self._curves[:, at]
@@ -185,16 +185,15 @@ class StreamEstimator:
         """
         at, elapsed_s = clock.where, clock.elapsed_s
         between_s = (elapsed_s + before_s) / 2.0
-        level, pace, bend, last_bend, last_off, power = self._fit[:, at]
-        if not clock.fitted:
+        level, pace, bend, last_bend, last_off, power, begun = self._fit[:, at]
+        if not begun.all():
             level, pace, last_bend = self.goal[at], self._last[at], change / between_s
             bend, last_off, power = np.zeros((3, len(goal)))
         off = (change - last_bend * between_s) * elapsed_s
         # Of random errors e, two such differences in a row have a product of -15 e^2 on average;
         # a smooth course adds the square of its third difference, of the other sign.
         power = power + _POWER_LEARNT * (-off * last_off / _PRODUCT - power)
-        clock.fitted = True
-        self._fit[3:, at] = change / between_s, off, power
+        self._fit[3:, at] = change / between_s, off, power, np.ones(len(goal))
         speed = np.maximum(np.abs(velocity), np.abs(self._last[at]))
         spread = np.minimum(self._off(at), _REACH * speed * (clock.spread_s + period_s / 4.0))
         memory_s = np.sqrt(3.0 * spread / (_NOISE * acceleration_limit))
