@@ -10,7 +10,7 @@ Each gripper is mounted on a Panda at a table, hands with five fingers on a GR1;
 own gripper. With ``--topics`` a client of a node in lock-step presses, see ``pressing.py``.
 
 - touch: an admittance controller of 100 Hz lowers the hand at 20 mm/s until it touches, and
-  presses with 10 N: the greatest force in a step, wherever in a control period the touch falls.
+  presses with 5 or 10 N: the greatest force in a step, wherever in a period the touch falls.
 - press: then it slides at 30 mm/s: the greatest error of ``external_wrench`` from 1.5 s after the
   touch and after the start of sliding on.
 - drag: in effort mode, the target so far below the table that the hand presses with 8 N, along x
@@ -284,9 +284,10 @@ def hold(gripper, seconds=6.0):
 
 def row(name):
     """Return a row of the table."""
-    peak, (still, sliding) = touch_down(name), press(name)
+    light, peak = touch_down(name, 5.0), touch_down(name, 10.0)
+    still, sliding = press(name)
     lost, where, friction = drag(name)
-    cells = [f'`{name}`', f'{peak:.1f}', f'{still:.2f}', f'{sliding:.2f}',
+    cells = [f'`{name}`', f'{light:.1f}', f'{peak:.1f}', f'{still:.2f}', f'{sliding:.2f}',
              f'{100.0 * lost:.1f}' + (f' ({where})' if lost else ''), f'{friction:.2f}']
     if name in PAYLOADS:
         load_kg, creep, shaken = hold(name)
@@ -297,8 +298,8 @@ def row(name):
 
 
 HEADER = """\
-| gripper or robot | touch [N] | press, still [N] | press, sliding [N] | no contact [%] | friction | load [kg] | creep [mm/min] | shake [mm] |
-|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
+| gripper or robot | touch, 5 N [N] | touch, 10 N [N] | press, still [N] | press, sliding [N] | no contact [%] | friction | load [kg] | creep [mm/min] | shake [mm] |
+|---|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
 TOPICS_HEADER = """\
 | gripper | force [N] | rate [Hz] | press, still [N] | press, sliding [N] |
 |---|---|---|---|---|"""
