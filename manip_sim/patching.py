@@ -34,6 +34,7 @@ class PatchedBytes:
     def __init__(self, serialize: Callable[[int, FloatArray], bytes], count: int) -> None:
         marks = _MARKED_BITS + np.arange(count, dtype=np.uint64)
         self._buffer = bytearray(serialize(_MARKED_NS, marks.view(np.float64)))
+        self._content = memoryview(self._buffer)
         aligned = memoryview(self._buffer)[_ENCODING_SIZE:]
         self._words = np.frombuffer(aligned, np.uint32, len(aligned) // 4)
         self._doubles = np.frombuffer(aligned, np.float64, len(aligned) // 8)
@@ -46,6 +47,14 @@ class PatchedBytes:
         self._seconds = np.flatnonzero(self._words == seconds)
         self._nanoseconds = np.flatnonzero(self._words == nanoseconds)
 
+    def cut(self, size: int) -> None:
+        """
+        Leave out what is behind the message.
+
+        :param size: of the message [bytes]
+        """
+        self._content = self._content[:size]
+
     def at(self, time_ns: int, numbers: FloatArray) -> bytes:
         """
         Return the bytes of a message.
@@ -56,4 +65,4 @@ class PatchedBytes:
         self._words[self._seconds], self._words[self._nanoseconds] = divmod(
             time_ns, 1_000_000_000)
         self._doubles[self._places] = numbers if self._in_order else numbers[self._sources]
-        return bytes(self._buffer)
+        return bytes(self._content)

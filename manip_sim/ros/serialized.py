@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Callable
 from typing import Any
 
@@ -53,11 +54,13 @@ class SerializedMessage:
         # Bytes cannot be compared: rclpy leaves those between aligned numbers as they were.
         time_ns, numbers = 1_000_000_002, np.linspace(0.1, 9.9, self._count, dtype=np.float64)
         made = self._make(stamp_of(time_ns), numbers)
-        try:
-            return self.patches and made == deserialize_message(
-                self.at(time_ns, numbers), type(made))
-        except RuntimeError:  # rclpy's, as the bytes are no such message.
+        if self._patched is None or not _is_message(self.at(time_ns, numbers), made):
             return False
+        # rclpy appends what happens to be in memory, up to the size that it has estimated.
+        content = self._patched.at(time_ns, numbers)
+        self._patched.cut(bisect.bisect_left(
+            range(len(content)), True, key=lambda size: _is_message(content[:size], made)))
+        return True
 
     def at(self, time_ns: int, numbers: FloatArray) -> Any:
         """
@@ -69,3 +72,10 @@ class SerializedMessage:
         if self._patched is None:
             return self._make(stamp_of(time_ns), numbers)
         return self._patched.at(time_ns, numbers)
+
+
+def _is_message(content: bytes, message: Any) -> bool:
+    try:
+        return bool(message == deserialize_message(content, type(message)))
+    except RuntimeError:  # rclpy's, as the bytes are no such message.
+        return False

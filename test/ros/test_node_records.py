@@ -83,6 +83,9 @@ def test_all_topics_of_a_node_are_recorded_until_a_signal(
     parameters = yaml.safe_load(about['parameters'])
     assert (parameters['robot'], parameters['arena']) == ('UR5e', 'table')
     assert load_archive(attached[-1].data).body('cube').id
+    with AnyReader([path]) as reader:
+        for connection, _, content in reader.messages():
+            reader.deserialize(content, connection.msgtype)
     states = typed(path, '/joint_states')
     assert len(states) > 5 and list(states[0].name) == names
     stamps = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in states]
