@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.models import compose, load_base, load_robot
+from manip_sim.models import compose, load_base, load_gripper, load_robot
 from manip_sim.simulation import Simulation
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'
@@ -144,3 +144,21 @@ def test_a_rod_beside_a_longer_chain_is_no_second_arm(tmp_path):
                                       f'<geom size="0.1"/>{arm}{rod}</body></worldbody></mujoco>')
     robot = load_robot(tmp_path / 'arm.xml')
     assert robot.arm_joints == ['robot0_x', 'robot0_y', 'robot0_z']
+
+
+@pytest.mark.parametrize('load', [load_robot, load_gripper])
+def test_fingers_that_cannot_touch_an_object_are_told_where_they_are(load, tmp_path):
+    file = FILES / 'ghost_hand.xml'
+    told = [note for note in told_by(load(file)) if 'can touch an object' in note]
+    assert told == ['no shape of the fingers (left_finger, right_finger) can touch an object: give '
+                    f'them collision shapes, with contype and conaffinity 1, in {file}']
+    seen = tmp_path / 'seen.xml'
+    # A shape that is touched by others, but touches none by itself, holds an object.
+    seen.write_text(file.read_text().replace('conaffinity="0"', 'conaffinity="1"'))
+    assert not any('can touch an object' in note for note in told_by(load(seen)))
+
+
+def told_by(model):
+    """Return what was inferred of a hand, or of the hands of a robot."""
+    hands = [model] if not hasattr(model, 'grippers') else model.grippers.values()
+    return [note for hand in hands for note in hand.inferred]

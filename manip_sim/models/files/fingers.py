@@ -118,9 +118,19 @@ class Fingers:
         below = tree.below(hand.body)
         moved: set[int] = set().union(
             *(tree.below(int(model.jnt_bodyid[joint])) for joint in hand.joints))
-        self._palm = sorted(below - moved)
+        self._moved, self._palm = sorted(moved), sorted(below - moved)
         ends = [b for b in sorted(moved) if not (tree.below(b) - {b}) & moved]
         self._tips = [self._farthest_geom(body) for body in ends]
+
+    @property
+    def out_of_touch(self) -> list[str]:
+        """Names of the bodies that move if no shape of them can touch an object, else empty."""
+        model, moved = self._model, self._moved
+        # Objects have bit 1 of contype and conaffinity, as all shapes have by default.
+        touching = (model.geom_contype | model.geom_conaffinity) & 1
+        if touching[np.isin(model.geom_bodyid, moved)].any():
+            return []
+        return [self._tree.name(body) for body in moved]
 
     def _farthest_geom(self, body: int) -> tuple[int, int]:
         """Return the id of a body and of its geom farthest from the hand's body, -1 for none."""

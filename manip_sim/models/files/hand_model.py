@@ -107,6 +107,10 @@ class HandFromFile(GripperModel, registered=False):
                  for actuator, (opened, closed, is_clear) in found.items()]
         if notes:
             self.inferred.append(f'closing: {", ".join(notes)}')
+        if bodies := fingers.out_of_touch:
+            self.inferred.append(
+                f'no shape of the fingers ({", ".join(bodies)}) can touch an object: give them '
+                f'collision shapes, with contype and conaffinity 1, in {self.file}')
 
     @property
     def dof(self) -> int:
