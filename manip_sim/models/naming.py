@@ -15,7 +15,7 @@ from manip_sim.errors import ModelError
 #: What joints, frames and the topics named after cameras and objects may all begin with.
 _PREFIX = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
 #: The lists of a spec whose elements have names, by kind.
-_LISTS = {
+NAMED_ELEMENTS = {
     'body': 'bodies', 'joint': 'joints', 'geom': 'geoms', 'site': 'sites', 'camera': 'cameras',
     'light': 'lights', 'actuator': 'actuators', 'sensor': 'sensors', 'tendon': 'tendons',
     'equality': 'equalities', 'exclude': 'excludes', 'pair': 'pairs', 'mesh': 'meshes',
@@ -47,7 +47,7 @@ class TakenNames:
     def __init__(self, spec: mujoco.MjSpec) -> None:
         self._spec = spec
         self._by_list = {elements: {element.name for element in getattr(spec, elements)}
-                         for elements in _LISTS.values()}
+                         for elements in NAMED_ELEMENTS.values()}
 
     def copy(self, spec: mujoco.MjSpec) -> TakenNames:
         """Return a copy for a copy of the spec."""
@@ -69,7 +69,7 @@ class TakenNames:
         """
         names = {elements: [element.name for element in getattr(own, elements)
                             if element.name not in ('', 'world')] for elements in self._by_list}
-        for kind, elements in _LISTS.items():
+        for kind, elements in NAMED_ELEMENTS.items():
             for name in names[elements]:
                 if prefix + name in self._by_list[elements]:
                     raise _taken(kind, prefix, name, part)
@@ -78,6 +78,10 @@ class TakenNames:
                 raise _taken('default class', prefix, name, part)
         for elements, added in names.items():
             self._by_list[elements].update(prefix + name for name in added)
+
+    def discard(self, elements: str, name: str) -> None:
+        """Follow the deletion of an element from a list of the spec, such as ``bodies``."""
+        self._by_list[elements].discard(name)
 
     def rename(self, elements: str, old: str, new: str) -> None:
         """

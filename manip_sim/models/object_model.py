@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
-from manip_sim.models.naming import TakenNames
+from manip_sim.models.naming import NAMED_ELEMENTS, TakenNames
 from manip_sim.models.spec_edits import rename_body
 from manip_sim.quoting import quoted
 
@@ -30,6 +30,8 @@ SIZES = {
 #: The geom of a shape, before it gets the name of the object.
 SHAPE_GEOM = 'shape'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
+#: The least version of MuJoCo that deletes elements; those before end the process.
+_DELETES = 4000000
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 #: What an object cannot have, by the field of ``mujoco.MjModel`` that counts it.
 _NOT_IN_OBJECTS = {
@@ -252,6 +254,32 @@ class ObjectModel(PlacedModel):
     def free_joint(self) -> str:
         """Name of the object's free joint in a world."""
         return self._prefix + str(self._root.joints[0].name)
+
+    def detach(self, spec: mujoco.MjSpec, taken: TakenNames) -> bool:
+        """
+        Delete the copy that :meth:`attach` added, if it is a single body of one shape.
+
+        :param spec: the ``mujoco.MjSpec`` that has it
+        :param taken: its names
+        :returns: whether it was; anything else has elements that refer to each other, and MuJoCo 3
+            may end the process in a deletion: then the world has to be composed without it
+        """
+        others = (getattr(self._spec, elements) for elements in NAMED_ELEMENTS.values()
+                  if elements not in ('bodies', 'joints', 'geoms'))
+        if (mujoco.mj_version() < _DELETES or not self._is_shape or len(self._spec.bodies) != 2
+                or any(others)):
+            return False
+        body = spec.body(self.name)
+        frame, default = body.frame, spec.find_default(f'{self._prefix}main')
+        spec.delete(body)
+        spec.delete(frame)
+        if default is not None:
+            spec.delete(default)
+        taken.discard('bodies', self.name)
+        taken.discard('geoms', self.name)
+        for joint in self._root.joints:
+            taken.discard('joints', self._prefix + str(joint.name))
+        return True
 
 
 class FixtureModel(PlacedModel):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 import re
 
 import mujoco
@@ -83,7 +84,12 @@ class Instrument:
 
 def sensor_type(model: mujoco.MjModel, sensor: int) -> str:
     """Return the type of a sensor, such as ``gyro``."""
-    return str(mujoco.mjtSensor(int(model.sensor_type[sensor])).name[7:].lower())
+    return _type_name(int(model.sensor_type[sensor]))
+
+
+@cache
+def _type_name(number: int) -> str:
+    return str(mujoco.mjtSensor(number).name[7:].lower())
 
 
 def find_instruments(model: mujoco.MjModel) -> list[Instrument]:

@@ -54,6 +54,8 @@ class ElementMap:
     """
 
     def __init__(self, old: Any, new: Any) -> None:
+        for struct in ('mjModel', 'mjData'):
+            _arrays(struct)  # Slow the first time, and not while the physics waits.
         self._old = weakref.ref(old)
         self._places: dict[str, tuple[IntArray, IntArray]] = {}
         for size, kind in _NAMED.items():

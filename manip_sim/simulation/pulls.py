@@ -78,7 +78,9 @@ class Pulls:
     def _look_at_model(self) -> None:
         model = self._physics.model
         self._pulls.clear()
-        self._bodies = {str(model.body(body).name): body for body in range(1, model.nbody)}
+        kind = mujoco.mjtObj.mjOBJ_BODY
+        self._bodies = {mujoco.mj_id2name(model, kind, body) or '': body
+                        for body in range(1, model.nbody)}
         self._moving = {name for name, body in self._bodies.items() if model.body_weldid[body]}
 
     def __bool__(self) -> bool:

@@ -130,8 +130,11 @@ def plan_without(plan: Plan, name: str) -> Plan:
     if name not in plan.object_names:
         raise UnknownNameError('object', name, plan.object_names)
     left = tuple(item for item in plan.objects if item.name != name)
-    # Deletions from a compiled MjSpec crash MuJoCo 3.9, so the world is composed again.
-    spec, taken = _composed(plan.base, left)
+    gone = plan.objects[plan.object_names.index(name)]
+    spec = plan.spec.copy()
+    taken = plan.taken.copy(spec)
+    if not gone.detach(spec, taken):
+        spec, taken = _composed(plan.base, left)
     return _follow(plan, left, spec, taken, f"the world without '{name}'")
 
 

@@ -150,8 +150,8 @@ def test_a_rod_beside_a_longer_chain_is_no_second_arm(tmp_path):
 def test_fingers_that_cannot_touch_an_object_are_told_where_they_are(load, tmp_path):
     file = FILES / 'ghost_hand.xml'
     told = [note for note in told_by(load(file)) if 'can touch an object' in note]
-    assert told == ['no shape of the fingers (left_finger, right_finger) can touch an object: give '
-                    f'them collision shapes, with contype and conaffinity 1, in {file}']
+    assert told == ['no shape of the fingers (left_finger, right_finger) can touch an object: '
+                    f'give them collision shapes, with contype and conaffinity 1, in {file}']
     seen = tmp_path / 'seen.xml'
     # A shape that is touched by others, but touches none by itself, holds an object.
     seen.write_text(file.read_text().replace('conaffinity="0"', 'conaffinity="1"'))

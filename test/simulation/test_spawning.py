@@ -349,6 +349,30 @@ def test_a_hundred_objects_come_and_go_without_a_trace(live):
     assert now.data.qpos.tobytes() == live.data.qpos.tobytes()
 
 
+@pytest.mark.skipif(mujoco.mj_version() < 4000000, reason='MuJoCo 3 does not delete elements')
+def test_objects_that_stay_are_not_attached_again(live, monkeypatch):
+    grown = plan_with(live.plan, box('third'))
+
+    def attach(*_):
+        raise AssertionError('another object was attached')
+
+    monkeypatch.setattr(ObjectModel, 'attach', attach)
+    less = plan_without(grown, 'second')
+    assert less.object_names == ['first', 'third']
+    monkeypatch.undo()
+    assert less.spec.to_xml() == plan_with(plan_without(live.plan, 'second'), box('third')
+                                           ).spec.to_xml()
+
+
+def test_an_object_to_be_seen_comes_again_after_it_was_deleted(live):
+    ghost = create_object({'name': 'ghost', 'shape': 'sphere', 'size': 0.1, 'visual': True})
+    plan = live.plan
+    for _ in range(2):
+        plan = plan_with(plan, ghost)
+        plan = plan_without(plan, 'ghost')
+    assert plan.object_names == live.plan.object_names
+
+
 def test_names_are_collected_once(live, monkeypatch):
     item = box('third')
     monkeypatch.delattr('manip_sim.models.naming.TakenNames.__init__')
