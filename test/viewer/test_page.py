@@ -13,6 +13,7 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
+from manip_sim.viewer.page import diagnosis  # noqa: E402
 from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.aiming import Aiming  # noqa: E402
 from manip_sim.viewer.page.diagnosis import command_fields, in_words, ShownStatus  # noqa: E402
@@ -140,6 +141,12 @@ SIMULATION = ShownStatus(0, 'simulation', 'running', {
 ARM = ShownStatus(0, 'left/arm', 'commands', {
     'rate': '12.0', 'age': '0.310', 'accepted': '120', 'dropped': '2', 'clamped': '0',
     'control_mode': 'admittance', 'command_interface': 'velocity'})
+
+
+def test_levels_of_diagnostics_are_those_of_ros():
+    status = pytest.importorskip('diagnostic_msgs.msg', reason='needs ROS 2').DiagnosticStatus
+    assert [bytes([level]) for level in (diagnosis.OK, diagnosis.WARN, diagnosis.ERROR)] == [
+        status.OK, status.WARN, status.ERROR]
 
 
 def test_diagnostics_are_told_in_words_with_trouble_first():

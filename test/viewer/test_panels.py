@@ -243,6 +243,10 @@ def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
     for later_s in (4.0, 4.1):
         target.follow(now_s + later_s, hand, upright, paused=False)
     np.testing.assert_array_equal(control.position, hand)
+    # What nobody sees is not sent.
+    for moved, followed in ((hand + 5e-5, False), (hand + 1e-3, True)):
+        target.follow(now_s + 5.0, moved, upright, paused=False)
+        np.testing.assert_array_equal(control.position, moved if followed else hand)
 
 
 def test_images_are_asked_for_only_while_they_are_shown(rig):

@@ -13,6 +13,7 @@ from manip_sim.viewer.page.access import Access  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest, PoseInWorld  # noqa: E402
 from manip_sim.viewer.page.page import Page  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
+from manip_sim.viewer.page.timeline import Timeline  # noqa: E402
 
 JOINT = 'robot0_joint1'
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.03, 'position': [0.5, 0.0, 1.0]}
@@ -137,3 +138,9 @@ def test_without_states_there_is_nothing_to_look_back_at(page):
     live(page, 1.0, 3.0)
     press(page, 'Look back')
     assert page._look_back._times[[0, -1]] == pytest.approx([1.0, 2.967], abs=1e-3)
+
+
+def test_a_slider_over_one_instant_has_room_for_a_step(page):
+    timeline = Timeline(page._server.gui, page.events, 'One', 0.5, lambda index: None)
+    timeline.begin(np.array([0.0]), [3.0], 0)
+    assert (timeline._slider.min, timeline._slider.max, timeline.index) == (3.0, 3.5, 0)
