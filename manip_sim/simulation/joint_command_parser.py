@@ -56,6 +56,7 @@ class _Addressed:
     What commands that name the same joints have in common while the control modes stay.
 
     :ivar modes: names of the control mode of each joint
+    :ivar all_use: the field that all joints use, or None
     :ivar uses: by field, whether each joint uses it
     :ivar takers: by field, the places of the joints that need a number there
     :ivar own: the joints outside grippers, or None
@@ -65,6 +66,7 @@ class _Addressed:
 
     names: tuple[str, ...]
     modes: tuple[str, ...]
+    all_use: str | None
     uses: dict[str, BoolArray]
     takers: dict[str, list[int]]
     own: _Group | None
@@ -109,6 +111,11 @@ class JointCommandParser:
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.
         addressed = self._addressed(part, tuple(names), modes)
+        if len(given) == 1:  # As most commands are: a number for each joint, all in one field.
+            (field, numbers), = given.items()
+            if numbers.shape == (len(names),) and addressed.all_use == field and (
+                    np.isfinite(numbers).all()):
+                return list(_commands(self._robot, addressed, numbers))
         values = np.full(len(names), np.nan)
         for field, numbers in given.items():
             if not numbers.size:
@@ -169,7 +176,8 @@ class JointCommandParser:
         used = [MODES[mode].field for mode in meant]
         own = self._own(names, modes)
         return _Addressed(
-            names, meant, {field: np.array([use == field for use in used]) for field in FIELDS},
+            names, meant, used[0] if len(set(used)) == 1 else None,
+            {field: np.array([use == field for use in used]) for field in FIELDS},
             {field: self._takers(field, names, used) for field in FIELDS},
             own,
             tuple(meant[i] for i in own.places) if own else (), tuple(self._of_grippers(names)))
