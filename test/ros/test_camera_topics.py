@@ -125,6 +125,7 @@ def test_a_point_cloud_has_the_ball_where_it_is_in_its_colour(serve_seen, client
     assert [(f.name, f.offset) for f in cloud.fields] == [
         ('x', 0), ('y', 4), ('z', 8), ('rgb', 12)]
     assert len(cloud.data) == cloud.row_step * cloud.height == 16 * 120 * 160
+    assert (cloud.is_bigendian, cloud.is_dense) == (sys.byteorder == 'big', False)
     raw = np.frombuffer(cloud.data, np.float32).reshape(120, 160, 4)
     packed = np.frombuffer(cloud.data, np.uint32).reshape(120, 160, 4)[..., 3]
     red, green, blue = (packed >> shift & 255 for shift in (16, 8, 0))
