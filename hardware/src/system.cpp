@@ -48,6 +48,7 @@ using sensor_msgs::msg::JointState;
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 constexpr auto kServiceTimeout = std::chrono::seconds(5);
+constexpr int kStatesUntilAskedAgain = 50;
 //! A joint that moves farther between two states than twice its speed allows was put there [rad, m].
 constexpr double kJump = 1e-3;
 
@@ -373,13 +374,25 @@ private:
     state_ = std::move(message);
     stamp_ns_ = stamp_ns;
     arrived_.notify_all();
-    if (modes_are_lost_ && modes_client_->service_is_ready()) {
-      modes_are_lost_ = false;
-      for (const auto & [name, mode] : modes_) {
-        modes_client_->set_parameters({rclcpp::Parameter(name, mode)});
-      }
-    }
+    if (modes_are_lost_ && modes_client_->service_is_ready()) {ask_for_modes();}
     if (lockstep_ && publisher_->get_subscription_count() > 0) {answer_for_the_loop();}
+  }
+
+  //! Ask until there is an answer: the service that is ready may be that of the node that ended.
+  void ask_for_modes()
+  {
+    if (states_since_asked_++ % kStatesUntilAskedAgain != 0) {return;}
+    std::vector<rclcpp::Parameter> parameters;
+    for (const auto & [name, mode] : modes_) {parameters.emplace_back(name, mode);}
+    if (parameters.empty()) {
+      modes_are_lost_ = false;
+      return;
+    }
+    modes_client_->set_parameters(
+      parameters, [this](auto) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        modes_are_lost_ = false;
+      });
   }
 
   //! Answer the newest state, unless the control loop does.
@@ -407,6 +420,7 @@ private:
     for (auto & sensor : imus_) {sensor.message.reset();}
     hold_commands();
     modes_are_lost_ = true;
+    states_since_asked_ = 0;
   }
 
   //! What controllers command at this moment counts only when it changes.
@@ -559,6 +573,7 @@ private:
   std::vector<std::string> claims_;
   std::map<std::string, std::string> modes_;
   bool modes_are_lost_ = false;
+  int states_since_asked_ = 0;
   std::map<std::string, double> held_;
 
   // What the control loop read last.

@@ -277,7 +277,6 @@ def test_cycles_do_not_wait_for_a_sensor_with_a_lower_rate(controlled):
         lambda imu: measured.update({nanoseconds_of(imu.header.stamp): imu}), 1000)
     spawn(sim, 'robot0_right_imu_broadcaster', 'arm_position_controller')
     received.clear()
-    start_ns = round(1e9 * sim.time_s)
     move(sim)
     # Where time stands, the node publishes the instants between two measurements too.
     assert any(stamp % 50_000_000 for stamp in measured)
@@ -285,7 +284,6 @@ def test_cycles_do_not_wait_for_a_sensor_with_a_lower_rate(controlled):
     for message in received:
         stamp = nanoseconds_of(message.header.stamp)
         imu = measured[stamp - stamp % 50_000_000]
-        assert stamp >= start_ns
         assert message.linear_acceleration == imu.linear_acceleration
         assert message.angular_velocity == imu.angular_velocity
 

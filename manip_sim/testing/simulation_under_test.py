@@ -85,6 +85,7 @@ class SimulationUnderTest:
         self._executor.add_node(self.node)
         self._publishers: dict[str, Any] = {}
         self._messages: dict[str, list[Any]] = {}
+        self._subscriptions: dict[str, Any] = {}
         self._spinning: list[tuple[SingleThreadedExecutor, threading.Thread]] = []
         self._processes: list[subprocess.Popen[Any]] = []
         self._now_ns = self._repeats = 0
@@ -137,7 +138,8 @@ class SimulationUnderTest:
                 self._repeats = 0
             else:
                 self._repeats += topic.endswith('/joint_states') and topic.count('/') == 1
-        self.node.create_subscription(message_type, topic, take, 1000)
+        self._subscriptions[topic] = self.node.create_subscription(
+            message_type, topic, take, 1000)
 
     # ------------------------------------------------------------------ time
 
@@ -239,8 +241,11 @@ class SimulationUnderTest:
         :raises ManipSimError: if the node was not started with ``as_process=True``
         """
         self.server.kill()
-        for messages in self._messages.values():
-            messages.clear()
+        # Subscriptions may still hold messages of the node that was killed.
+        for topic, subscription in list(self._subscriptions.items()):
+            message_type = subscription.msg_type
+            self.node.destroy_subscription(subscription)
+            self._record(topic, message_type)
         self._repeats = 0
         self.server = NodeProcess(self._given)
         self._wait_for_the_start()
