@@ -85,9 +85,11 @@ class OffscreenRenderer:
         area = mujoco.MjrRect(0, 0, width, height)
         colours = np.empty((height, width, 3), np.uint8) if rgb else None
         stored = np.empty((height, width), np.float32) if depth else None
-        mujoco.mjv_updateScene(
-            self._model, data, self._shown, None, fixed_camera(self._model, camera),
-            int(mujoco.mjtCatBit.mjCAT_ALL), self._scene)
+        view = fixed_camera(self._model, camera)
+        # MuJoCo puts infinite planes around the camera, which is otherwise the one before.
+        mujoco.mjv_updateCamera(self._model, data, view, self._scene)
+        mujoco.mjv_updateScene(self._model, data, self._shown, None, view,
+                               int(mujoco.mjtCatBit.mjCAT_ALL), self._scene)
         if rgb or depth:
             mujoco.mjr_render(area, self._scene, self._context)
             mujoco.mjr_readPixels(colours, stored, area, self._context)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +15,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from manip_sim.arrays import FloatArray
 from manip_sim.patching import PatchedBytes
 from manip_sim.ros.messages import stamp_of
+
+#: Bytes that name the encoding, and those of the length of a sequence or text.
+_ENCODING_SIZE = _LENGTH_SIZE = 4
+#: Of the types of fields [bytes].
+_SIZES = {'boolean': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2, 'int32': 4,
+          'uint32': 4, 'float': 4, 'int64': 8, 'uint64': 8, 'double': 8}
 
 #: Returns the message for a stamp and for numbers, shape (count,).
 Make = Callable[[Time, FloatArray], Any]
@@ -54,13 +59,14 @@ class SerializedMessage:
         # Bytes cannot be compared: rclpy leaves those between aligned numbers as they were.
         time_ns, numbers = 1_000_000_002, np.linspace(0.1, 9.9, self._count, dtype=np.float64)
         made = self._make(stamp_of(time_ns), numbers)
-        if self._patched is None or not _is_message(self.at(time_ns, numbers), made):
+        if self._patched is None:
             return False
         # rclpy appends what happens to be in memory, up to the size that it has estimated.
-        content = self._patched.at(time_ns, numbers)
-        self._patched.cut(bisect.bisect_left(
-            range(len(content)), True, key=lambda size: _is_message(content[:size], made)))
-        return True
+        self._patched.cut(_ENCODING_SIZE + _end('', made, 0))
+        try:
+            return bool(made == deserialize_message(self.at(time_ns, numbers), type(made)))
+        except RuntimeError:  # rclpy's, as the bytes are no such message.
+            return False
 
     def at(self, time_ns: int, numbers: FloatArray) -> Any:
         """
@@ -74,8 +80,28 @@ class SerializedMessage:
         return self._patched.at(time_ns, numbers)
 
 
-def _is_message(content: bytes, message: Any) -> bool:
-    try:
-        return bool(message == deserialize_message(content, type(message)))
-    except RuntimeError:  # rclpy's, as the bytes are no such message.
-        return False
+def _end(kind: str, value: Any, begin: int) -> int:
+    """
+    Return where a value ends in CDR; rclpy does not tell.
+
+    :param kind: its type as ``get_fields_and_field_types`` has it; of a message, it is not used
+    :param begin: where it begins behind the four bytes that name the encoding, before alignment
+    """
+    inner, is_sequence, _ = kind.partition('sequence<')[2].partition('>')
+    if kind.endswith(']') or is_sequence:
+        place = _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE if is_sequence else begin
+        for item in value:
+            place = _end(inner.partition(',')[0] or kind.partition('[')[0], item, place)
+        return place
+    if kind.startswith('string'):
+        return _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE + len(value.encode()) + 1
+    if kind in _SIZES:
+        return _aligned(begin, _SIZES[kind]) + _SIZES[kind]
+    place = begin
+    for name, field in value.get_fields_and_field_types().items():
+        place = _end(field, getattr(value, name), place)
+    return place
+
+
+def _aligned(place: int, size: int) -> int:
+    return -(-place // size) * size

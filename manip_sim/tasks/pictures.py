@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 import json
+import threading
 from typing import Any, Union
+import weakref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +44,13 @@ class Pictures:
             if camera not in self._world.cameras:
                 raise UnknownNameError('camera', camera, self._world.cameras)
         width, height = np.max(list(views.values()), axis=0).tolist()
+        _free_lost()
         self._context = create_context(choose_gl(), width, height)
-        self._renderer: OffscreenRenderer | None = OffscreenRenderer(
-            self._world.model, width, height)
+        renderer = OffscreenRenderer(self._world.model, width, height)
+        self._renderer: OffscreenRenderer | None = renderer
+        self._lose = weakref.finalize(
+            self, _LOST.append, (threading.get_ident(), self._context, renderer))
+        self._lose.atexit = False
 
     def take(self, simulation: Simulation) -> dict[str, NDArray[np.uint8]]:
         """
@@ -53,6 +59,7 @@ class Pictures:
         :param simulation: whose present instant is shown
         """
         assert self._renderer is not None, 'these pictures are closed'
+        _free_lost()
         self._context.make_current()
         self._world.show(take_snapshot(simulation))
         found = {}
@@ -65,10 +72,27 @@ class Pictures:
     def close(self) -> None:
         """Free the OpenGL resources; nothing happens the second time."""
         if self._renderer is not None:
-            self._context.make_current()
-            self._renderer.close()
+            self._lose.detach()
+            _free(self._context, self._renderer)
             self._renderer = None
-            self._context.free()
+
+
+#: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes what has
+#: its numbers in the context that is current, so it waits until nothing is being rendered.
+_LOST: list[tuple[int, Any, OffscreenRenderer]] = []
+
+
+def _free_lost() -> None:
+    """Free what was lost of this thread's pictures; another context is current afterwards."""
+    for lost in [lost for lost in _LOST if lost[0] == threading.get_ident()]:
+        _LOST.remove(lost)
+        _free(*lost[1:])
+
+
+def _free(context: Any, renderer: OffscreenRenderer) -> None:
+    context.make_current()
+    renderer.close()
+    context.free()
 
 
 def descriptions(given: Iterable[CameraLike]) -> list[dict[str, Any]]:
