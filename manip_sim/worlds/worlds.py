@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-import contextlib
 from types import TracebackType
 from typing import Any
 
@@ -137,14 +136,13 @@ class Worlds:
         :param where: which worlds go on, shape (count,); None for all
         :raises CommandError: if ``where`` has another shape or type
         """
-        periods = [_Period(simulation, steps) for simulation in self._of(where)
+        periods = [simulation.period(steps) for simulation in self._of(where)
                    if simulation.diverged is None]
         with self._control.period():
             while periods:
-                self._threads.run([period.run for period in periods])
-                periods = [period for period in periods if period.interval is not None]
-                self._control.run([period.interval for period in periods
-                                   if period.interval is not None])
+                periods, intervals = _next_intervals(periods)
+                self._control.run(intervals)
+                self._threads.run([interval.compute for interval in intervals])
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:
@@ -227,25 +225,14 @@ def _bind(reset: Callable[[int | None], None], seed: int | None) -> Callable[[],
     return lambda: reset(seed)
 
 
-class _Period:
-    """
-    A control period of one world, which runs in any thread where control has nothing to do.
-
-    :ivar interval: the next one, before which control has to act; None when the period has ended
-    """
-
-    def __init__(self, simulation: Simulation, steps: int) -> None:
-        self._intervals = simulation.period(steps)
-        self.interval: Interval | None = None
-
-    def run(self) -> None:
-        """Go on until control has to act again, or the period ends."""
-        if self.interval is not None:
-            self.interval.compute()
-        self.interval = None
-        with contextlib.suppress(DivergenceError):
-            for interval in self._intervals:
-                if interval.robots:
-                    self.interval = interval
-                    return
-                interval.compute()
+def _next_intervals(periods: list[Iterator[Interval]]
+                    ) -> tuple[list[Iterator[Interval]], list[Interval]]:
+    """Return the control periods that go on, and the next interval of each."""
+    going, intervals = [], []
+    for period in periods:
+        try:
+            intervals.append(next(period))
+        except (StopIteration, DivergenceError):
+            continue
+        going.append(period)
+    return going, intervals
