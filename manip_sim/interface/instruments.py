@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
-from manip_sim.interface.topics import Scope, Topic, topics_of_sensors, truths
+from manip_sim.interface.topics import Scope, Topic
+from manip_sim.interface.world_topics import topics_of_sensors, truths
 from manip_sim.sensing.instruments import Instrument
 from manip_sim.simulation import SimulatedRobot, Simulation
 

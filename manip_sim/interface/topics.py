@@ -8,25 +8,22 @@ The node makes its publishers and subscriptions from the rows of :data:`TOPICS`,
 further topic is a row and the function of ``manip_sim.ros`` that the row names.
 
 A name holds ``<part>`` (a subsystem or an arm) or ``<arm>`` (an arm with a gripper) where a robot
-has one topic for each; :func:`topics_of` fills these in. It holds ``<name>`` for each object,
-``<camera>`` for each camera that is chosen, ``<lidar>`` for each lidar, and ``<sensor>`` for each
-instrument of the model;
-:func:`topics_of_world` fills in all of them.
+has one topic for each, ``<name>`` for each object, ``<camera>`` for each camera that is chosen,
+``<lidar>`` for each lidar, and ``<sensor>`` for each instrument of the model;
+:mod:`manip_sim.interface.world_topics` fills them in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
-from itertools import groupby
 import re
-from types import MappingProxyType
 from typing import Any, Protocol
 
 PUBLISHED, SUBSCRIBED = 'published', 'subscribed'
 PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR = (
     '<part>', '<arm>', '<name>', '<camera>', '<sensor>', '<lidar>')
-_GRIPPER = f'{ARM}/gripper'
+GRIPPER = f'{ARM}/gripper'
 #: A valid part of a topic's name; bodies with other names have no topics.
 TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 #: When topics are published.
@@ -108,12 +105,12 @@ class Topic:
     @property
     def per(self) -> str:
         """Return the placeholder that the name holds; that of a gripper counts as a part."""
-        return PART if _GRIPPER in self.name else next(
+        return PART if GRIPPER in self.name else next(
             (per for per in (PART, ARM, OBJECT, CAMERA, SENSOR, LIDAR) if per in self.name), '')
 
     def filled_in(self, of: str) -> Topic:
         """Return the topic of a part, an arm, an object or a camera."""
-        placeholder = _GRIPPER if _GRIPPER in self.name else self.per
+        placeholder = GRIPPER if GRIPPER in self.name else self.per
         return replace(self, name=self.name.replace(placeholder, of), of=of)
 
 
@@ -321,142 +318,3 @@ ACTIONS = (
     Action('<arm>/gripper/parallel_gripper_cmd', 'control_msgs/ParallelGripperCommand',
            'the same as a joint state of one joint, with a largest velocity too'),
 )
-
-
-def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
-    """
-    Return the actions that the node has for a robot where control_msgs is installed.
-
-    :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
-    """
-    return [replace(pattern, name=pattern.name.replace(_GRIPPER, name).replace(PART, name))
-            for pattern in ACTIONS for name, part in parts.items()
-            if part.actuators and (part.gripper is not None) == (_GRIPPER in pattern.name)]
-
-
-def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] = TOPICS
-              ) -> list[Topic]:
-    """
-    Return the topics that the node has for a robot, but for those of objects and cameras.
-
-    Rows of the table that follow each other are filled in together, part by part, arm by arm.
-
-    :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
-    :param twist: whether the base takes a twist
-    :param rows: of the table
-    """
-    arms = [name.split('/')[0] for name, part in parts.items() if part.gripper is not None]
-    found: list[Topic] = []
-    for per, group in groupby(rows, lambda row: row.per):
-        patterns = list(group)
-        if not per:
-            found += (row for row in patterns if row.needs not in ('task', 'arena', 'bodies')
-                      and (twist or row.needs != 'twist'))
-        elif per in (PART, ARM):
-            found += (row.filled_in(name) for name in (parts if per == PART else arms)
-                      for row in patterns if _has(row, name, parts))
-    return found
-
-
-def topics_of_objects(names: Iterable[str]) -> list[Topic]:
-    """Return the topics that the node has for free bodies."""
-    return [row.filled_in(name) for name in names for row in TOPICS
-            if row.per == OBJECT and row.needs == 'object']
-
-
-class SurroundingsLike(Protocol):
-    """What the arena has, as the simulation names it."""
-
-    @property
-    def mocap_names(self) -> Collection[str]:
-        """Names of the mocap bodies."""
-
-    @property
-    def joints(self) -> Collection[str]:
-        """The scalar joints of the arena."""
-
-    @property
-    def actuators(self) -> Collection[str]:
-        """The actuators of the arena that drive one of these."""
-
-
-def topics_of_surroundings(found: SurroundingsLike) -> list[Topic]:
-    """Return the topics that the node has for bodies, mocap bodies and joints of the arena."""
-    return [*(BY_NAME[name] for name, has in (('arena/joint_states', found.joints),
-                                              ('arena/joint_command', found.actuators)) if has),
-            *(row.filled_in(name) for name in found.mocap_names if TOKEN.fullmatch(name)
-              for row in TOPICS if row.by in ('object_pose', 'mocap_pose')), BY_NAME['~/pull']]
-
-
-def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
-    """
-    Return the topics that the node has for cameras.
-
-    :param cameras: that are chosen, by name: whether with depth
-    """
-    return [row.filled_in(name) for name, depth in cameras.items() for row in TOPICS
-            if row.per == CAMERA and (depth or row.needs != 'depth')]
-
-
-def topics_of_lidars(lidars: Mapping[str, bool]) -> list[Topic]:
-    """
-    Return the topics that the node has for lidars.
-
-    :param lidars: by name: whether with several rings
-    """
-    return [BY_NAME[f'{LIDAR}/points' if rings else f'{LIDAR}/scan'].filled_in(name)
-            for name, rings in lidars.items()]
-
-
-def truths(rows: Iterable[Topic]) -> list[Topic]:
-    """
-    Return the topics with exact values beside those that noise or latency may change.
-
-    :param rows: of one robot, without its namespace
-    """
-    return [replace(row, name=f'truth/{row.name}', meaning=f'exactly: {row.meaning}')
-            for row in rows if row.by in MEASURED]
-
-
-def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
-    """
-    Return the topics that the node has for the instruments of a model.
-
-    :param instruments: the name of each as a part of a topic, and its kind, such as ``imu``
-    """
-    return [row.filled_in(name) for name, kind in instruments for row in TOPICS
-            if row.per == SENSOR and row.by == kind]
-
-
-def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
-                    objects: Iterable[str] = (),
-                    cameras: Mapping[str, bool] = MappingProxyType({}),
-                    sensors: Iterable[Topic] = (), task: bool = False,
-                    lidars: Mapping[str, bool] = MappingProxyType({}),
-                    surroundings: SurroundingsLike | None = None) -> list[Topic]:
-    """
-    Return the topics that the node has for a world.
-
-    :param robots: where the topics of each are, its parts, and whether its base takes a twist
-    :param objects: names of free bodies
-    :param cameras: that are chosen, by name: whether with depth
-    :param sensors: topics of instruments
-    :param task: whether there is one
-    :param lidars: by name: whether with several rings
-    :param surroundings: mocap bodies, and joints of the arena
-    """
-    # A name that is absolute or private is the world's, and found with each robot.
-    return list(dict.fromkeys([
-        *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
-          for topic in topics_of(parts, twist)),
-        *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors,
-        *topics_of_lidars(lidars),
-        *([] if surroundings is None else topics_of_surroundings(surroundings)),
-        *[BY_NAME['~/task']] * task]))
-
-
-def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:
-    """Return whether a part or an arm has a topic."""
-    if row.per == PART and (parts[name].gripper is not None) != (_GRIPPER in row.name):
-        return False
-    return not row.needs or bool(name in parts and getattr(parts[name], row.needs))

@@ -25,7 +25,8 @@ from std_msgs.msg import Header, String
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import Scope, Topic, topics_of_cameras, truths
+from manip_sim.interface.topics import Scope, Topic
+from manip_sim.interface.world_topics import topics_of_cameras, truths
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.urdf_writer.kinematic_tree import OPTICAL
 from manip_sim.rendering.gl import choose_gl

@@ -22,7 +22,8 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from manip_sim.errors import CommandError
-from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic, topics_of
+from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
+from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.log import kind_of, RejectionLog

@@ -16,7 +16,8 @@ from std_msgs.msg import Header
 
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import Scope, topics_of_lidars, truths
+from manip_sim.interface.topics import Scope
+from manip_sim.interface.world_topics import topics_of_lidars, truths
 from manip_sim.models.lidars import LidarModel
 from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_output, Output

@@ -10,7 +10,8 @@ from functools import partial
 from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import TOKEN, topics_of_objects
+from manip_sim.interface.topics import TOKEN
+from manip_sim.interface.world_topics import topics_of_objects
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Publication, Publications

@@ -18,7 +18,8 @@ from std_msgs.msg import String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic, topics_of, truths
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, Topic
+from manip_sim.interface.world_topics import topics_of, truths
 from manip_sim.models import World
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog

@@ -17,7 +17,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import BY_NAME, Scope, Topic, truths
+from manip_sim.interface.topics import BY_NAME, Scope, Topic
+from manip_sim.interface.world_topics import truths
 from manip_sim.quoting import quoted
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import MarkerPublisher

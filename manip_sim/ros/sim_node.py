@@ -22,8 +22,8 @@ from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.ros2_control import STALLS
-from manip_sim.interface.topics import (
-    PUBLISHED, Scope, SUBSCRIBED, Topic, topics_of_objects, topics_of_world)
+from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
+from manip_sim.interface.world_topics import topics_of_objects, topics_of_world
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError

@@ -16,7 +16,8 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker
 
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.interface.topics import PUBLISHED, Topic, topics_of_surroundings
+from manip_sim.interface.topics import PUBLISHED, Topic
+from manip_sim.interface.world_topics import topics_of_surroundings
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox

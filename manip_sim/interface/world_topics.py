@@ -1,0 +1,155 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which topics a world has: the rows of the tables, filled in for its robots and what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from itertools import groupby
+from types import MappingProxyType
+from typing import Protocol
+
+from manip_sim.interface.topics import (
+    Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, PartLike, Scope,
+    SENSOR, TOKEN, Topic, TOPICS)
+
+
+def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
+    """
+    Return the actions that the node has for a robot where control_msgs is installed.
+
+    :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
+    """
+    return [replace(pattern, name=pattern.name.replace(GRIPPER, name).replace(PART, name))
+            for pattern in ACTIONS for name, part in parts.items()
+            if part.actuators and (part.gripper is not None) == (GRIPPER in pattern.name)]
+
+
+def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] = TOPICS
+              ) -> list[Topic]:
+    """
+    Return the topics that the node has for a robot, but for those of objects and cameras.
+
+    Rows of the table that follow each other are filled in together, part by part, arm by arm.
+
+    :param parts: by name: ``arm``, ``base``, ``right``, ``right/gripper`` ...
+    :param twist: whether the base takes a twist
+    :param rows: of the table
+    """
+    arms = [name.split('/')[0] for name, part in parts.items() if part.gripper is not None]
+    found: list[Topic] = []
+    for per, group in groupby(rows, lambda row: row.per):
+        patterns = list(group)
+        if not per:
+            found += (row for row in patterns if row.needs not in ('task', 'arena', 'bodies')
+                      and (twist or row.needs != 'twist'))
+        elif per in (PART, ARM):
+            found += (row.filled_in(name) for name in (parts if per == PART else arms)
+                      for row in patterns if _has(row, name, parts))
+    return found
+
+
+def topics_of_objects(names: Iterable[str]) -> list[Topic]:
+    """Return the topics that the node has for free bodies."""
+    return [row.filled_in(name) for name in names for row in TOPICS
+            if row.per == OBJECT and row.needs == 'object']
+
+
+class SurroundingsLike(Protocol):
+    """What the arena has, as the simulation names it."""
+
+    @property
+    def mocap_names(self) -> Collection[str]:
+        """Names of the mocap bodies."""
+
+    @property
+    def joints(self) -> Collection[str]:
+        """The scalar joints of the arena."""
+
+    @property
+    def actuators(self) -> Collection[str]:
+        """The actuators of the arena that drive one of these."""
+
+
+def topics_of_surroundings(found: SurroundingsLike) -> list[Topic]:
+    """Return the topics that the node has for bodies, mocap bodies and joints of the arena."""
+    return [*(BY_NAME[name] for name, has in (('arena/joint_states', found.joints),
+                                              ('arena/joint_command', found.actuators)) if has),
+            *(row.filled_in(name) for name in found.mocap_names if TOKEN.fullmatch(name)
+              for row in TOPICS if row.by in ('object_pose', 'mocap_pose')), BY_NAME['~/pull']]
+
+
+def topics_of_cameras(cameras: Mapping[str, bool]) -> list[Topic]:
+    """
+    Return the topics that the node has for cameras.
+
+    :param cameras: that are chosen, by name: whether with depth
+    """
+    return [row.filled_in(name) for name, depth in cameras.items() for row in TOPICS
+            if row.per == CAMERA and (depth or row.needs != 'depth')]
+
+
+def topics_of_lidars(lidars: Mapping[str, bool]) -> list[Topic]:
+    """
+    Return the topics that the node has for lidars.
+
+    :param lidars: by name: whether with several rings
+    """
+    return [BY_NAME[f'{LIDAR}/points' if rings else f'{LIDAR}/scan'].filled_in(name)
+            for name, rings in lidars.items()]
+
+
+def truths(rows: Iterable[Topic]) -> list[Topic]:
+    """
+    Return the topics with exact values beside those that noise or latency may change.
+
+    :param rows: of one robot, without its namespace
+    """
+    return [replace(row, name=f'truth/{row.name}', meaning=f'exactly: {row.meaning}')
+            for row in rows if row.by in MEASURED]
+
+
+def topics_of_sensors(instruments: Iterable[tuple[str, str]]) -> list[Topic]:
+    """
+    Return the topics that the node has for the instruments of a model.
+
+    :param instruments: the name of each as a part of a topic, and its kind, such as ``imu``
+    """
+    return [row.filled_in(name) for name, kind in instruments for row in TOPICS
+            if row.per == SENSOR and row.by == kind]
+
+
+def topics_of_world(robots: Iterable[tuple[Scope, Mapping[str, PartLike], bool]],
+                    objects: Iterable[str] = (),
+                    cameras: Mapping[str, bool] = MappingProxyType({}),
+                    sensors: Iterable[Topic] = (), task: bool = False,
+                    lidars: Mapping[str, bool] = MappingProxyType({}),
+                    surroundings: SurroundingsLike | None = None) -> list[Topic]:
+    """
+    Return the topics that the node has for a world.
+
+    :param robots: where the topics of each are, its parts, and whether its base takes a twist
+    :param objects: names of free bodies
+    :param cameras: that are chosen, by name: whether with depth
+    :param sensors: topics of instruments
+    :param task: whether there is one
+    :param lidars: by name: whether with several rings
+    :param surroundings: mocap bodies, and joints of the arena
+    """
+    # A name that is absolute or private is the world's, and found with each robot.
+    return list(dict.fromkeys([
+        *(replace(topic, name=scope.topic(topic.name)) for scope, parts, twist in robots
+          for topic in topics_of(parts, twist)),
+        *topics_of_objects(objects), *topics_of_cameras(cameras), *sensors,
+        *topics_of_lidars(lidars),
+        *([] if surroundings is None else topics_of_surroundings(surroundings)),
+        *[BY_NAME['~/task']] * task]))
+
+
+def _has(row: Topic, name: str, parts: Mapping[str, PartLike]) -> bool:
+    """Return whether a part or an arm has a topic."""
+    if row.per == PART and (parts[name].gripper is not None) != (GRIPPER in row.name):
+        return False
+    return not row.needs or bool(name in parts and getattr(parts[name], row.needs))
