@@ -6,20 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-import contextlib
 import itertools
 import math
-import os
 from pathlib import Path
-import signal
 import subprocess
-import threading
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -27,6 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError, UnknownNameError
 from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
 from manip_sim.testing.history import (
     joint_history, JointHistory, wrench_history, WrenchHistory)
@@ -86,8 +83,7 @@ class SimulationUnderTest:
         self._publishers: dict[str, Any] = {}
         self._messages: dict[str, list[Any]] = {}
         self._subscriptions: dict[str, Any] = {}
-        self._spinning: list[tuple[SingleThreadedExecutor, threading.Thread]] = []
-        self._processes: list[subprocess.Popen[Any]] = []
+        self._controllers = Controllers(domain)
         self._now_ns = self._repeats = 0
         try:
             self._begin()
@@ -364,11 +360,7 @@ class SimulationUnderTest:
 
         :param node: of the context that ``rclpy.init()`` initialised in the test, or of any other
         """
-        executor = SingleThreadedExecutor(context=node.context)
-        executor.add_node(node)
-        thread = threading.Thread(target=_spin, args=(executor,), name=node.get_name())
-        thread.start()
-        self._spinning.append((executor, thread))
+        self._controllers.spin(node)
 
     def start(self, command: Sequence[str], **arguments: Any) -> subprocess.Popen[Any]:
         """
@@ -379,12 +371,7 @@ class SimulationUnderTest:
         :param command: such as ``['ros2', 'run', 'my_package', 'my_controller']``
         :param arguments: further arguments of ``subprocess.Popen``
         """
-        # Another simulation of the same test may have changed this process's environment.
-        environment = {**(arguments.pop('env', None) or os.environ),
-                       'ROS_DOMAIN_ID': str(self.domain)}
-        process = subprocess.Popen(command, start_new_session=True, env=environment, **arguments)
-        self._processes.append(process)
-        return process
+        return self._controllers.start(command, **arguments)
 
     def wait_for_publisher(self, topic: str) -> None:
         """
@@ -393,13 +380,7 @@ class SimulationUnderTest:
         :param topic: such as ``arm/joint_command``
         :raises ManipSimError: if the node or a process of :meth:`start` has ended meanwhile
         """
-        self._spin_until(lambda: self.node.count_publishers(topic) > 0, self._check_processes)
-
-    def _check_processes(self) -> None:
-        for process in self._processes:
-            if process.poll() is not None:
-                raise ManipSimError(f'{process.args!r} has ended with exit code '
-                                    f'{process.returncode}')
+        self._spin_until(lambda: self.node.count_publishers(topic) > 0, self._controllers.check)
 
     def _spin_until(self, condition: Callable[[], bool],
                     check: Callable[[], None] = lambda: None) -> None:
@@ -425,20 +406,8 @@ class SimulationUnderTest:
 
         :raises ManipSimError: if the node has failed
         """
-        for process in self._processes:
-            # Those that it has started are left where it has ended.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-        for executor, thread in self._spinning:
-            executor.shutdown()
-            thread.join()
+        self._controllers.close()
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
         self.server.close()
-
-
-def _spin(executor: SingleThreadedExecutor) -> None:
-    with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
