@@ -6,6 +6,7 @@
 from collections import Counter
 import functools
 import gc
+import importlib
 import importlib.util
 import json
 import os
@@ -284,6 +285,13 @@ def hand_sim(one_joint_arm, hand_class, mjcf):
             before(gripper)
         return Simulation(World([robot]))
     return make
+
+
+@pytest.fixture
+def benchmark_module(monkeypatch):
+    """Return the function that imports a script of ``benchmark/`` by its name."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / 'benchmark'))
+    return importlib.import_module
 
 
 @pytest.fixture(scope='session')

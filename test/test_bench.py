@@ -15,12 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
-def bench(monkeypatch):
+def bench(benchmark_module):
     """Return the modules of the figures and of the entrance."""
-    monkeypatch.syspath_prepend(str(ROOT / 'benchmark'))
-    from targets import figures
-    import bench
-    return figures, bench
+    return benchmark_module('targets.figures'), benchmark_module('bench')
 
 
 def test_help_names_every_row(bench):

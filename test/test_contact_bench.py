@@ -21,11 +21,9 @@ TOLERANCES = {'light': 0.3, 'touch': 0.3, 'still': 0.05, 'sliding': 0.05, 'lost'
 
 
 @pytest.fixture
-def contact(monkeypatch):
+def contact(benchmark_module):
     """Return the module of the script."""
-    monkeypatch.syspath_prepend(str(ROOT / 'benchmark'))
-    import contact
-    return contact
+    return benchmark_module('contact')
 
 
 def read(line):

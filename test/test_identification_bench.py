@@ -16,11 +16,9 @@ PAGE = (ROOT / 'docs' / 'explanation' / 'control.md').read_text()
 
 
 @pytest.fixture
-def identification(monkeypatch):
+def identification(benchmark_module):
     """Return the module of the script."""
-    monkeypatch.syspath_prepend(str(ROOT / 'benchmark'))
-    import identification
-    return identification
+    return benchmark_module('identification')
 
 
 @pytest.mark.parametrize('name, mode', [

@@ -15,11 +15,9 @@ PAGE = (ROOT / 'docs' / 'how_to' / 'cartesian.md').read_text()
 
 
 @pytest.fixture
-def rest(monkeypatch):
+def rest(benchmark_module):
     """Return the module of the script."""
-    monkeypatch.syspath_prepend(str(ROOT / 'benchmark'))
-    import rest
-    return rest
+    return benchmark_module('rest')
 
 
 @pytest.mark.parametrize(('robot', 'mode', 'targets'), [
