@@ -57,12 +57,17 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     except _ERRORS as error:
         raise ModelError(f'{name} does not compile: {_one_line(error)}') from error
     _reject_not_finite(model, name)
-    _reject_what_ends_tactile_sensors(model, name)
+    _reject_what_tactile_sensors_cannot_feel(model, name)
     return model
 
 
-def _reject_what_ends_tactile_sensors(model: mujoco.MjModel, name: str) -> None:
-    """Reject shapes at whose contact with a tactile sensor MuJoCo ends the simulation."""
+def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -> None:
+    """
+    Reject height fields and flexes beside tactile sensors.
+
+    At a contact with a height field MuJoCo ends the simulation; for a flex it takes the shape with
+    the number -1.
+    """
     fields = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)
                             & (model.geom_contype | model.geom_conaffinity != 0))
     sensors = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TACTILE)

@@ -25,6 +25,9 @@ from manip_sim.simulation.camera_choice import chosen_cameras, described_cameras
 
 #: A camera of the model by its name, or the description of another one, also as YAML.
 CameraLike = Union[str, Mapping[str, Any]]
+#: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes what has
+#: its numbers in the context that is current, so it waits until nothing is being rendered.
+_LOST: list[tuple[int, Any, OffscreenRenderer]] = []
 
 
 class Pictures:
@@ -75,11 +78,6 @@ class Pictures:
             self._lose.detach()
             _free(self._context, self._renderer)
             self._renderer = None
-
-
-#: Thread, context and renderer of pictures that nobody closed. To free a renderer deletes what has
-#: its numbers in the context that is current, so it waits until nothing is being rendered.
-_LOST: list[tuple[int, Any, OffscreenRenderer]] = []
 
 
 def _free_lost() -> None:

@@ -34,7 +34,7 @@ _RIGHT_M = -0.2
 #: Robots of the catalogue that do not reach the area on the table from where they stand.
 TOO_SHORT: Mapping[str, str] = MappingProxyType({
     'GR1': 'its hands do not reach the middle of the table',
-    'SO101': 'its hand points down no farther than 0.28 m away and 0.1 m above its foot'})
+    'SO101': 'its hand points down less than 0.1 m above its foot and 0.35 m away'})
 
 
 class Task(ABC):

@@ -75,6 +75,7 @@ class Player:
         self._events = Events()
         self._aiming = Aiming(server)
         self._model_archive: bytes | None = None
+        self._kinematics: Kinematics
         self._scene: Scene | None = None
         self._images: dict[str, Any] = {}
         self._plot: Any = None
@@ -132,9 +133,10 @@ class Player:
                              count - 1 if entry.success is False else 0)
 
     def _show_model(self, shown: Shown) -> None:
-        if shown.model != self._model_archive:
-            model = load_archive(shown.model)
-            shown.check(model)
+        is_new = shown.model != self._model_archive
+        model = load_archive(shown.model) if is_new else self._kinematics.model
+        shown.check(model)
+        if is_new:
             if self._scene is not None:
                 self._scene.remove()
             self._kinematics = Kinematics(model)
@@ -142,7 +144,6 @@ class Player:
             self._scene = Scene(self._server, model, self._kinematics.data)
             self._aiming.begin(self._kinematics)
             self._model_archive = shown.model
-        shown.check(self._kinematics.model)
         self._shown, self._plots = shown, shown.plots
 
     def _show(self, instant: int) -> None:

@@ -141,10 +141,12 @@ def test_a_grasp_is_felt_and_is_to_the_bit_the_same_without_tactile_sensors():
 
 def test_a_second_call_adds_nothing_and_a_copy_has_the_sensors():
     gripper = create_gripper('Robotiq85Gripper')
-    assert len(gripper.add_tactile_sensors()) == 2
-    assert gripper.add_tactile_sensors() == []
+    names, sensors = gripper.add_tactile_sensors(), gripper.sensors
+    assert len(names) == 2
+    assert gripper.add_tactile_sensors() == names
+    assert gripper.sensors == sensors
     twin = gripper.clone(1)
-    assert twin.add_tactile_sensors() == []
+    assert len(twin.add_tactile_sensors()) == 2
     assert with_ball(twin)[0].nsensor == with_ball(gripper)[0].nsensor
 
 
@@ -158,6 +160,13 @@ def test_the_archive_of_a_world_has_the_same_points():
 def test_a_robot_on_two_arms_feels_with_both_hands():
     simulation = Simulation(compose('Baxter', tactile=True))
     assert sum(name.endswith('_tactile') for name in simulation.sensors) == 4
+
+
+def test_a_gripper_that_has_the_sensors_already_is_as_good():
+    gripper = create_gripper('PandaGripper')
+    gripper.add_tactile_sensors()
+    simulation = Simulation(compose('Panda', gripper, tactile=True))
+    assert sum(name.endswith('_tactile') for name in simulation.sensors) == 2
 
 
 @pytest.mark.parametrize(('parts', 'who'), [
@@ -179,7 +188,7 @@ FLEX = """
 
 @pytest.mark.parametrize(('text', 'shape'), [
     (HEIGHT_FIELD, "height field 'ground'"), (FLEX, "flex 'rope'")])
-def test_shapes_at_whose_contact_mujoco_ends_the_simulation_are_rejected(tmp_path, text, shape):
+def test_worlds_with_shapes_that_tactile_sensors_cannot_feel_are_rejected(tmp_path, text, shape):
     file = tmp_path / 'place.xml'
     file.write_text(text)
     assert compose('Panda', arena=file).compile().nsensor

@@ -161,16 +161,16 @@ class GripperModel(MujocoXMLModel, ABC):
         deep each is inside of what touches the finger [m], then the speeds at which that slides
         [m/s].
 
-        :returns: names of the new sensors; none where all pads have one or there is no pad
+        :returns: names of the sensors of all pads, also of those that had one; none without pads
         """
         data = mujoco.MjData(self._own_model)
         if self.init_qpos is not None:
             for joint, position in zip(self._joints, np.asarray(self.init_qpos, dtype=float)):
                 data.joint(joint).qpos = position
         mujoco.mj_kinematics(self._own_model, data)
-        added = add_tactile_sensors(self._spec, self._own_model, data, self._eef_body)
+        names = add_tactile_sensors(self._spec, self._own_model, data, self._eef_body)
         self.refresh()
-        return self.correct_naming(added)
+        return self.correct_naming(names)
 
     def clone(self: GripperT, idn: int | str) -> GripperT:
         """

@@ -38,10 +38,11 @@ def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco
     :param model: compiled from it
     :param data: with its poses in a start of the fingers
     :param eef: the body that is the grasp frame
-    :returns: names of the new sensors, none if all pads have one or there is no pad
+    :returns: names of the sensors of all pads, also of those that were there
     """
-    present, added = {sensor.name for sensor in spec.sensors}, []
+    present, names = {sensor.name for sensor in spec.sensors}, []
     for name, pad in _pads(model):
+        names.append(name)
         if name in present:
             continue
         size, rotation = model.geom_size[pad], data.geom_xmat[pad].reshape(3, 3)
@@ -52,8 +53,7 @@ def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco
             grid = _rings(float(size[0]), float(size[1]))
         body = spec.body(model.body(model.geom_bodyid[pad]).name)
         _add(spec, body, name, grid, model.geom_pos[pad], model.geom_quat[pad])
-        added.append(name)
-    return added
+    return names
 
 
 def _pads(model: mujoco.MjModel) -> Iterator[tuple[str, int]]:

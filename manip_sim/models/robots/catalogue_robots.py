@@ -132,7 +132,7 @@ class PandaOmron(Panda):
 
 
 class SO101(CatalogueRobot):
-    """Five-joint arm of printed parts and hobby servos, 0.27 m reach with the hand down."""
+    """Five-joint arm of printed parts and hobby servos, 0.34 m reach with the hand down."""
 
     _folder = 'so101'
 
