@@ -14,7 +14,7 @@ import tempfile
 import threading
 from typing import Any, Protocol
 
-import rclpy
+from rclpy.context import Context
 from rclpy.parameter import Parameter
 import yaml
 
@@ -55,21 +55,16 @@ class NodeInProcess:
     """
     A node in this process, with an executor thread of its own.
 
-    :param domain: the ROS domain
+    :param context: of the node
     :param parameters: of the node, by name
     :raises ManipSimError: if the node cannot start
     :ivar node: the node
     """
 
-    def __init__(self, domain: int, parameters: Mapping[str, Any]) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=domain, args=[])
-        try:
-            self.node = SimNode(context=self._context, parameter_overrides=[
-                Parameter(name, value=value) for name, value in parameters.items()])
-        except ManipSimError:
-            rclpy.shutdown(context=self._context)
-            raise
+    def __init__(self, context: Context, parameters: Mapping[str, Any]) -> None:
+        self._context = context
+        self.node = SimNode(context=self._context, parameter_overrides=[
+            Parameter(name, value=value) for name, value in parameters.items()])
         self._executor = GuardedExecutor(self.node.rejections, context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin, name='sim_node')
@@ -95,7 +90,6 @@ class NodeInProcess:
         self._executor.shutdown()
         self.node.stop()
         self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
         if not interrupted:
             self.check()
 

@@ -73,14 +73,21 @@ class SimulationUnderTest:
         given = self._given = {'stepping': 'free', **parameters, 'start_paused': True}
         self._lockstep = given['stepping'] == 'lockstep'
         self.domain = domain
-        self.server: ServedNode = (
-            NodeProcess(given) if as_process else NodeInProcess(domain, given))
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain, args=[])
+        try:
+            # A context of its own would be another participant of DDS in this process: while one
+            # works, Fast DDS does not reliably survive the end of the other.
+            self.server: ServedNode = (
+                NodeProcess(given) if as_process else NodeInProcess(self._context, given))
+        except BaseException:
+            rclpy.try_shutdown(context=self._context)
+            raise
         self.node = rclpy.create_node('test_of_a_controller', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._publishers: dict[str, Any] = {}
+        self._clients: dict[tuple[Any, str], Any] = {}
         self._messages: dict[str, list[Any]] = {}
         self._subscriptions: dict[str, Any] = {}
         self._controllers = Controllers(domain)
@@ -111,18 +118,8 @@ class SimulationUnderTest:
         self._now_ns = nanoseconds_of(self._messages[self._states[0]][0].header.stamp)
 
     def _parameters(self, *names: str) -> Any:
-        """Ask for parameters until an answer comes: DDS may lose the first one of a new client."""
-        client = self.node.create_client(GetParameters, 'manip_sim/get_parameters')
-        futures: list[Any] = []
-        looks = itertools.count()
-
-        def answered() -> bool:
-            if client.service_is_ready() and next(looks) % _LOOKS == 0:
-                futures.append(client.call_async(GetParameters.Request(names=list(names))))
-            return any(future.done() for future in futures)
-        self._spin_until(answered)
-        self.node.destroy_client(client)
-        return next(future.result() for future in futures if future.done()).values
+        return self.call(GetParameters, 'manip_sim/get_parameters',
+                         GetParameters.Request(names=list(names)), again=True).values
 
     def _record(self, topic: str, message_type: Any) -> None:
         messages = self._messages[topic] = []
@@ -184,10 +181,14 @@ class SimulationUnderTest:
             publisher.wait_for_all_acked()
         self._set('pause_at', end_ns * 1e-9)
         self._repeats = 0
-        self.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
+        # What counts is that time passes: DDS may lose the answer.
+        self._ask(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
+        self._wait_for_states(end_ns, self._check_not_stalled)
+
+    def _wait_for_states(self, end_ns: int, check: Callable[[], None]) -> None:
         self._spin_until(lambda: all(
             nanoseconds_of(self._messages[topic][-1].header.stamp) >= end_ns
-            for topic in self._topics), self._check_not_stalled)
+            for topic in self._topics), check)
         self._now_ns = end_ns
 
     def _check_not_stalled(self) -> None:
@@ -199,7 +200,8 @@ class SimulationUnderTest:
     def _set(self, name: str, value: Any) -> None:
         result = self.call(SetParametersAtomically, 'manip_sim/set_parameters_atomically',
                            SetParametersAtomically.Request(parameters=[
-                               Parameter(name, value=value).to_parameter_msg()])).result
+                               Parameter(name, value=value).to_parameter_msg()]),
+                           again=True).result
         if not result.successful:
             raise ManipSimError(result.reason)
 
@@ -219,14 +221,12 @@ class SimulationUnderTest:
 
         :raises ManipSimError: if the node refuses
         """
-        response = self.call(Trigger, 'manip_sim/reset')
-        if not response.success:
-            raise ManipSimError(response.message)
-        end_ns = self._now_ns + round(self.period_s * 1e9)
-        self._spin_until(lambda: all(
-            nanoseconds_of(self._messages[topic][-1].header.stamp) >= end_ns
-            for topic in self._topics))
-        self._now_ns = end_ns
+        answer = self._ask(Trigger, 'manip_sim/reset', Trigger.Request())
+
+        def check() -> None:
+            if answer.done() and not answer.result().success:
+                raise ManipSimError(answer.result().message)
+        self._wait_for_states(self._now_ns + round(self.period_s * 1e9), check)
 
     def crash(self) -> None:
         """
@@ -336,23 +336,36 @@ class SimulationUnderTest:
             self._publishers[topic] = publisher
         self._publishers[topic].publish(message)
 
-    def call(self, service_type: Any, name: str, request: Any = None) -> Any:
+    def call(self, service_type: Any, name: str, request: Any = None, again: bool = False) -> Any:
         """
         Call a service and return its response.
 
         :param service_type: such as ``std_srvs.srv.Trigger``
         :param name: such as ``manip_sim/tare_wrench``
         :param request: None for an empty one
+        :param again: ask again if there is no answer for some seconds, as DDS may lose it; the
+            service may then be executed twice
         :raises ManipSimError: if the node has ended
         """
-        client = self.node.create_client(service_type, name)
-        try:
-            self._spin_until(client.service_is_ready)
-            future = client.call_async(request or service_type.Request())
-            self._spin_until(future.done)
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+        request = request or service_type.Request()
+        futures: list[Any] = []
+        looks = itertools.count(1)
+
+        def answered() -> bool:
+            if not futures or again and next(looks) % _LOOKS == 0:
+                futures.append(self._ask(service_type, name, request))
+            return any(future.done() for future in futures)
+        self._spin_until(answered)
+        return next(future.result() for future in futures if future.done())
+
+    def _ask(self, service_type: Any, name: str, request: Any) -> Any:
+        # The answer to a client that is new is more easily lost.
+        key = service_type, name
+        if key not in self._clients:
+            self._clients[key] = self.node.create_client(service_type, name)
+        client = self._clients[key]
+        self._spin_until(client.service_is_ready)
+        return client.call_async(request)
 
     def spin(self, node: Node) -> None:
         """
@@ -409,5 +422,7 @@ class SimulationUnderTest:
         self._controllers.close()
         self._executor.shutdown()
         self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-        self.server.close()
+        try:
+            self.server.close()
+        finally:
+            rclpy.try_shutdown(context=self._context)

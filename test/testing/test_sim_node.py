@@ -15,8 +15,10 @@ import numpy as np  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile  # noqa: E402
+from rclpy.task import Future  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 from manip_sim.errors import ManipSimError, UnknownNameError  # noqa: E402
 
@@ -118,12 +120,11 @@ def test_what_a_test_asks_wrongly_is_told(sim_node):
         sim.set_parameter('pause_at', -1.0)
 
 
-def test_a_simulation_ends_after_a_signal_has_shut_its_contexts_down(sim_node):
+def test_a_simulation_ends_after_a_signal_has_shut_its_context_down(sim_node):
     sim = sim_node()
     sim.run_for(0.1)
     # As rclpy's handlers of signals do.
-    for context in (sim.server._context, sim._context):
-        context.shutdown()
+    sim.node.context.shutdown()
     sim.close()
 
 
@@ -178,6 +179,28 @@ def test_a_message_that_is_lost_is_asked_for_again(sim_node, monkeypatch):
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     assert sim.receive(String, 'manip_sim/mjcf', latched).data.startswith('<mujoco')
     assert len(subscriptions) == 2
+
+
+def test_a_question_whose_answer_is_lost_is_asked_again(sim_node, monkeypatch):
+    from manip_sim.testing import simulation_under_test
+    monkeypatch.setattr(simulation_under_test, '_LOOKS', 2)
+    sim = sim_node()
+    ask, asked = sim._ask, []
+
+    def lose_the_first(service_type, name, request):
+        asked.append(name)
+        future = ask(service_type, name, request)
+        return future if asked.count(name) > 1 else Future()
+    monkeypatch.setattr(sim, '_ask', lose_the_first)
+    sim.run_for(0.05)
+    assert sim.time_s == pytest.approx(0.06)
+    assert asked.count('manip_sim/set_parameters_atomically') >= 2
+    # It is not told twice to let time pass.
+    assert asked.count('manip_sim/pause') == 1
+    sim.reset()
+    assert sim.time_s == pytest.approx(0.07)
+    answer = sim.call(Trigger, 'manip_sim/tare_wrench', again=True)
+    assert answer.success and asked.count('manip_sim/tare_wrench') >= 2
 
 
 def test_a_node_that_crashes_comes_back_and_what_was_recorded_begins_anew(sim_node):
