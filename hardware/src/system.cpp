@@ -48,6 +48,8 @@ using sensor_msgs::msg::JointState;
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 constexpr auto kServiceTimeout = std::chrono::seconds(5);
+constexpr auto kAnswerTimeout = std::chrono::seconds(2);
+constexpr int kTimesAsked = 5;
 constexpr int kStatesUntilAskedAgain = 50;
 //! A joint that moves farther between two states than twice its speed allows was put there [rad, m].
 constexpr double kJump = 1e-3;
@@ -518,20 +520,26 @@ private:
       RCLCPP_ERROR(get_logger(), "%s: the node does not answer", name.c_str());
       return false;
     }
-    auto results = modes_client_->set_parameters({rclcpp::Parameter(name, mode)});
-    if (results.wait_for(kServiceTimeout) != std::future_status::ready) {
-      RCLCPP_ERROR(get_logger(), "%s := %s: no answer", name.c_str(), mode.c_str());
-      return false;
+    // DDS may lose an answer, and the service may still be that of a node that has ended.
+    for (int asked = 0; asked < kTimesAsked; ++asked) {
+      auto results = modes_client_->set_parameters({rclcpp::Parameter(name, mode)});
+      if (results.wait_for(kAnswerTimeout) != std::future_status::ready) {
+        RCLCPP_WARN(get_logger(), "%s := %s: no answer yet", name.c_str(), mode.c_str());
+        continue;
+      }
+      const auto result = results.get().front();
+      if (!result.successful) {
+        RCLCPP_ERROR(
+          get_logger(), "%s := %s: %s", name.c_str(), mode.c_str(), result.reason.c_str());
+        return false;
+      }
+      std::lock_guard<std::mutex> lock(mutex_);
+      modes_[name] = mode;
+      return true;
     }
-    const auto & result = results.get().front();
-    if (!result.successful) {
-      RCLCPP_ERROR(
-        get_logger(), "%s := %s: %s", name.c_str(), mode.c_str(), result.reason.c_str());
-      return false;
-    }
-    std::lock_guard<std::mutex> lock(mutex_);
-    modes_[name] = mode;
-    return true;
+    RCLCPP_ERROR(
+      get_logger(), "%s := %s: no answer to %d requests", name.c_str(), mode.c_str(), kTimesAsked);
+    return false;
   }
 
   void put(const std::string & key, double value)

@@ -170,6 +170,34 @@ def test_a_controller_that_claims_velocities_changes_the_mode(controlled):
     assert mode_of_the_arm(sim) == 'velocity'
 
 
+@pytest.mark.parametrize('lost', [1, 100])
+def test_a_mode_is_asked_for_again_until_the_node_answers(lost, controlled, capfd):
+    sim, process = controlled()
+    spawn(sim, 'velocity_forward', '--inactive')
+    service = next(service for service in sim.server.node.services
+                   if service.srv_name.endswith('/set_parameters'))
+    answer, asked = service.callback, []
+
+    def lose(request, response):
+        asked.append(request)
+        if len(asked) <= lost:
+            raise RuntimeError('lost')
+        return answer(request, response)
+    service.callback = lose
+    client = sim.node.create_client(SwitchController, 'controller_manager/switch_controller')
+    sim.wait_for(client.service_is_ready)
+    answered = client.call_async(SwitchController.Request(
+        activate_controllers=['velocity_forward'], strictness=SwitchController.Request.STRICT,
+        timeout=Duration(sec=60)))
+    sim.wait_for(answered.done, limit_s=6000.0)
+    assert len(asked) == min(lost + 1, 5)
+    assert answered.result().ok == (lost == 1)
+    assert mode_of_the_arm(sim) == ('velocity' if lost == 1 else 'position')
+    process.kill()
+    process.wait()
+    assert ('no answer to 5 requests' in capfd.readouterr().err) == (lost == 100)
+
+
 def test_controllers_of_other_modes_take_over_from_each_other(controlled):
     sim, _ = controlled()
     spawn(sim, 'arm_position_controller')
