@@ -68,7 +68,8 @@ ROWS = tuple(row for rate, control_rate, jitter_s in (
     for row in (Row(rate, control_rate), Row(rate, control_rate, jitter_s),
                 Row(rate, control_rate, lost=0.01))) + (
     Row(10, 500), Row(10, 500, timer=0.2), Row(100, 500), Row(100, 500, timer=0.2),
-    Row(100, 500, 0.002, timer=0.2))
+    Row(100, 500, 0.002, timer=0.2), Row(100, 100, 0.002, timer=0.1),
+    Row(250, 250, 0.001, timer=0.2))
 
 
 def follow(row: Row, seconds: float) -> tuple[float, float, float]:
@@ -109,12 +110,14 @@ def main() -> None:
     seconds = parser.parse_args().seconds
     print('| stream, control rate | messages | acceleration | torque | of the torque on schedule '
           '| ripple |\n|---|---|---|---|---|---|')
-    ideal = 0.0
+    # Those on schedule come first.
+    ideal: dict[tuple[int, int], float] = {}
     for row in ROWS:
         acceleration, torque, ripple = follow(row, seconds)
-        if row == Row(row.rate, row.control_rate):
-            ideal = torque
-        print(f'| {row} | {acceleration:.1f} rad/s^2 | {torque:.1f} N m | {torque / ideal:.2f} '
+        rates = row.rate, row.control_rate
+        ideal.setdefault(rates, torque)
+        print(f'| {row} | {acceleration:.1f} rad/s^2 | {torque:.1f} N m '
+              f'| {torque / ideal[rates]:.2f} '
               f'| {ripple:.1%} |', flush=True)
 
 

@@ -78,7 +78,9 @@ class MessageClock:
     :ivar jitter_s: how far arrivals are off the times of sending [s]; zero for none
     :ivar spread_s: the same of arrivals and the even schedule [s]
     :ivar number: of messages, up to the last one
-    :ivar on_time: whether the last message was on the schedule, as others before it
+    :ivar even: how many messages in a row were on the schedule, up to the last one
+    :ivar on_time: whether these are enough for a schedule
+    :ivar relapsed: whether the last message was not on the schedule, though on time before
     :ivar until_s: when the stream ends that goes on without messages [s]
     """
 
@@ -91,9 +93,9 @@ class MessageClock:
         self.where: slice | IntArray = slice(0)
         self.interval_s = self.sent_s = self.elapsed_s = 0.0
         self.jitter_s = self.slack_s = 0.0
-        self.on_time, self.until_s = False, -math.inf
+        self.on_time, self.relapsed, self.until_s = False, False, -math.inf
         self._arrived_s = -math.inf
-        self.number = self._astray = self._skipped = self._together = self._even = 0
+        self.number = self.even = self._astray = self._skipped = self._together = 0
         # The even schedule: when the last message was due by it, how far arrivals are off it.
         self._due_s = self.spread_s = 0.0
         # How many of the last messages may have been late instead of lost, and how long yet.
@@ -172,8 +174,9 @@ class MessageClock:
         jitter_s += (_ATTACK if rise > 0.0 else _DECAY) * rise
         even = (count == messages == self._together
                 and max(size, jitter_s) < _ON_TIME * interval_s)
-        self._even = self._even + 1 if streams and (even or stamped and self._stamped) else 0
-        self.on_time = self._even > (_MEMORY if stamped else _TRUSTED)
+        self.even = self.even + 1 if streams and (even or stamped and self._stamped) else 0
+        self.relapsed = self.on_time and not self.even
+        self.on_time = self.even > (_MEMORY if stamped else _TRUSTED)
         self._together, self._stamped = messages, stamped
         far = int(math.copysign(size > 0.5 * max(interval_s, period_s), off_s))
         self._astray = self._astray + far if far * self._astray > 0 else far

@@ -35,6 +35,9 @@ _POWER_LEARNT, _PRODUCT = 0.03, 15.0
 _REACH = 1.5
 #: Noise of the acceleration that is left, as a share of its limit.
 _NOISE = 0.04
+#: Goals are smooth again that need less than this share of an interval as memory, or no longer off
+#: by their messages after so many of them on schedule.
+_ROUGH, _FORGIVEN = 0.5, 1000
 #: Smoothing takes the memory of a fit for a jitter of this share of it.
 _LIKE_JITTER = 0.06
 #: A first velocity may be what the acceleration limit allows in so long, at most [s].
@@ -154,7 +157,8 @@ class StreamEstimator:
         else:
             self.velocity[at] = velocity
         self.jitter_s[at] = clock.jitter_s
-        if clock.number > 3 and not clock.on_time and clock.spread_s > _UNEVEN * interval_s:
+        if clock.number > 3 and self._is_off(clock, interval_s, acceleration_limit):
+            clock.on_time = False
             self._smooth(clock, goal, velocity, change, smooth, before_s, interval_s, period_s,
                          acceleration_limit)
         else:
@@ -169,6 +173,22 @@ class StreamEstimator:
         clock.until_s = (max(now_s, clock.sent_s) + interval_s
                          + (clock.hold_s if clock.hold_s > 0.0 else _HOLD_INTERVALS * interval_s)
                          + 3.0 * clock.jitter_s)
+
+    def _is_off(self, clock: MessageClock, interval_s: float, acceleration_limit: FloatArray
+                ) -> bool:
+        """Return whether a stream is off schedule: by its messages, or by its goals since."""
+        begun = bool(self._fit[6, clock.where].any())
+        if clock.on_time:
+            # Where arrivals are seen once a period, they look even though the timer is not.
+            memory_s = self._memory_s(self._off(clock.where), acceleration_limit)
+            return (begun and clock.even < _FORGIVEN
+                    and bool((memory_s > _ROUGH * interval_s).any()))
+        return begun or clock.relapsed or clock.spread_s > _UNEVEN * interval_s
+
+    @staticmethod
+    def _memory_s(off: FloatArray, acceleration_limit: FloatArray) -> FloatArray:
+        """Return the memory of a fit to goals that are so far off at random [s]."""
+        return np.asarray(np.sqrt(3.0 * off / (_NOISE * acceleration_limit)))
 
     def _off(self, at: slice | IntArray) -> FloatArray:
         """Return how far goals come off a smooth course at random, standard deviations."""
@@ -196,7 +216,7 @@ class StreamEstimator:
         self._fit[3:, at] = change / between_s, off, power, np.ones(len(goal))
         speed = np.maximum(np.abs(velocity), np.abs(self._last[at]))
         spread = np.minimum(self._off(at), _REACH * speed * (clock.spread_s + period_s / 4.0))
-        memory_s = np.sqrt(3.0 * spread / (_NOISE * acceleration_limit))
+        memory_s = self._memory_s(spread, acceleration_limit)
         kept = np.exp(-elapsed_s / np.maximum(memory_s, 1e-9))
         new = 1.0 - kept
         pace = pace + bend * elapsed_s

@@ -93,15 +93,19 @@ def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
             assert estimator.velocity == pytest.approx(0.15, rel=1e-6)
 
 
-def followed(sent_s, arrived_s, step_s=0.002, amplitude=0.2, omega=np.pi):
-    """Return ratio, ripple and hardest acceleration of setpoints that follow a sine, to its."""
+def followed(sent_s, arrived_s, step_s=0.002, amplitude=0.2, omega=np.pi, steps=1):
+    """
+    Return ratio, ripple and hardest acceleration of setpoints that follow a sine, to its.
+
+    Messages are taken each so many steps.
+    """
     generator, taken, rows = SetpointGenerator(
         np.array([[-3.0, 3.0]]), np.array([2.2]), np.array([15.0])), 0, []
     for step in range(round(arrived_s[-1] / step_s)):
         generator.now_s = step * step_s
-        while arrived_s[taken] <= generator.now_s + 1e-9:
+        while step % steps == 0 and arrived_s[taken] <= generator.now_s + 1e-9:
             goal = amplitude * min(sent_s[taken], 1.0) * np.sin(omega * sent_s[taken])
-            generator.go_to(JOINT, np.array([goal]), step_s)
+            generator.go_to(JOINT, np.array([goal]), step_s * steps)
             taken += 1
         generator.advance(step_s)
         rows.append((generator.now_s, generator.position[0], generator.velocity[0],
@@ -138,6 +142,39 @@ def test_goals_that_jitter_in_time_and_on_their_way_are_averaged(
     assert ratio == pytest.approx(1.0, abs=0.03)
     assert ripple < 0.05
     assert hardest < hardest_bound
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('rate', 'timer', 'way_s'), [
+    (100, 0.1, 0.002), (100, 0.2, 0.0), (250, 0.2, 0.001)])
+def test_goals_that_jitter_are_averaged_though_control_periods_hide_when_they_came(
+        rate, timer, way_s, seed):
+    random, number = np.random.default_rng(seed), np.arange(6 * rate)
+    sent_s = np.sort(number + 0.37 + random.normal(0.0, timer, len(number))) / rate
+    arrived_s = sent_s + np.abs(random.normal(0.0, way_s, len(sent_s)))
+    # One that comes with the next is the first that shows it.
+    arrived_s[rate] += 0.9 / rate
+    arrived_s = np.maximum.accumulate(arrived_s)
+    ratio, ripple, hardest = followed(np.abs(sent_s), arrived_s, steps=round(500 / rate))
+    assert ratio == pytest.approx(1.0, abs=0.04)
+    assert ripple < 0.05
+    assert hardest < 3.5
+
+
+def test_a_stream_is_on_schedule_again_once_its_goals_are_smooth():
+    random, estimator = np.random.default_rng(0), Estimator()
+    on_time = []
+    for number in range(900):
+        jitters = 200 <= number < 400
+        if number != 250:
+            # That one comes with the next.
+            sent_s = (number + jitters * random.normal(0.0, 0.1)) * PERIOD_S
+            estimator.take_one(0.2 * math.sin(math.pi * sent_s), number * PERIOD_S,
+                               messages=2 if number == 251 else 1)
+            on_time.append(estimator.clock.on_time)
+    assert all(on_time[20:249])
+    assert not any(on_time[250:399])
+    assert all(on_time[-100:])
 
 
 @pytest.mark.parametrize('rate', [10, 50, 100])
