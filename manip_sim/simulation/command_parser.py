@@ -183,7 +183,7 @@ class CommandParser:
             able = names_of_modes(lambda mode: mode.takes_twists)
             raise CommandError(f'base takes a twist in {able} mode only, it is in '
                                f'{modes[indices[0]]} mode')
-        inside, clamped = clamp(values, self._joints.clamps(indices, modes))
+        inside, clamped = clamp(values, self._joints.twist_clamps(indices, modes))
         return BaseTwist(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
             twist=inside, clamped=clamped, clamped_example=clamped_example(

@@ -48,6 +48,7 @@ class ControlledJoints:
                             for name, part in parts.items()}
         self._part_of = [name for name in atomic for _ in parts[name].driven_joints]
         self.twist_indices = self._find_twist_joints(parts)
+        self._sideways = 'base' not in parts or parts['base'].sideways
         self._servos = Servos(physics, [a for a, _ in driven], self.names)
         self._setpoints = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
@@ -119,6 +120,18 @@ class ControlledJoints:
         modes = self.modes if modes is None else modes
         clamps = {mode: MODES[mode].clamps(self._servos) for mode in set(modes)}
         return np.array([clamps[modes[i]][i] for i in indices]).reshape(-1, 2)
+
+    def twist_clamps(self, indices: IntArray, modes: Sequence[str]) -> FloatArray:
+        """
+        Return the ranges to which twists of the mobile base are clamped, shape (3, 2), a copy.
+
+        :param indices: :attr:`twist_indices`
+        :param modes: of all joints, as for :meth:`ranges`
+        """
+        clamps = self.clamps(indices, modes)
+        if not self._sideways:
+            clamps[1] = 0.0
+        return clamps
 
     def fitted(self, trajectory: Trajectory, indices: IntArray, elapsed_s: float
                ) -> tuple[Trajectory, float]:

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import IntArray
 from manip_sim.errors import ModelError
+from manip_sim.models.bases import MobileBaseModel
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.robots.subsystems import driven_joint, SUBSYSTEMS
@@ -34,6 +35,7 @@ class Part:
     :ivar actuator_ids: of the actuators in ``ctrl``, shape (n_actuators,)
     :ivar driven_joints: the joint that each actuator drives, or None
     :ivar gripper: the gripper's model if the part is a gripper, or None
+    :ivar sideways: whether twists may move the part along y, if it is a mobile base
     """
 
     name: str
@@ -45,6 +47,7 @@ class Part:
     actuator_ids: IntArray
     driven_joints: tuple[str | None, ...]
     gripper: GripperModel | None = None
+    sideways: bool = True
 
 
 def find_parts(model: mujoco.MjModel, robot: RobotModel) -> dict[str, Part]:
@@ -65,6 +68,8 @@ def find_parts(model: mujoco.MjModel, robot: RobotModel) -> dict[str, Part]:
             parts.update(_arms(model, robot, joints, actuators))
         else:
             parts[subsystem] = _part(model, subsystem, joints, actuators)
+    if 'base' in parts and isinstance(robot.base, MobileBaseModel):
+        parts['base'] = replace(parts['base'], sideways=robot.base.sideways)
     if isinstance(robot, ManipulatorModel):
         for arm, gripper in robot.grippers.items():
             name = f'{arm}/gripper'

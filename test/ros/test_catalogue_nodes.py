@@ -11,7 +11,8 @@ from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 
 ROBOTS = [name for name in robot_names()
           if type(create_robot(name)).__module__.startswith('manip_sim.')]
-OTHER_PARTS = {'PandaOmron': {'base', 'torso'}, 'GR1': {'torso', 'head', 'legs'}}
+OTHER_PARTS = {'PandaOmron': {'base', 'torso'}, 'Tiago': {'base', 'torso', 'head'},
+               'GR1': {'torso', 'head', 'legs'}}
 
 
 @pytest.mark.parametrize('name', ROBOTS)

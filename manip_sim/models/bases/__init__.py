@@ -9,7 +9,8 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from manip_sim.models.bases.catalogue_bases import (
-    NoActuationBase, NullMobileBase, NullMount, OmronMobileBase, RethinkMinimalMount, RethinkMount)
+    NoActuationBase, NullMobileBase, NullMount, OmronMobileBase, PMB2Base,
+    RethinkMinimalMount, RethinkMount)
 from manip_sim.models.bases.robot_base_model import (
     BASES, MobileBaseModel, MountModel, RobotBaseModel)
 from manip_sim.models.registry import import_submodules
@@ -45,5 +46,5 @@ if not TYPE_CHECKING:
 
 __all__ = [
     'MobileBaseModel', 'MountModel', 'NoActuationBase', 'NullMobileBase', 'NullMount',
-    'OmronMobileBase', 'RethinkMinimalMount', 'RethinkMount', 'RobotBaseModel', 'base_names',
-    'create_base']
+    'OmronMobileBase', 'PMB2Base', 'RethinkMinimalMount', 'RethinkMount',
+    'RobotBaseModel', 'base_names', 'create_base']

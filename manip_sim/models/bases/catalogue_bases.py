@@ -15,13 +15,17 @@ class _CatalogueBase(CataloguePart):
     _horizontal_radius = FromPart('radius', 0.0)
 
 
-class NoActuationBase(_CatalogueBase, MobileBaseModel):
+class _CatalogueMobileBase(_CatalogueBase, MobileBaseModel, registered=False):
+    sideways = FromPart('sideways', True)
+
+
+class NoActuationBase(_CatalogueMobileBase):
     """A fixed frame without mass or shape, for robots that stand on their own feet."""
 
     _folder = 'no_actuation_base'
 
 
-class NullMobileBase(_CatalogueBase, MobileBaseModel):
+class NullMobileBase(_CatalogueMobileBase):
     """Forward, side and yaw joints without mass, so the robot's root must have mass."""
 
     _folder = 'null_mobile_base'
@@ -33,10 +37,16 @@ class NullMount(_CatalogueBase, MountModel):
     _folder = 'null_mount'
 
 
-class OmronMobileBase(_CatalogueBase, MobileBaseModel):
+class OmronMobileBase(_CatalogueMobileBase):
     """Vehicle that drives forward and sideways, turns, lifts the robot from 0.7 m to 1.04 m."""
 
     _folder = 'omron_mobile_base'
+
+
+class PMB2Base(_CatalogueMobileBase):
+    """Round vehicle of PAL Robotics that drives forward and turns, 0.29 m to the torso's foot."""
+
+    _folder = 'pmb2_base'
 
 
 class RethinkMinimalMount(_CatalogueBase, MountModel):

@@ -62,6 +62,8 @@ class MobileBaseModel(RobotBaseModel, registered=False):
 
     #: The body that the robot is mounted on.
     support_body = 'support'
+    #: Whether it drives sideways; else twists along y are clamped to zero.
+    sideways: bool = True
 
     @property
     def _prefix_of_idn(self) -> str:

@@ -105,6 +105,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     top = np.array(description.top) if description.top is not None else np.zeros(3)
     base = FileMobileBase(model_file, top, idn)
     base.support_body = support
+    base.sideways = description.sideways
     return base
 
 

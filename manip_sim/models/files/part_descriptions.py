@@ -149,6 +149,8 @@ class BaseDescription(Description):
     top: Vector | None = None
     #: Body that carries the robot, of a base with joints.
     support: Name | None = None
+    #: Whether a base with joints drives sideways; else twists along y are clamped to zero.
+    sideways: bool = True
 
 
 class ArenaDescription(Description):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from manip_sim.models.grippers.catalogue_grippers import (
     FourierLeftHand, FourierRightHand, JacoThreeFingerDexterousGripper, JacoThreeFingerGripper,
-    NullGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
+    NullGripper, PalGripper, PandaGripper, RethinkGripper, Robotiq140Gripper, Robotiq85Gripper,
     RobotiqThreeFingerDexterousGripper, RobotiqThreeFingerGripper, SO101Gripper, WipingGripper)
 from manip_sim.models.grippers.gripper_model import GripperModel, GRIPPERS
 from manip_sim.models.registry import import_submodules
@@ -47,6 +47,7 @@ if not TYPE_CHECKING:
 
 __all__ = [
     'FourierLeftHand', 'FourierRightHand', 'GripperModel', 'JacoThreeFingerDexterousGripper',
-    'JacoThreeFingerGripper', 'NullGripper', 'PandaGripper', 'RethinkGripper', 'Robotiq140Gripper',
-    'Robotiq85Gripper', 'RobotiqThreeFingerDexterousGripper', 'RobotiqThreeFingerGripper',
-    'SO101Gripper', 'WipingGripper', 'create_gripper', 'gripper_names']
+    'JacoThreeFingerGripper', 'NullGripper', 'PalGripper', 'PandaGripper', 'RethinkGripper',
+    'Robotiq140Gripper', 'Robotiq85Gripper', 'RobotiqThreeFingerDexterousGripper',
+    'RobotiqThreeFingerGripper', 'SO101Gripper', 'WipingGripper', 'create_gripper',
+    'gripper_names']

@@ -112,6 +112,12 @@ class NullGripper(CatalogueGripper):
     _folder = 'null_gripper'
 
 
+class PalGripper(CatalogueGripper):
+    """Two fingers of PAL Robotics, each with a motor of its own, 90 mm stroke."""
+
+    _folder = 'pal_gripper'
+
+
 class PandaGripper(CatalogueGripper):
     """Franka hand that opens and closes."""
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from manip_sim.models.registry import import_submodules
 from manip_sim.models.robots.catalogue_robots import (
-    Baxter, FR3, GR1, IIWA, Jaco, Kinova3, Panda, PandaOmron, Sawyer, SO101, UR5e, XArm7)
+    Baxter, FR3, GR1, IIWA, Jaco, Kinova3, Panda, PandaOmron, Sawyer, SO101, Tiago, UR5e,
+    XArm7)
 from manip_sim.models.robots.manipulator_model import ManipulatorModel
 from manip_sim.models.robots.robot_model import RobotModel, ROBOTS
 
@@ -53,4 +54,4 @@ if not TYPE_CHECKING:
 
 __all__ = [
     'Baxter', 'FR3', 'GR1', 'IIWA', 'Jaco', 'Kinova3', 'ManipulatorModel', 'Panda', 'PandaOmron',
-    'RobotModel', 'SO101', 'Sawyer', 'UR5e', 'XArm7', 'create_robot', 'robot_names']
+    'RobotModel', 'SO101', 'Sawyer', 'Tiago', 'UR5e', 'XArm7', 'create_robot', 'robot_names']

@@ -143,6 +143,12 @@ class Sawyer(CatalogueRobot):
     _folder = 'sawyer'
 
 
+class Tiago(CatalogueRobot):
+    """Mobile robot with a lifting torso, a head and a seven-joint arm, 3 kg payload."""
+
+    _folder = 'tiago'
+
+
 class UR5e(CatalogueRobot):
     """Six-joint arm, 5 kg payload, 0.85 m reach."""
 
