@@ -162,3 +162,33 @@ def told_by(model):
     """Return what was inferred of a hand, or of the hands of a robot."""
     hands = [model] if not hasattr(model, 'grippers') else model.grippers.values()
     return [note for hand in hands for note in hand.inferred]
+
+
+def test_masses_that_come_from_shapes_in_all_bodies_load_and_stay(tmp_path):
+    text = """
+<mujoco><compiler inertiafromgeom="true"/><worldbody><body name="base"><geom size="0.1"/>
+  <body name="link" pos="0 0 0.2"><inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>
+  <joint name="turn" axis="0 1 0"/><geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.3"/>
+  <geom name="cover" size="0.05" contype="0" conaffinity="0"/></body></body></worldbody>
+  <actuator><position joint="turn" kp="100"/></actuator></mujoco>"""
+    file = tmp_path / 'arm.xml'
+    file.write_text(text)
+    bare = mujoco.MjModel.from_xml_path(str(file))
+    model = compose(load_robot(file)).compile(visual=False)
+    assert model.body('robot0_link').mass[0] == pytest.approx(bare.body('link').mass[0])
+    assert bare.body('link').mass[0] != pytest.approx(9.0, rel=0.1)
+
+
+def test_long_fingers_on_a_wrist_are_a_hand(tmp_path):
+    finger = ('<body name="{0}1" pos="{1} 0 0.1">' + ''.join(
+        f'<joint name="{{0}}j{i}" axis="0 1 0"/><geom size="0.01"/>'
+        f'<body name="{{0}}{i + 2}" pos="0 0 0.05">' for i in range(3))
+        + '<geom size="0.01"/>' + '</body>' * 4)
+    fingers = ''.join(finger.format(*one) for one in (('ff', -0.03), ('mf', 0.0), ('rf', 0.03)))
+    (tmp_path / 'hand.xml').write_text(f"""
+<mujoco><worldbody><body name="forearm"><geom size="0.05"/>
+  <body name="palm" pos="0 0 0.2"><joint name="wr0" axis="0 1 0"/><joint name="wr1" axis="1 0 0"/>
+  <geom size="0.04"/>{fingers}</body></body></worldbody></mujoco>""")
+    robot = load_robot(tmp_path / 'hand.xml')
+    assert robot.arm_joints == ['robot0_wr0', 'robot0_wr1']
+    assert len(robot.grippers['right'].joints) == 9

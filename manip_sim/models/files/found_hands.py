@@ -15,7 +15,7 @@ _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
 _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 
 #: So many chains on one fixed body are fingers, fewer may be arms.
-_FINGERS = 3
+FINGERS = 3
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
 
@@ -94,7 +94,7 @@ def lone_hand(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     carrier = _common_carrier(tree, scalar)
     moved = {int(tree.model.jnt_bodyid[joint]) for joint in scalar}
     first = [body for body in moved if not moved.intersection(tree.path(tree.parent(body)))]
-    if carrier and len(first) >= _FINGERS:
+    if carrier and len(first) >= FINGERS:
         return hand_below(tree, carrier)
     return None
 

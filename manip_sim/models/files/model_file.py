@@ -132,6 +132,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     """
     spec, notes = load_urdf(file, xacro_args) if is_urdf(file) else (load_spec(file), [])
     name_unnamed_elements(spec)
+    _infer_inertias_once(spec)
     model = compile_alone(spec, str(file))
     if is_urdf(file):
         notes += masses_from_shapes(spec, model)
@@ -153,6 +154,18 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named)
+
+
+def _infer_inertias_once(spec: mujoco.MjSpec) -> None:
+    """
+    Let masses come from shapes where a file says so for all bodies, whatever else it says of them.
+
+    With ``inertiafromgeom`` true, MuJoCo compiles no model whose visual shapes are left out.
+    """
+    if int(spec.compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
+        for body in spec.bodies:
+            body.explicitinertial, body.ipos = False, [np.nan] * 3
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
 def compile_alone(spec: mujoco.MjSpec, name: str) -> Any:

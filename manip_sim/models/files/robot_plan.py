@@ -17,7 +17,7 @@ from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
 from manip_sim.models.files.classification import classify_joints
 from manip_sim.models.files.found_hands import (
-    find_hands, FoundHand, hand_below, lone_hand)
+    find_hands, FINGERS, FoundHand, hand_below, lone_hand)
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
 from manip_sim.models.files.model_file import ModelFile, read_model
 from manip_sim.models.files.overlaps import exclude_overlaps
@@ -52,13 +52,13 @@ class FoundArm:
     why: str
 
 
-def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
-              ) -> dict[str, FoundArm]:
+def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand],
+              notes: list[str]) -> dict[str, FoundArm]:
     """
     Return the arms by ``right`` and ``left``; a single one is ``right``.
 
     :param subsystems: by id of the joint
-    :raises ModelError: if there are several chains whose sides are not clear
+    :param notes: gets a sentence if there are several chains whose sides are not clear: no arms
     """
     of_hands = {joint for hand in hands for joint in hand.joints}
     # What else moves on the link that a hand hangs on, such as a camera, is beyond the arm's end.
@@ -72,7 +72,7 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     hand = _hand_of_chains(tree, tips, joints)
     if hand is not None:
         return {'right': FoundArm('body', tree.name(hand.body), hand, 'fingers hang on it')}
-    by_side = _by_side(tree, tips, joints)
+    by_side = _by_side(tree, tips, joints, notes)
     arms = {side: _end_of(tree, tip, hands, len(by_side)) for side, tip in by_side.items()}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
 
@@ -85,15 +85,18 @@ def _longest_chains(tree: BodyTree, tips: Iterable[int], joints: Collection[int]
 
 def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
                     ) -> FoundHand | None:
-    """Return the hand whose fingers the chains are, if they branch off a longer chain."""
+    """Return the hand whose fingers the chains are, if they branch off a chain that is long."""
     if len(tips) < 2:
         return None
     carrier = tree.common(tips)
     shared, whole = (_length(tree, body, joints) for body in (carrier, tips[0]))
-    return hand_below(tree, carrier) if shared > _ARM_SHARE * whole else None
+    # No robot has three arms on a link that moves, but fingers may have more joints than a wrist.
+    share = _ARM_SHARE if len(tips) < FINGERS else 0.0
+    return hand_below(tree, carrier) if shared > share * whole else None
 
 
-def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[str, int]:
+def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: list[str]
+             ) -> dict[str, int]:
     """Return the tip of the longest chain by side, preferring end names; one alone is right."""
     if len(tips) <= 1:
         return dict.fromkeys(['right'], tips[0]) if tips else {}
@@ -111,8 +114,9 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int]) -> dict[s
         return {'right': found[None][0]}
     if set(found) != {'right', 'left'} or ambiguous:
         names = quoted_names([tree.name(tip) for tip in tips])
-        raise ModelError(f'{len(tips)} chains of joints could be arms, they end at {names}: '
-                         "declare 'arms' with the 'mount' of 'right' and 'left' in a YAML file")
+        notes.append(f'no arms: {len(tips)} chains of joints could be, they end at {names}; '
+                     "declare 'arms' with the 'mount' of 'right' and 'left' in a YAML file")
+        return {}
     return {side: of_side[0] for side, of_side in found.items() if side is not None}
 
 
@@ -203,8 +207,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
         description = _raised(model_file, description)
     if len(arms) == 2:
         _find_torso(tree, subsystems, arms, description.subsystems)
-    if arms or isinstance(description.arms, str):
-        _sort_others(tree, subsystems, arms, description.subsystems)
+    _sort_others(tree, subsystems, arms, description.subsystems)
     of_hands = {a for hand in hands.values() for a in hand.actuators}
     others = [a for a in range(tree.model.nu) if a not in of_hands]
     still, changes = own_each_joint(spec, tree, others, start)
@@ -310,7 +313,7 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
                 for side, arm in declared.items()}
     else:
         alone = lone_hand(tree, subsystems, hands)
-        arms = find_arms(tree, subsystems, hands) if alone is None else {
+        arms = find_arms(tree, subsystems, hands, model_file.inferred) if alone is None else {
             'right': FoundArm('body', tree.name(alone.body), alone, _ALONE)}
         if arms:
             model_file.inferred.append('; '.join(
