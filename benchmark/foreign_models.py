@@ -10,8 +10,14 @@ Load the models of Menagerie and robosuite unmodified, and print a table of what
     python3 benchmark/foreign_models.py --folder FOLDER      # a folder of repositories
 
 With ``--folder``, every URDF, xacro and MJCF file of a whole robot below it is loaded as it is,
-without arguments, and has to hold its start pose for 5 s within 5 mrad or 5 mm; percentages by
-class and the causes of failures follow. xacro files that make less than two links are left out.
+without arguments; ``--each`` limits the files of one repository. Files with less than three joints
+that move, MJCF files without actuators or that MuJoCo does not compile, and xacro files that need
+arguments, are left out. Percentages by class and the causes of failures follow the rows:
+
+- holds: the start pose, for 5 s within 5 mrad or 5 mm; bare: whether the bare MJCF model does.
+- follows: each arm a sine as below, or as well as it does if bodies may pass through each other.
+- grips: the fingers of each hand move by a third of their range, or until they touch something,
+  when an action closes the hand, and back when one opens it.
 
 Each row is one model in a process of its own:
 
@@ -42,6 +48,7 @@ import re
 import sys
 import tempfile
 from typing import Any
+import zlib
 
 import mujoco
 import numpy as np
@@ -434,9 +441,13 @@ def check(kind: str, file: Path) -> dict[str, Any]:
 def find_in_folder(folder: Path) -> Iterator[Path]:
     """Yield the models of whole robots in a folder of repositories."""
     for file in sorted(folder.rglob('*')):
-        mjcf = file.suffix in ('.xml', '.mjcf') and b'<mujoco' in file.read_bytes()[:4000]
-        if (mjcf or file.suffix in ('.urdf', '.xacro')) and not re.search(
+        if file.suffix not in ('.xml', '.mjcf', '.urdf', '.xacro') or re.search(
                 r'(macro|scene|ros2_control|gazebo|transmission|material)', file.name):
+            continue
+        text = file.read_text(errors='replace')
+        # Files of macros do not name the robot, and parts that others include have no actuators.
+        if (re.search(r'<robot[^>]*\sname=', text) if file.suffix in ('.urdf', '.xacro') else
+                '<mujoco' in text[:4000] and re.search('<(actuator|include)', text)):
             yield file
 
 
@@ -445,7 +456,7 @@ def check_as_found(file: Path) -> dict[str, Any]:
     row: dict[str, Any] = {'class': 'MJCF' if file.suffix in ('.xml', '.mjcf') else
                            'xacro' if file.suffix == '.xacro' else 'URDF', 'reason': []}
     try:
-        if row['class'] == 'xacro' and expanded(file, {}).count('<link ') < 2:
+        if not _is_robot(file, row):
             return {'class': None}
         robot = load_robot(file)
         row['loads'] = True
@@ -463,35 +474,120 @@ def check_as_found(file: Path) -> dict[str, Any]:
     row['holds'], why = holds(simulation, 5.0)
     if not row['holds']:
         row['reason'] = [why, *(defect[:90] for defect in simulation.start_defects[:1])]
+    if (simulation.model.jnt_type == 0).any():
+        simulation = _hung(simulation)
+    arms = [name for name, part in simulation.robot.parts.items()
+            if part.atomic == (name,) and name in ('arm', 'right', 'left') and part.actuators]
+    row['follows'] = worst_of(
+        [_arm_follows(simulation, arm, row) for arm in arms]) if arms else None
+    hands = list(simulation.robot.grippers)
+    row['grips'] = worst_of([_grips(simulation, hand, row) for hand in hands]) if hands else None
     return row
 
 
-def check_folder(folder: Path, words: list[str]) -> None:
-    """Print a row for each model of a folder, percentages by class, and the causes."""
+def _arm_follows(simulation: Simulation, part: str, row: dict[str, Any]) -> bool:
+    """Return whether an arm follows a sine of positions, if need be without contacts."""
+    names = [joint for joint in simulation.robot.parts[part].driven_joints if joint]
+    contacts = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    residual, _, _ = _sine(simulation, part, 'position', names)
+    if residual.max() >= FOLLOWED:
+        simulation.model.opt.disableflags |= contacts
+        residual, _, _ = _sine(simulation, part, 'position', names)
+        simulation.model.opt.disableflags &= ~contacts
+    if residual.max() >= FOLLOWED:
+        row['reason'].append(f'does not follow: {names[int(residual.argmax())]} '
+                             f'{100 * residual.max():.0f} %')
+    return bool(residual.max() < FOLLOWED)
+
+
+def _grips(simulation: Simulation, part: str, row: dict[str, Any]) -> bool:
+    """Return whether a hand closes and opens again."""
+    simulation.reset()
+    robot, model = simulation.robot, simulation.model
+    if not robot.parts[part].actuators:
+        row['reason'].append(f'{part} has no actuators')
+        return False
+    index = [robot.joint_names.index(name) for name in robot.parts[part].joints]
+    spans = np.array([np.ptp(model.joint(name).range) if model.joint(name).limited[0] else 1.0
+                      for name in robot.parts[part].joints])
+    places, touched = [], False
+    for action in (-1.0, 1.0, -1.0):
+        for _ in range(round(3.0 / PERIOD_S)):
+            robot.apply(robot.parse.action(part, np.full(robot.grippers[part].dof, action)),
+                        period_s=PERIOD_S)
+            simulation.advance(round(PERIOD_S / simulation.timestep_s))
+        places.append(robot.state().position[index] / spans)
+        touched = touched or action > 0.0 and bool(simulation.data.ncon)
+    closing, opening = (np.abs(b - a).max() for a, b in zip(places, places[1:]))
+    good = opening > 0.03 and (closing > 0.33 or touched and closing > 0.03)
+    if not good:
+        row['reason'].append(f'{part} does not grip: closes by {closing:.0%} of the range, '
+                             f'opens by {opening:.0%}')
+    return bool(good)
+
+
+def _is_robot(file: Path, row: dict[str, Any]) -> bool:
+    """Return whether a file has three joints that move; note whether the bare model holds."""
+    if row['class'] == 'MJCF':
+        try:
+            model, row['bare'] = bare_holds(file)
+        except Exception:
+            return False
+        return bool(model.nu and (model.jnt_type >= 2).sum() >= 3)
+    text = expanded(file, {}) if row['class'] == 'xacro' else file.read_text(errors='replace')
+    return len(re.findall(r'<joint[^>]*type="(revolute|prismatic|continuous)"', text)) >= 3
+
+
+def check_folder(folder: Path, words: list[str], each: int) -> None:
+    """
+    Print a row for each model of a folder, percentages by class, and the causes.
+
+    :param each: how many files of a repository at most
+    """
     rows = []
-    print('| model | class | loads | holds | parts | reason |\n|---|---|---|---|---|---|')
+    columns = ('class', 'loads', 'bare', 'holds', 'follows', 'grips', 'parts')
+    print(f'| model | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 2)}')
+    repositories: dict[str, list[Path]] = {}
     for file in find_in_folder(folder):
-        name = file.relative_to(folder).as_posix()
-        if words and not any(word in name for word in words):
+        repositories.setdefault(file.relative_to(folder).parts[0], []).append(file)
+    for repository, files in repositories.items():
+        if words and not any(word in repository for word in words):
             continue
-        row = in_process('as found', file)
-        if row.get('class', '') is None:
-            continue
-        row['repository'] = name.partition('/')[0]
-        rows.append(row)
-        print(f'| {name} | {row.get("class")} | {_MARKS[row.get("loads")]} | '
-              f'{_MARKS[row.get("holds")]} | {row.get("parts", "")} | '
-              f'{"; ".join(row["reason"])[:300]} |', flush=True)
+        # A fixed order that does not begin with the files of one folder.
+        files.sort(key=lambda file: zlib.crc32(file.relative_to(folder).as_posix().encode()))
+        found = 0
+        for file in files:
+            if found == each:
+                break
+            row = in_process('as found', file)
+            if row.get('class', '') is None:
+                continue
+            found += row.get('class') != 'does not expand'
+            row['repository'] = repository
+            rows.append(row)
+            marks = ' | '.join(str(_MARKS.get(row.get(c), row.get(c))) for c in columns)
+            print(f'| {file.relative_to(folder).as_posix()} | {marks} | '
+                  f'{"; ".join(row["reason"])[:300]} |', flush=True)
+    _sum_up(rows)
+
+
+def _sum_up(rows: list[dict[str, Any]]) -> None:
+    """Print percentages by class, and the causes of failures."""
     print(f'\n{len(rows)} models of {len({row["repository"] for row in rows})} repositories')
     for kind in ('MJCF', 'URDF', 'xacro', 'does not expand', None):
         own = [row for row in rows if row.get('class') == kind]
         loaded = [row for row in own if row.get('loads')]
         if own:
-            hold = sum(bool(row.get('holds')) for row in loaded)
             print(f'{kind or "crash or time-out"}: {len(own)} files, {len(loaded)} load '
-                  f'({len(loaded) / len(own):.0%}), {hold} of these hold')
+                  f'({len(loaded) / len(own):.0%})')
+            able = [row for row in loaded if row.get('bare') is not False]
+            for column in ('holds', 'follows', 'grips'):
+                counted = [row for row in (able if column == 'holds' else loaded)
+                           if row.get(column) is not None]
+                good = sum(bool(row[column]) for row in counted)
+                print(f'  {good} of {len(counted)} {column}')
     causes = Counter(_cause(row['reason'][0]) for row in rows
-                     if not row.get('holds') and row['reason'])
+                     if row['reason'])
     for cause, count in causes.most_common():
         print(f'{count} times: {cause}')
 
@@ -551,7 +647,9 @@ def _worker(kind: str, file: Path, out: Any) -> None:
 
 def in_process(kind: str, file: Path) -> dict[str, Any]:
     """Return the row of a model from a process of its own."""
-    context = multiprocessing.get_context('spawn')
+    # Not spawned: to import all of it again takes longer than most models need.
+    context: Any = multiprocessing.get_context(
+        'fork' if 'fork' in multiprocessing.get_all_start_methods() else 'spawn')
     out = context.Queue()
     process = context.Process(target=_worker, args=(kind, file, out))
     process.start()
@@ -571,9 +669,10 @@ def main() -> None:
     parser.add_argument('words', nargs='*', help='parts of model names (default: all)')
     parser.add_argument('--robosuite', type=Path, help='where the wheels are unpacked')
     parser.add_argument('--folder', type=Path, help='of repositories with models of any kind')
+    parser.add_argument('--each', type=int, default=1000, help='files of a repository at most')
     arguments = parser.parse_args()
     if arguments.folder is not None:
-        check_folder(arguments.folder, arguments.words)
+        check_folder(arguments.folder, arguments.words, arguments.each)
         return
     columns = ('bare', 'bare_holds', 'loads', 'same', 'holds', 'position', 'velocity')
     print(f'| model | kind | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 3)}')
