@@ -81,6 +81,7 @@ class MessageClock:
     :ivar even: how many messages in a row were on the schedule, up to the last one
     :ivar on_time: whether these are enough for a schedule
     :ivar relapsed: whether the last message was not on the schedule, though on time before
+    :ivar fitted: whether goals were fitted that are off schedule, as an estimator notes
     :ivar until_s: when the stream ends that goes on without messages [s]
     """
 
@@ -93,7 +94,8 @@ class MessageClock:
         self.where: slice | IntArray = slice(0)
         self.interval_s = self.sent_s = self.elapsed_s = 0.0
         self.jitter_s = self.slack_s = 0.0
-        self.on_time, self.relapsed, self.until_s = False, False, -math.inf
+        self.on_time = self.relapsed = self.fitted = False
+        self.until_s = -math.inf
         self._arrived_s = -math.inf
         self.number = self.even = self._astray = self._skipped = self._together = 0
         # The even schedule: when the last message was due by it, how far arrivals are off it.

@@ -157,7 +157,8 @@ class StreamEstimator:
         else:
             self.velocity[at] = velocity
         self.jitter_s[at] = clock.jitter_s
-        if clock.number > 3 and self._is_off(clock, interval_s, acceleration_limit):
+        clock.fitted = clock.number > 3 and self._is_off(clock, interval_s, acceleration_limit)
+        if clock.fitted:
             clock.on_time = False
             self._smooth(clock, goal, velocity, change, smooth, before_s, interval_s, period_s,
                          acceleration_limit)
@@ -177,13 +178,12 @@ class StreamEstimator:
     def _is_off(self, clock: MessageClock, interval_s: float, acceleration_limit: FloatArray
                 ) -> bool:
         """Return whether a stream is off schedule: by its messages, or by its goals since."""
-        begun = bool(self._fit[6, clock.where].any())
         if clock.on_time:
             # Where arrivals are seen once a period, they look even though the timer is not.
             memory_s = self._memory_s(self._off(clock.where), acceleration_limit)
-            return (begun and clock.even < _FORGIVEN
+            return (clock.fitted and clock.even < _FORGIVEN
                     and bool((memory_s > _ROUGH * interval_s).any()))
-        return begun or clock.relapsed or clock.spread_s > _UNEVEN * interval_s
+        return clock.fitted or clock.relapsed or clock.spread_s > _UNEVEN * interval_s
 
     @staticmethod
     def _memory_s(off: FloatArray, acceleration_limit: FloatArray) -> FloatArray:

@@ -115,11 +115,15 @@ def take_goals(generators: Sequence[SetpointGenerator]) -> list[SharedGoals]:
 
 
 def _single(generator: SetpointGenerator) -> tuple[MessageClock, WaitingGoal] | None:
-    """Return the only goal that waits, and its clock, if it is for all joints in their order."""
+    """
+    Return the only goal that waits, and its clock, if it is for all joints in their order.
+
+    Goals that are fitted are taken alone, because they determine how long they are.
+    """
     goals = generator._waiting._goals
     if len(goals) != 1:
         return None
     clock = generator._estimator.clocks._by_indices.get(goals[0].indices.tobytes())
-    if clock is None or clock.where != slice(0, len(generator.position)):
+    if clock is None or clock.fitted or clock.where != slice(0, len(generator.position)):
         return None
     return clock, goals[0]

@@ -281,6 +281,23 @@ def test_streams_whose_messages_are_late_or_lost_are_the_same_in_each_world(pair
     pair.check_equal()
 
 
+def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alone(pair):
+    start(pair, 'position')
+    names = pair.simulations[0].robot.joint_names[:7]
+    draw = np.random.default_rng(5)
+    # One message is lost; the goals of one world are rough after it.
+    for steps in [5] * 12 + [10] + [5] * 40:
+        time_s = pair.worlds.time_ns[0] * 1e-9
+        goals = np.array([0.1, 0.3, 0.2])[:, None] * np.sin((1.0 + np.arange(7)) * time_s)
+        goals[1] += draw.normal(0.0, 1e-3, 7)
+        pair._both('joint_command', (names,), None, position=goals)
+        pair.advance(steps)
+    pair.check_equal()
+    clocks = [simulation.robot.joints._setpoints._estimator.clocks._of[0]
+              for simulation in pair.simulations]
+    assert [clock.on_time for clock in clocks] == [True, False, True]
+
+
 def test_worlds_with_other_objects_or_with_several_robots_go_on_together():
     def world():
         return World([compose_robot('Panda', idn=0), compose_robot('UR5e', idn=1)],
