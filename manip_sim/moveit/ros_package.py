@@ -25,7 +25,7 @@ _PACKAGE = """<?xml version="1.0"?>
   <name>{package}</name>
   <version>0.1.0</version>
   <description>{what}, written by manip_sim.</description>
-  <maintainer email="you@{package}.invalid">you</maintainer>
+  <maintainer email="you@example.com">you</maintainer>
   <license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
 {dependencies}
