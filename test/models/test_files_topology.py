@@ -189,6 +189,13 @@ def test_long_fingers_on_a_wrist_are_a_hand(tmp_path):
 <mujoco><worldbody><body name="forearm"><geom size="0.05"/>
   <body name="palm" pos="0 0 0.2"><joint name="wr0" axis="0 1 0"/><joint name="wr1" axis="1 0 0"/>
   <geom size="0.04"/>{fingers}</body></body></worldbody></mujoco>""")
-    robot = load_robot(tmp_path / 'hand.xml')
-    assert robot.arm_joints == ['robot0_wr0', 'robot0_wr1']
-    assert len(robot.grippers['right'].joints) == 9
+    text = (tmp_path / 'hand.xml').read_text()
+    other = ''.join(f'<joint name="object{axis}" type="slide" axis="{axis}"/>'
+                    for axis in ('1 0 0', '0 1 0', '0 0 1'))
+    (tmp_path / 'turned.xml').write_text(text.replace(
+        '</worldbody>', f'<body name="object">{other}<geom size="0.02"/></body></worldbody>'))
+    for file in ('hand.xml', 'turned.xml'):
+        robot = load_robot(tmp_path / file)
+        assert robot.arm_joints == ['robot0_wr0', 'robot0_wr1']
+        assert len(robot.grippers['right'].joints) == 9
+        assert len(robot.joints_of('other')) == (3 if file == 'turned.xml' else 0)

@@ -90,9 +90,16 @@ def _hand_of_chains(tree: BodyTree, tips: list[int], joints: Collection[int]
         return None
     carrier = tree.common(tips)
     shared, whole = (_length(tree, body, joints) for body in (carrier, tips[0]))
+    if shared > _ARM_SHARE * whole:
+        return hand_below(tree, carrier)
     # No robot has three arms on a link that moves, but fingers may have more joints than a wrist.
-    share = _ARM_SHARE if len(tips) < FINGERS else 0.0
-    return hand_below(tree, carrier) if shared > share * whole else None
+    crowds: dict[int, list[int]] = {}
+    for tip in tips:
+        for body in tree.path(tip):
+            if _length(tree, body, joints):
+                crowds.setdefault(body, []).append(tip)
+    crowd = max(crowds.values(), key=len, default=[])
+    return hand_below(tree, tree.common(crowd)) if len(crowd) >= FINGERS else None
 
 
 def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: list[str]
