@@ -14,7 +14,8 @@ without arguments; ``--each`` limits the files of one repository. Files with les
 that move, MJCF files without actuators or that MuJoCo does not compile, and xacro files that need
 arguments, are left out. Percentages by class and the causes of failures follow the rows:
 
-- holds: the start pose, for 5 s within 5 mrad or 5 mm; bare: whether the bare MJCF model does.
+- holds: the start pose, for 5 s within 5 mrad or 5 mm; bare: whether the bare MJCF model does, or
+  no if the torque limits of a URDF do not carry the robot.
 - follows: each arm a sine as below, or as well as it does if bodies may pass through each other.
 - grips: the fingers of each hand move by a third of their range, or until they touch something,
   when an action closes the hand, and back when one opens it.
@@ -474,6 +475,8 @@ def check_as_found(file: Path) -> dict[str, Any]:
     row['holds'], why = holds(simulation, 5.0)
     if not row['holds']:
         row['reason'] = [why, *(defect[:90] for defect in simulation.start_defects[:1])]
+    if row['class'] != 'MJCF' and any('its actuator' in d for d in simulation.start_defects):
+        row['bare'] = False
     if (simulation.model.jnt_type == 0).any():
         simulation = _hung(simulation)
     arms = [name for name, part in simulation.robot.parts.items()
