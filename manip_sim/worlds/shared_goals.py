@@ -124,6 +124,7 @@ def _single(generator: SetpointGenerator) -> tuple[MessageClock, WaitingGoal] | 
     if len(goals) != 1:
         return None
     clock = generator._estimator.clocks._by_indices.get(goals[0].indices.tobytes())
-    if clock is None or clock.fitted or clock.where != slice(0, len(generator.position)):
+    if (clock is None or clock.fitted
+            or not np.array_equal(clock.indices, np.arange(len(generator.position)))):
         return None
     return clock, goals[0]

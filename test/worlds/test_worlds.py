@@ -298,6 +298,16 @@ def test_a_stream_whose_goals_are_off_at_random_is_averaged_in_its_own_world_alo
     assert [clock.on_time for clock in clocks] == [True, False, True]
 
 
+def test_goals_for_joints_that_are_not_side_by_side_pass_in_all_worlds(pair):
+    start(pair)
+    joints = pair.worlds.robot.joint_names
+    names, here = [joints[0], joints[2]], pair.worlds.robot.state().position[:, [0, 2]]
+    for number in range(3):
+        pair._both('joint_command', (names,), None, position=here + 0.01 * number)
+        pair.advance()
+    pair.check_equal()
+
+
 def test_worlds_with_other_objects_or_with_several_robots_go_on_together():
     def world():
         return World([compose_robot('Panda', idn=0), compose_robot('UR5e', idn=1)],
