@@ -72,7 +72,7 @@ def offers(group: str) -> dict[str, Offer]:
 def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
     distributions = list(metadata.distributions(path=list(path)))
     # Reading names takes long; they are needed because only the first package of a name counts.
-    if not any(map(_offers_some, distributions)):
+    if not _offer_some(distributions):
         return ()
     found, packages = [], set()
     for distribution in distributions:
@@ -91,15 +91,18 @@ def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
     return tuple(found)
 
 
-def _offers_some(distribution: metadata.Distribution) -> bool:
-    try:
-        return bool(_OUR_GROUPS.search(distribution.read_text('entry_points.txt') or ''))
-    except Exception:  # The caller reads it again and logs the error.
-        return True
+def _offer_some(distributions: list[metadata.Distribution]) -> bool:
+    for distribution in distributions:
+        try:
+            if _OUR_GROUPS.search(distribution.read_text('entry_points.txt') or ''):
+                return True
+        except Exception:  # The caller reads it again and logs the error.
+            return True
+    return False
 
 
 def _of_ours(distribution: metadata.Distribution, package: str) -> Iterator[tuple[str, Offer]]:
-    if not _offers_some(distribution):
+    if not _offer_some([distribution]):
         return
     for point in distribution.entry_points:
         if point.group.startswith('manip_sim.'):

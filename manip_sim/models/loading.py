@@ -22,10 +22,11 @@ from manip_sim.quoting import one_line, quoted
 #: MuJoCo raises the first for errors in a file, the others if there is not enough memory.
 _ERRORS = (ValueError, mujoco.FatalError, RuntimeError, MemoryError)
 #: Numbers that MuJoCo accepts from a file even if nan or inf, by the prefix of the field's name.
-_NUMBERS = {
+_NUMBERS = [(kind, what) for kind, fields in {
     'body': ('mass', 'inertia', 'pos', 'quat', 'ipos'), 'geom': ('size', 'pos', 'friction'),
     'jnt': ('pos', 'axis', 'range', 'stiffness'), 'dof': ('damping', 'armature', 'frictionloss'),
-    'actuator': ('gear', 'gainprm', 'biasprm', 'ctrlrange', 'forcerange')}
+    'actuator': ('gear', 'gainprm', 'biasprm', 'ctrlrange', 'forcerange')}.items()
+    for what in fields]
 _MAY_BE_INFINITE = ('range', 'ctrlrange', 'forcerange')
 
 
@@ -81,7 +82,7 @@ def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -
 
 
 def _reject_not_finite(model: mujoco.MjModel, name: str) -> None:
-    for kind, what in ((kind, what) for kind, fields in _NUMBERS.items() for what in fields):
+    for kind, what in _NUMBERS:
         values = getattr(model, f'{kind}_{what}')
         bad = np.isnan(values) if what in _MAY_BE_INFINITE else ~np.isfinite(values)
         if bad.any():

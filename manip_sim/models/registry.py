@@ -74,8 +74,8 @@ class Registry(Generic[T]):
             except ModelError as error:
                 if first_time:
                     _LOGGER.warning('%s', error)
-        return sorted(name for name, cls in self._classes.items()
-                      if self._is_public(name, cls) and not self._missing_arguments(cls))
+        return sorted([name for name, cls in self._classes.items()
+                       if self._is_public(name, cls) and not self._missing_arguments(cls)])
 
     def all_names(self) -> list[str]:
         """Return the names of all that can be created, also from files in the user's folders."""

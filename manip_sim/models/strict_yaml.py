@@ -20,13 +20,11 @@ _MAX_BYTES = 1_000_000
 class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
     """PyYAML's safe loader without duplicate keys, and aliases, which make a small file huge."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Reject anchors and aliases."""
-        event = self.peek_event()
-        if isinstance(event, yaml.AliasEvent) or getattr(event, 'anchor', None) is not None:
-            raise yaml.YAMLError(f'anchors and aliases are not read, found {event.anchor!r} in '
-                                 f'line {event.start_mark.line + 1}')
-        return super().compose_node(parent, index)
+    def scan_anchor(self, kind: Any) -> Any:
+        """Reject an anchor or alias."""
+        token = super().scan_anchor(kind)
+        raise yaml.YAMLError(f'anchors and aliases are not read, found {token.value!r} in '
+                             f'line {token.start_mark.line + 1}')
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         """Reject keys that are not strings or occur twice."""

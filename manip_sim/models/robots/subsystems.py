@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from functools import lru_cache
 import re
 
 import mujoco
@@ -181,6 +182,7 @@ class Subsystems(MujocoXMLModel):
         return np.array([ranges[name] for name in names])
 
 
+@lru_cache(maxsize=1024)
 def classify(name: str) -> str:
     """
     Return the subsystem of an unprefixed name of a joint or actuator.
