@@ -155,7 +155,7 @@ class CommandSubscribers:
 
     def _subscribe(self, row: Topic, parse: Parse) -> None:
         topic, message_type = self.scope.topic(row.name), message_class(row)
-        part = row.of or row.name
+        part, robot = row.of or row.name, self.robot.name
         entry = self._entry_of.get(part, part)
 
         def take(data: bytes) -> None:
@@ -170,7 +170,7 @@ class CommandSubscribers:
                     # In lock-step it is an answer nevertheless: the robot has to come to rest.
                     commands = [NoCommand(robot=c.robot, parts=c.parts, indices=c.indices[:0])
                                 for c in commands]
-                self._thread.submit(commands, answers, self.robot.name)
+                self._thread.submit(commands, answers, robot)
                 if refusal is not None:
                     raise CommandError(refusal)
             except CommandError as error:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -46,8 +47,8 @@ class _Group:
 
     def __post_init__(self) -> None:
         # Many commands share these arrays.
-        for array in (self.places, self.clamps, self.indices):
-            array.setflags(write=False)
+        for shared in (self.places, self.clamps, self.indices):
+            shared.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class JointCommandParser:
         """
         what = part or 'joint_command'
         given = {field: as_numbers(of, f'{what}: {field}') for field, of in fields.items()
-                 if not (isinstance(of, tuple) and not of)}
+                 if not (isinstance(of, (tuple, array)) and not of)}
         if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.
@@ -115,7 +116,7 @@ class JointCommandParser:
             (field, numbers), = given.items()
             if numbers.shape == (len(names),) and addressed.all_use == field and (
                     np.isfinite(numbers).all()):
-                return list(_commands(self._robot, addressed, numbers))
+                return _commands(self._robot, addressed, numbers)
         values = np.full(len(names), np.nan)
         for field, numbers in given.items():
             if not numbers.size:
@@ -131,12 +132,12 @@ class JointCommandParser:
             values[uses] = placed[uses]
         missing = np.isnan(values)
         if not np.count_nonzero(missing):
-            return list(_commands(self._robot, addressed, values))
+            return _commands(self._robot, addressed, values)
         commands, silent = [], _parts(addressed)
         if not missing.all():
             named = tuple(name for name, gone in zip(names, missing) if not gone)
-            commands = list(_commands(
-                self._robot, self._addressed(part, named, modes), values[~missing]))
+            commands = _commands(
+                self._robot, self._addressed(part, named, modes), values[~missing])
             silent = silent.difference(*(command.parts for command in commands))
         if silent:
             commands.append(NoCommand(
@@ -243,20 +244,21 @@ def _parts(addressed: _Addressed) -> frozenset[str]:
     return frozenset().union(*(group.parts for group in groups))
 
 
-def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> Iterable[Command]:
-    """Yield the commands for the goals of all joints that are addressed."""
+def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> list[Command]:
+    """Return the commands for the goals of all joints that are addressed."""
+    found: list[Command] = []
     own = addressed.own
     if own is not None:
         inside, clamped, example = _clamp(own, values)
-        yield JointSetpoint(
+        found.append(JointSetpoint(
             robot=robot, parts=own.parts, indices=own.indices, values=inside, clamped=clamped,
-            clamped_example=example,
-            modes=addressed.own_modes)
+            clamped_example=example, modes=addressed.own_modes))
     for group in addressed.grippers:
         inside, clamped, example = _clamp(group, values)
-        yield GripperSetpoint(
+        found.append(GripperSetpoint(
             robot=robot, parts=group.parts, joints=group.names, values=inside,
-            indices=group.indices, clamped=clamped, clamped_example=example)
+            indices=group.indices, clamped=clamped, clamped_example=example))
+    return found
 
 
 def _clamp(group: _Group, values: FloatArray) -> tuple[FloatArray, int, str]:

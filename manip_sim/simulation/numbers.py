@@ -6,33 +6,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.models import validation
 
 
-def as_numbers(values: ArrayLike, what: str) -> FloatArray:
-    """
-    Return numbers of a command as an array of their own shape, a copy.
-
-    :param what: what they are, for the message
-    :raises CommandError: if they are not numbers
-    """
-    return validation.as_numbers(values, what, CommandError)
-
-
-def finite_numbers(values: ArrayLike, length: int, what: str) -> FloatArray:
-    """
-    Return numbers of a command as an array of shape (length,), a copy.
-
-    :param what: what they are, for the message
-    :raises CommandError: if they are not numbers, not ``length`` of them, or not all finite
-    """
-    return validation.finite_numbers(values, length, what, CommandError)
+#: The functions of the same name, for numbers of commands: they raise ``CommandError``.
+as_numbers = partial(validation.as_numbers, error=CommandError)
+finite_numbers = partial(validation.finite_numbers, error=CommandError)
 
 
 def clamp(values: FloatArray, ranges: FloatArray) -> tuple[FloatArray, int]:
