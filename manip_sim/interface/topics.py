@@ -181,6 +181,9 @@ TOPICS = (
     _published('arena/joint_states', 'sensor_msgs/JointState',
                'joints of the arena, such as doors and drawers, with the efforts of its actuators '
                '[rad or m, rad/s or m/s, N m or N]', 'arena', 'arena_joints'),
+    _published('actuators/states', 'sensor_msgs/JointState',
+               'actuators of no part, such as those of tendons, by name: length, its rate and '
+               'force [rad or m, rad/s or m/s, N m or N]', 'loose', 'loose_actuators'),
     _published('odom', 'nav_msgs/Odometry',
                'pose of a mobile base in the frame odom, and its velocity in its own axes',
                'twist', 'odometry'),
@@ -279,7 +282,10 @@ TOPICS = (
                 by='joint_command'),
     _subscribed('arena/joint_command', 'sensor_msgs/JointState',
                 'what actuators of the arena shall do, by joint name', 'arena',
-                'arena_command'),
+                'direct_command', 'arena'),
+    _subscribed('actuators/command', 'sensor_msgs/JointState',
+                'what actuators of no part shall do, by their names', 'loose',
+                'direct_command', 'actuators'),
     _subscribed('objects/<name>/target_pose', 'geometry_msgs/PoseStamped',
                 'where a mocap body goes in world [m]', 'mocap', 'mocap_pose'),
     _subscribed('~/pull', 'visualization_msgs/Marker',

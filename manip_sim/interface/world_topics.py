@@ -15,6 +15,9 @@ from manip_sim.interface.topics import (
     Action, ACTIONS, ARM, BY_NAME, CAMERA, GRIPPER, LIDAR, MEASURED, OBJECT, PART, PartLike, Scope,
     SENSOR, TOKEN, Topic, TOPICS)
 
+#: What rows need that are of the world, not of a robot.
+_OF_WORLD = ('task', 'arena', 'loose', 'bodies')
+
 
 def actions_of(parts: Mapping[str, PartLike]) -> list[Action]:
     """
@@ -43,7 +46,7 @@ def topics_of(parts: Mapping[str, PartLike], twist: bool, rows: Iterable[Topic] 
     for per, group in groupby(rows, lambda row: row.per):
         patterns = list(group)
         if not per:
-            found += (row for row in patterns if row.needs not in ('task', 'arena', 'bodies')
+            found += (row for row in patterns if row.needs not in _OF_WORLD
                       and (twist or row.needs != 'twist'))
         elif per in (PART, ARM):
             found += (row.filled_in(name) for name in (parts if per == PART else arms)
@@ -72,11 +75,16 @@ class SurroundingsLike(Protocol):
     def actuators(self) -> Collection[str]:
         """The actuators of the arena that drive one of these."""
 
+    @property
+    def other_actuators(self) -> Collection[str]:
+        """The actuators that are of no part, and of no joint of the arena."""
+
 
 def topics_of_surroundings(found: SurroundingsLike) -> list[Topic]:
     """Return the topics that the node has for bodies, mocap bodies and joints of the arena."""
-    return [*(BY_NAME[name] for name, has in (('arena/joint_states', found.joints),
-                                              ('arena/joint_command', found.actuators)) if has),
+    there = {'arena/joint_states': found.joints, 'arena/joint_command': found.actuators,
+             'actuators/states': found.other_actuators, 'actuators/command': found.other_actuators}
+    return [*(BY_NAME[name] for name, has in there.items() if has),
             *(row.filled_in(name) for name in found.mocap_names if TOKEN.fullmatch(name)
               for row in TOPICS if row.by in ('object_pose', 'mocap_pose')), BY_NAME['~/pull']]
 

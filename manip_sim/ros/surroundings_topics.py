@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Topics of the arena's joints, of mocap bodies, and of what pulls bodies."""
+"""Topics of mocap bodies, the arena's joints, actuators of no part, and what pulls bodies."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from manip_sim.ros.reading import read_command
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
-from manip_sim.simulation.surroundings import ARENA
 
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()
@@ -36,7 +35,7 @@ _ENDS, _NOWHERE = 2, PoseMessage()
 
 class SurroundingsTopics(Publications):
     """
-    Publishers and subscriptions of the arena's joints and mocap bodies, and of pulls.
+    Publishers and subscriptions of surroundings and pulls.
 
     :param node: the node
     :param simulation: that they are of
@@ -44,7 +43,8 @@ class SurroundingsTopics(Publications):
     :param log: counts and logs what is rejected or could not be published
     :param inbox: takes the messages; None: the executor does
     :param frame_prefix: prefix of the names of frames, which commands may leave out
-    :ivar statistics: counts of the commands, for ``arena``, ``objects/<name>`` and ``pull``
+    :ivar statistics: counts of the commands, for ``arena``, ``actuators``,
+        ``objects/<name>`` and ``pull``
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
@@ -58,7 +58,7 @@ class SurroundingsTopics(Publications):
         rows = topics_of_surroundings(self._surroundings)
         self.replace(tuple(self._publication(row) for row in rows if row.direction == PUBLISHED))
         take: dict[str, Callable[[str, Any], None]] = {
-            'arena_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
+            'direct_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
         for row in rows:
             if row.direction != PUBLISHED:
                 self._subscribe(row, partial(take[row.by], row.of))
@@ -68,6 +68,10 @@ class SurroundingsTopics(Publications):
         if row.by == 'arena_joints':
             return Publication(output, partial(messages.joint_state, found.joints),
                                lambda _: found.state(), 3 * len(found.joints))
+        if row.by == 'loose_actuators':
+            return Publication(output, partial(messages.joint_state, found.other_actuators),
+                               lambda _: found.state_of_actuators(),
+                               3 * len(found.other_actuators))
         return Publication(output, partial(messages.pose_stamped, self._prefix + messages.WORLD),
                            lambda _: found.pose(row.of), 7)
 
@@ -87,17 +91,16 @@ class SurroundingsTopics(Publications):
 
         CommandSubscription(self._node, message_type, row.name, take, self._inbox)
 
-    def _command(self, _: str, message: JointState) -> None:
-        found = self._surroundings
+    def _command(self, part: str, message: JointState) -> None:
+        found = self._surroundings.commands[part]
         controls = found.checked(
             message.name, message.position, message.velocity, message.effort)
         stamp_ns = messages.nanoseconds_of(message.header.stamp)
         if not controls:  # They go on as before, which answers a state too.
-            self._thread.at_next_period(f'{ARENA}/', lambda: None, stamp_ns)
-        for joint, value in controls.items():
+            self._thread.at_next_period(f'{part}/', lambda: None, stamp_ns)
+        for name, value in controls.items():
             self._thread.at_next_period(
-                f'{ARENA}/{joint}', partial(found.command, {joint: value}),
-                stamp_ns)
+                f'{part}/{name}', partial(found.command, {name: value}), stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
         if frame_id.removeprefix(self._prefix) not in ('', messages.WORLD):

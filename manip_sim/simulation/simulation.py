@@ -60,7 +60,7 @@ class Simulation:
     :ivar sensors: values of all of these sensors, by name
     :ivar lidars: the lidars, by name
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
-    :ivar surroundings: mocap bodies, and joints of the arena
+    :ivar surroundings: mocap bodies, joints of the arena, and actuators of no part
     :ivar pulls: springs that pull bodies
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     :ivar diverged: why the physics is on hold, or None
@@ -77,7 +77,9 @@ class Simulation:
         if world.gravity_compensation:
             compensate_free_robots(spec, world.robots)
         self.physics = Physics(plan_world(spec, tuple(world.objects), world.name))
-        self.surroundings = Surroundings(self.physics, world.arena)
+        self.surroundings = Surroundings(self.physics, world.arena, [
+            *(name for robot in world.robots for name in robot.all_actuators),
+            *world.gripper_actuators])
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.diverged: str | None = None
@@ -169,6 +171,7 @@ class Simulation:
             self.surroundings.hold(joint, position)
         self.randomized.place(self.data)
         mujoco.mj_forward(self.model, self.data)
+        self.surroundings.hold_actuators()
         self._free_roots.apply()
 
     def _settle_linkages(self) -> None:

@@ -18,6 +18,7 @@ from manip_sim.models.files.found_places import free_name
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.grippers import PandaGripper
 from manip_sim.models.robots import ManipulatorModel, RobotModel
+from manip_sim.simulation import Simulation
 
 
 def test_an_arm_has_the_joints_actuators_and_start_of_its_file(tmp_path):
@@ -348,18 +349,18 @@ def test_a_root_on_one_rail_or_on_joints_of_other_names_is_of_the_arm(tmp_path, 
     assert robot.arm_joints[:len(joints)] == [f'robot0_{name}' for name in joints]
 
 
-def test_actuators_that_are_no_servos_of_a_joint_hold_still_where_the_robot_starts(tmp_path):
+def test_actuators_that_are_no_servos_of_a_joint_are_of_no_part(tmp_path):
     text = ARM.replace('<actuator>', """<tendon><fixed name="both">
     <joint joint="lift" coef="0.5"/><joint joint="bend" coef="1"/></fixed></tendon><actuator>
     <position name="cable" tendon="both" kp="100"/><muscle name="muscle" joint="lift"/>""")
     robot = load_robot(write(tmp_path / 'arm.xml', text.replace(' ctrl="', ' ctrl="0 0 ')))
     assert robot.arm_actuators == ['robot0_turn', 'robot0_lift', 'robot0_bend']
-    assert any('holding still: actuators cable, muscle' in said for said in robot.inferred)
-    model = robot.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = [0.1, 0.2, 0.3]
-    mujoco.mj_forward(model, data)
-    assert data.actuator('robot0_cable').force[0] == pytest.approx(0.0, abs=1e-9)
+    assert ("neither motors nor servos of one joint: actuators cable, muscle; "
+            "'actuators/command' moves them") in robot.inferred
+    simulation = Simulation(compose(robot))
+    assert simulation.surroundings.other_actuators == ('robot0_cable', 'robot0_muscle')
+    assert simulation.data.actuator('robot0_cable').force[0] == pytest.approx(0.0, abs=1e-9)
+    assert simulation.surroundings.commands['actuators'].control('robot0_muscle')[0] == 'effort'
 
 
 def test_left_and_right_fingers_are_one_hand(tmp_path):

@@ -165,8 +165,8 @@ def test_joints_actuators_and_cameras_of_a_fixture_belong_to_the_arena(kitchen):
     np.testing.assert_allclose(kitchen.model.body('cupboard').pos, [0.2, 0, 1.05])
     assert kitchen.model.body('cupboard').weldid[0] == 0
     assert kitchen.model.camera('cupboard_inside').bodyid[0] == kitchen.model.body('cupboard').id
-    command = kitchen.surroundings.checked(['cupboard_hinge'], [1.2], [], [])
-    kitchen.surroundings.command(command)
+    arena = kitchen.surroundings.commands['arena']
+    arena.command(arena.checked(['cupboard_hinge'], [1.2], [], []))
     kitchen.advance(1500)
     assert kitchen.data.joint('cupboard_hinge').qpos[0] == pytest.approx(1.2, abs=1e-3)
 

@@ -127,6 +127,21 @@ def test_a_mocap_body_goes_where_its_topic_says(serve, client):
     client.spin_until(lambda: poses[-1].pose.position.y == 1.0)
 
 
+def test_actuators_of_tendons_are_commanded_by_their_names(serve, client):
+    node = serve(stepping='free', robot=str(FILES / 'differential_wrist.xml'))
+    states = client.listen(JointState, 'actuators/states')
+    commands = client.node.create_publisher(JointState, 'actuators/command', 10)
+    client.spin_until(lambda: states and commands.get_subscription_count())
+    assert list(states[0].name) == ['robot0_sum', 'robot0_difference', 'robot0_spin']
+    commands.publish(JointState(name=['robot0_yaw'], position=[0.1]))  # Is rejected.
+    commands.publish(JointState(name=['robot0_sum', 'robot0_difference'], position=[0.8, 0.2]))
+    client.spin_until(lambda: abs(states[-1].position[0] - 0.8) < 1e-2
+                      and abs(states[-1].position[1] - 0.2) < 1e-2)
+    assert len(states[-1].velocity) == len(states[-1].effort) == 3
+    counts = node._surroundings.statistics['actuators']
+    assert (counts.accepted, counts.rejected) == (1, 1)
+
+
 def test_what_belongs_to_no_arm_has_topics_of_its_own(serve, client):
     serve(stepping='free', robot=str(FILES / 'turning_laser.xml'))
     states = client.listen(JointState, 'other/joint_states')

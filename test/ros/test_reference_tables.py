@@ -73,10 +73,12 @@ def test_topics_are_documented_with_their_types(serve, client):
         table |= documented({'moveit_msgs'})
     assert found <= table
     # A Panda has no mobile base, and none of these sensors; this node has no task, and its arena
-    # no joints and no mocap bodies.
+    # no joints and no mocap bodies; no actuator is of no part.
     assert table - found == {
         ('arena/joint_states', 'sensor_msgs/JointState'),
         ('arena/joint_command', 'sensor_msgs/JointState'),
+        ('actuators/states', 'sensor_msgs/JointState'),
+        ('actuators/command', 'sensor_msgs/JointState'),
         ('objects/<name>/target_pose', 'geometry_msgs/PoseStamped'),
         ('~/task', 'std_msgs/String'),
         ('sensors/<sensor>/wrench', 'geometry_msgs/WrenchStamped'),

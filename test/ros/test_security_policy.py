@@ -21,12 +21,14 @@ from manip_sim.interface.world_topics import actions_of
 from manip_sim.resources import share_directory
 from manip_sim.ros import planning_scene_publisher, standard_services, transforms
 
-#: Together they have all parts that there are, objects, and what an arena moves.
+FILES = Path(__file__).parents[1] / 'data/files'
+#: Together they have all parts that there are, objects, what an arena moves, and tendons.
 WORLDS = ({'robot': 'PandaOmron', 'arena': 'table', 'cameras': ['birdview']},
           {'robot': 'GR1', 'arena': 'table', 'cameras': ['birdview']},
           {'task': 'open_drawer', 'cameras': ['birdview']},
-          {'arena': str(Path(__file__).parents[1] / 'data/files/room.xml'),
-           'cameras': ['overview']})
+          {'arena': str(FILES / 'room.xml'), 'cameras': ['overview']},
+          *({'robot': str(FILES / f'{name}.xml'), 'arena': 'table', 'cameras': ['birdview']}
+            for name in ('differential_wrist', 'turning_laser')))
 #: With or without the package in this environment.
 STANDARD_SERVICES = {f'/manip_sim/{name}' for name in (
     'get_simulator_features', 'get_simulation_state', 'set_simulation_state', 'step_simulation',

@@ -26,23 +26,22 @@ _MUCH_TOO_LIGHT = 4.0
 _ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
 
 
-def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[int],
-                   start: Mapping[str, float]) -> tuple[set[str], list[str]]:
+def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[int]
+                   ) -> tuple[set[str], list[str]]:
     """
     Leave each joint at most one actuator, a motor or a servo.
 
     An actuator of a fixed tendon over joints that equality constraints couple drives one of these
     joints instead. Of several on one joint a position servo is kept. An actuator that is neither
-    motor nor servo of a joint is kept and holds still. Too light joints get rotor inertia.
+    motor nor servo of a joint is kept, but of no part. Too light joints get rotor inertia.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
     :param tree: of the same, compiled
     :param actuators: ids of the actuators, without those of hands
-    :param start: where joints start, by name [rad or m]
-    :returns: names of the actuators that hold still, and a sentence for each change
+    :returns: names of the actuators that are of no part, and a sentence for each change
     """
     model, notes = tree.model, []
-    still: set[str] = set()
+    others: set[str] = set()
     owner: dict[int, int] = {}
     for actuator in sorted(actuators, key=lambda a: not _is_position_servo(model, a)):
         name = str(model.actuator(actuator).name)
@@ -53,8 +52,7 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
                 notes.append(f"actuator '{name}' drives joint '{model.joint(joint).name}' and "
                              'those that are tied to it, not their tendon')
         if joint is None or not _is_usable(model, actuator):
-            _hold(spec, model, actuator, start)
-            still.add(name)
+            others.add(name)
         elif joint in owner:
             spec.delete(spec.actuator(name))
             notes.append(f"actuator '{name}' is left out: joint '{model.joint(joint).name}' has "
@@ -62,10 +60,10 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
         else:
             owner[joint] = actuator
     notes += _give_rotors(spec, model, owner)
-    if still:
-        notes.append(f'holding still: actuators {", ".join(sorted(still))}, which are neither '
-                     'motors nor servos of one joint')
-    return still, notes
+    if others:
+        notes.append(f"neither motors nor servos of one joint: actuators "
+                     f"{', '.join(sorted(others))}; 'actuators/command' moves them")
+    return others, notes
 
 
 def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int, int]
@@ -158,19 +156,6 @@ def _ratios(model: mujoco.MjModel, leader: int) -> dict[int, float]:
                     ratios[another] = ratios[joint] * float(ratio)
                     waiting.append(another)
     return ratios
-
-
-def _hold(spec: mujoco.MjSpec, model: mujoco.MjModel, actuator: int, start: Mapping[str, float]
-          ) -> None:
-    """Make a servo that is not commanded hold the start position."""
-    if int(model.actuator_biastype[actuator]) != _AFFINE:
-        return
-    data = mujoco.MjData(model)
-    for joint, position in start.items():
-        data.joint(joint).qpos[0] = position
-    mujoco.mj_forward(model, data)
-    element = spec.actuator(model.actuator(actuator).name)
-    element.biasprm[0] = -model.actuator_biasprm[actuator, 1] * data.actuator_length[actuator]
 
 
 def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +32,15 @@ class FileBase(RobotBaseModel, registered=False):
     :param model_file: what was read
     :param top: where the robot stands, in the frame of the root body [m], shape (3,)
     :param idn: number or word in names
+    :param loose: names of actuators that are not of the base's joints
     :ivar inferred: what was inferred or left out, in sentences
     """
 
     inferred: list[str]
 
-    def __init__(self, model_file: ModelFile, top: FloatArray, idn: int | str = 0) -> None:
-        self._model_file = model_file
+    def __init__(self, model_file: ModelFile, top: FloatArray, idn: int | str = 0,
+                 loose: Collection[str] = ()) -> None:
+        self._model_file, self._loose_actuators = model_file, loose
         self._top = top
         self.inferred = model_file.inferred
         self._keyframes = model_file.keyframes
@@ -45,6 +48,10 @@ class FileBase(RobotBaseModel, registered=False):
 
     def _read(self) -> Any:
         return self._model_file.spec
+
+    def _record(self) -> None:
+        super()._record()
+        self._actuators = [name for name in self._actuators if name not in self._loose_actuators]
 
     @property
     def name(self) -> str:
@@ -92,7 +99,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     tree = BodyTree(model)
     if model.njnt == 0:
         return FileMount(model_file, _top(model_file, model, description), idn)
-    _, notes = own_each_joint(model_file.spec, tree, range(model.nu), model_file.start)
+    loose, notes = own_each_joint(model_file.spec, tree, range(model.nu))
     model_file.inferred += notes
     bodies = [tree.name(body) for body in range(1, model.nbody)]
     support = description.support or ('support' if 'support' in bodies else None)
@@ -103,7 +110,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     if support not in bodies:
         raise UnknownNameError(f"body in 'support' of {where}", support, bodies)
     top = np.array(description.top) if description.top is not None else np.zeros(3)
-    base = FileMobileBase(model_file, top, idn)
+    base = FileMobileBase(model_file, top, idn, loose)
     base.support_body = support
     base.sideways = description.sideways
     return base

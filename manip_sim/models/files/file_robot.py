@@ -50,7 +50,7 @@ class FileRobot(RobotModel, registered=False):
         not_ours = set().union(*(hand.names_in_file for hand in hands))
         self._joints = [name for name in self._joints if name not in not_ours]
         self._actuators = [name for name in self._actuators
-                           if name not in not_ours | self._plan.still]
+                           if name not in not_ours | self._plan.loose_actuators]
         for hand in hands:
             hand.bind(self, self._own_model)
 

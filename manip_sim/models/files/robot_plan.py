@@ -169,7 +169,7 @@ class RobotPlan:
     :ivar ends: the end effector body by arm; empty for a robot without arms
     :ivar hands: the file's own hands by arm
     :ivar arms: where the arms were found
-    :ivar still: names of the actuators that hold still
+    :ivar loose_actuators: names of the actuators that are of no part
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     """
@@ -183,7 +183,7 @@ class RobotPlan:
     ends: dict[str, str]
     hands: dict[str, OwnHand]
     arms: dict[str, FoundArm]
-    still: set[str]
+    loose_actuators: set[str]
     inferred: list[str]
     keyframes: dict[str, dict[str, float]]
 
@@ -217,7 +217,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     _sort_others(tree, subsystems, arms, description.subsystems)
     of_hands = {a for hand in hands.values() for a in hand.actuators}
     others = [a for a in range(tree.model.nu) if a not in of_hands]
-    still, changes = own_each_joint(spec, tree, others, start)
+    loose, changes = own_each_joint(spec, tree, others)
     notes += changes
     ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
             for side, arm in arms.items()}
@@ -228,7 +228,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
-    return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, still,
+    return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, loose,
                      notes, model_file.keyframes)
 
 
