@@ -4,6 +4,7 @@
 """The layers: ros on simulation on models, and nothing upward; what modules and tests are like."""
 
 import ast
+from collections import Counter
 import importlib
 from pathlib import Path
 import sys
@@ -106,6 +107,12 @@ def test_no_module_compares_the_name_of_a_control_mode(path):
 
 def test_no_module_is_a_drawer_for_odds_and_ends():
     assert not [path for path in MODULES if path.name in FORBIDDEN_NAMES]
+
+
+def test_a_class_has_its_name_for_itself():
+    classes = Counter(node.name for path in MODULES for node in ast.parse(path.read_text()).body
+                      if isinstance(node, ast.ClassDef))
+    assert [name for name, count in classes.items() if count > 1] == []
 
 
 @pytest.mark.parametrize('path', TESTS, ids=lambda path: str(path.relative_to(TESTS_FOLDER)))

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import argparse
 
-from manip_sim.cli.progress import Progress
+from manip_sim.cli.progress import ProgressBar
 from manip_sim.records.converting import convert, records_in
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
     """Write the data set; return what it holds, and the exit code 0."""
-    with Progress('episodes') as progress:
+    with ProgressBar('episodes') as progress:
         episodes, periods, notes = convert(records_in(options.files), options.to, options.out,
                                            progress.show, options.only_success)
     return '\n'.join([*notes, f'{options.out} ({episodes} episodes, {periods} control periods)']

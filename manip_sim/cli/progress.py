@@ -12,7 +12,7 @@ import time
 _PERIOD_S = 0.2
 
 
-class Progress:
+class ProgressBar:
     """
     A line on standard error, if that is a terminal.
 
@@ -35,7 +35,7 @@ class Progress:
             self._last_s = time.monotonic()
             print(f'\r\x1b[K{done} {self._what}{more}', end='', file=sys.stderr, flush=True)
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(self, *_: object) -> None:

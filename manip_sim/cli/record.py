@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from manip_sim.cli.progress import Progress
+from manip_sim.cli.progress import ProgressBar
 from manip_sim.environment import check_ros_environment, missing_module
 from manip_sim.errors import RecordError
 
@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     except ModuleNotFoundError as error:
         raise RecordError(missing_module(error)) from error
     name = f'/{options.node.strip("/")}'
-    with Progress('messages') as progress:
+    with ProgressBar('messages') as progress:
         text, found = record_node(
             options.file, name, options.topics, options.duration, progress.show)
     return text, int(not found)

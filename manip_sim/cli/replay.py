@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from manip_sim.cli.progress import Progress
+from manip_sim.cli.progress import ProgressBar
 from manip_sim.errors import RecordError
 from manip_sim.records.converting import records_in
 from manip_sim.records.recorded import Record
@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     """Repeat the episodes; return what differs, how many do not, and the exit code."""
     replay, lines = Replay(), []
     total = equal = succeeded = recorded_success = 0
-    with Progress('episodes') as progress:
+    with ProgressBar('episodes') as progress:
         for path in records_in(options.files):
             record = Record(path)
             for recorded in record.episodes():

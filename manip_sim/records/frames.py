@@ -23,7 +23,7 @@ _IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Columns:
     """
     Something that was observed.
 
@@ -62,15 +62,15 @@ class Frames:
         self.done = np.array([m.data for m in recorded.decoded(SUCCESS, 'std_msgs/Bool')], bool)
         for values, what in ((self.rewards, 'rewards'), (self.done, 'results')):
             self._check(len(values), what, self._count)
-        self.positions: dict[str, Quantity] = {}
-        self.velocities: dict[str, Quantity] = {}
-        self.hands: dict[str, Quantity] = {}
-        self.objects: dict[str, Quantity] = {}
+        self.positions: dict[str, Columns] = {}
+        self.velocities: dict[str, Columns] = {}
+        self.hands: dict[str, Columns] = {}
+        self.objects: dict[str, Columns] = {}
         for topic in recorded.types:
             self._read(topic)
         goal = recorded.arrays(GOAL)
-        self.goal = Quantity(goal, [f'goal{index}' for index in range(goal.shape[1])]
-                             ) if goal.size else None
+        self.goal = Columns(goal, [f'goal{index}' for index in range(goal.shape[1])]
+                            ) if goal.size else None
 
     def _read(self, topic: str) -> None:
         *scope, last = topic.strip('/').split('/')
@@ -80,22 +80,22 @@ class Frames:
             self._check(len(messages), topic)
             names = list(messages[0].name)
             for found, field in ((self.positions, 'position'), (self.velocities, 'velocity')):
-                found[robot] = Quantity(_rows([getattr(m, field) for m in messages], topic,
-                                              len(names)), names)
+                found[robot] = Columns(_rows([getattr(m, field) for m in messages], topic,
+                                             len(names)), names)
         elif last == 'eef_pose' and scope:
             name = '/'.join(scope if len(scope) > 1 else [next(iter(self.robots), ''), *scope])
             self.hands[name] = self._poses(topic, name)
         elif last == 'pose' and scope[:1] == ['objects']:
             self.objects[scope[1]] = self._poses(topic, scope[1])
 
-    def _poses(self, topic: str, name: str) -> Quantity:
+    def _poses(self, topic: str, name: str) -> Columns:
         messages = self.recorded.decoded(topic, 'geometry_msgs/PoseStamped')
         self._check(len(messages), topic)
         poses = [m.pose for m in messages]
-        return Quantity(np.array([[p.position.x, p.position.y, p.position.z, p.orientation.x,
-                                   p.orientation.y, p.orientation.z, p.orientation.w]
-                                  for p in poses]),
-                        [f'{name}/{axis}' for axis in ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')])
+        return Columns(np.array([[p.position.x, p.position.y, p.position.z, p.orientation.x,
+                                  p.orientation.y, p.orientation.z, p.orientation.w]
+                                 for p in poses]),
+                       [f'{name}/{axis}' for axis in ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')])
 
     def _check(self, found: int, what: str, wanted: int | None = None) -> None:
         wanted = self._count + 1 if wanted is None else wanted

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
-from manip_sim.records.frames import Frames, Quantity
+from manip_sim.records.frames import Columns, Frames
 
 _DATA = 'data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
 _VIDEO = 'videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4'
@@ -93,7 +93,7 @@ class _Writer:
         self._rows.append(row)
         self._total += count
 
-    def _add_table(self, columns: dict[str, Quantity], frames: Frames, number: int, count: int
+    def _add_table(self, columns: dict[str, Columns], frames: Frames, number: int, count: int
                    ) -> dict[str, Any]:
         import pyarrow
         instruction = frames.recorded.about['instruction']
@@ -194,19 +194,19 @@ def _place(pattern: str, number: int, **names: str) -> str:
     return pattern.format(chunk_index=number // _CHUNK, file_index=number % _CHUNK, **names)
 
 
-def _columns(frames: Frames) -> dict[str, Quantity]:
+def _columns(frames: Frames) -> dict[str, Columns]:
     """Return what is observed and done, a row per control period."""
     count = len(frames.actions)
-    found = {'action': Quantity(frames.actions, _action_names(frames)),
+    found = {'action': Columns(frames.actions, _action_names(frames)),
              'observation.state': _joined([*frames.positions.values(), *frames.hands.values()])}
     surroundings = [*frames.objects.values(), *([] if frames.goal is None else [frames.goal])]
     if surroundings:
         found['observation.environment_state'] = _joined(surroundings)
     done = np.zeros((count, 1), bool)
     done[-1] = True
-    found['next.reward'] = Quantity(frames.rewards.astype(np.float32)[:, None], ['reward'])
-    found['next.done'] = Quantity(done, ['done'])
-    found['next.success'] = Quantity(frames.done[:, None], ['success'])
+    found['next.reward'] = Columns(frames.rewards.astype(np.float32)[:, None], ['reward'])
+    found['next.done'] = Columns(done, ['done'])
+    found['next.success'] = Columns(frames.done[:, None], ['success'])
     return found
 
 
@@ -217,12 +217,12 @@ def _action_names(frames: Frames) -> list[str]:
     return names if fit else [f'action{index}' for index in range(size)]
 
 
-def _joined(quantities: list[Quantity]) -> Quantity:
-    return Quantity(np.concatenate([quantity.values for quantity in quantities], axis=1),
-                    [name for quantity in quantities for name in quantity.names])
+def _joined(quantities: list[Columns]) -> Columns:
+    return Columns(np.concatenate([quantity.values for quantity in quantities], axis=1),
+                   [name for quantity in quantities for name in quantity.names])
 
 
-def _feature(quantity: Quantity) -> dict[str, Any]:
+def _feature(quantity: Columns) -> dict[str, Any]:
     return {'dtype': str(quantity.values.dtype), 'shape': [quantity.values.shape[1]],
             'names': quantity.names}
 

@@ -32,7 +32,7 @@ _FEEDBACK_S = 0.05
 _END_S = 1.0
 
 
-class Actions:
+class ActionServers:
     """
     The action servers of all robots.
 
@@ -116,7 +116,7 @@ def messages_of(types: ActionTypes, robot: SimulatedRobot, now_ns: Callable[[], 
 
 
 def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: SimulationThread,
-                  log: RejectionLog) -> Actions | None:
+                  log: RejectionLog) -> ActionServers | None:
     """
     Offer the actions if the package control_msgs is installed, else note that they are missing.
 
@@ -132,6 +132,6 @@ def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: Sim
 
     def now_ns() -> int:
         return thread.progress.time_ns
-    return Actions(node, [(messages, of_robot) for of_robot in commands
-                          for messages in messages_of(types, of_robot.robot, now_ns)],
-                   thread, log)
+    return ActionServers(node, [(messages, of_robot) for of_robot in commands
+                                for messages in messages_of(types, of_robot.robot, now_ns)],
+                         thread, log)

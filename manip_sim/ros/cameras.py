@@ -36,7 +36,7 @@ from manip_sim.ros.messages import stamp_of
 from manip_sim.ros.outputs import create_publisher, Output
 from manip_sim.ros.point_clouds import PointCloudMaker
 from manip_sim.runtime import SimulationThread
-from manip_sim.runtime.camera_thread import CameraThread, Shot, View
+from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
 from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.appearance import Snapshot, take_snapshot, VisibleWorld
@@ -159,7 +159,7 @@ class CameraPublishers:
         self._node = node
         self._found = found
         self._rows = topics_of_cameras({name: depth})
-        self.view = View(name, found.width, found.height)
+        self.view = CameraView(name, found.width, found.height)
         self.sensing = sensing
         self._frame_id = frame_id
         self._info = camera_info(found)

@@ -22,7 +22,7 @@ from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.planning_scene import (
-    BOX, CYLINDER, Hold, MESH, Obstacle, PlanningScene, Solid, SPHERE)
+    BOX, CYLINDER, HeldObject, MESH, Obstacle, PlanningScene, Solid, SPHERE)
 
 moveit_msgs: Any = import_optional('moveit_msgs.msg')
 
@@ -93,7 +93,7 @@ class PlanningScenePublisher:
             self._release(stamp)
             scene = self._scene_of(simulation)
         changes = scene.look(simulation.data)
-        attached: Mapping[str, Hold] = changes.attached
+        attached: Mapping[str, HeldObject] = changes.attached
         due, self._whole_in = self._whole_in, max(self._whole_in - 1, -1)
         for name in changes.detached:
             self._detach(name, stamp)
@@ -157,7 +157,7 @@ def _added(obstacle: Obstacle, frame: str, pose: FloatArray, stamp: Any) -> Any:
     return message
 
 
-def _attached(obstacle: Obstacle, hold: Hold, stamp: Any) -> Any:
+def _attached(obstacle: Obstacle, hold: HeldObject, stamp: Any) -> Any:
     message = moveit_msgs.AttachedCollisionObject(
         link_name=hold.link, touch_links=list(hold.touch_links), weight=obstacle.mass)
     message.object = _added(obstacle, hold.link, hold.pose, stamp)

@@ -27,7 +27,7 @@ from manip_sim.interface.world_topics import topics_of_objects, topics_of_world
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
-from manip_sim.ros.actions import Actions, offer_actions
+from manip_sim.ros.actions import ActionServers, offer_actions
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
@@ -70,7 +70,7 @@ class SimNode(Node):
     :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
     """
 
-    _actions: Actions | None = None
+    _actions: ActionServers | None = None
     #: The rows of the table for this world but for objects; None while rclpy makes its own topics.
     table: list[Topic] | None = None
 

@@ -30,7 +30,7 @@ from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
-from manip_sim.simulation.spawning import Plan, plan_with, plan_without
+from manip_sim.simulation.spawning import plan_with, plan_without, WorldPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
 #: Name of an object that has none.
@@ -85,7 +85,7 @@ class SpawningServices:
         with _parsing():
             is_quick, create = _prepared(request, self._files)
 
-        def make() -> tuple[str, Plan]:
+        def make() -> tuple[str, WorldPlan]:
             with _parsing():
                 item = create()
                 item.name = self._free_name(request.name or item.name, request.allow_renaming)
@@ -119,7 +119,7 @@ class SpawningServices:
                             f"'{name}' belongs to a robot or the arena and cannot be deleted")
         self._take_over(plan_without(plan, name))
 
-    def _take_over(self, plan: Plan) -> None:
+    def _take_over(self, plan: WorldPlan) -> None:
         def change() -> None:
             if self._simulation.diverged is not None:
                 raise Rejection(ResultCode.RESULT_INCORRECT_STATE,

@@ -48,7 +48,7 @@ class SpawnCode(IntEnum):
     INVALID_POSE = 109
 
 
-class State(IntEnum):
+class StateCode(IntEnum):
     """Constants of the message ``SimulationState``."""
 
     STATE_STOPPED = 0
@@ -56,7 +56,7 @@ class State(IntEnum):
     STATE_PAUSED = 2
 
 
-class Scope(IntEnum):
+class ScopeCode(IntEnum):
     """Constants of the request of ``ResetSimulation``."""
 
     SCOPE_DEFAULT = 0

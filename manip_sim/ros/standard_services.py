@@ -17,7 +17,7 @@ from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.rejection import answering, Rejection, result_filled
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
-from manip_sim.ros.standard_codes import Feature, ResultCode, Scope, SetStateCode, State
+from manip_sim.ros.standard_codes import Feature, ResultCode, ScopeCode, SetStateCode, StateCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
@@ -103,30 +103,30 @@ class SimulationInterfaces:
 
     def _state(self) -> int:
         if not self._thread.paused:
-            return int(State.STATE_PLAYING)
+            return int(StateCode.STATE_PLAYING)
         if self._stopped and self._thread.at_start:
-            return int(State.STATE_STOPPED)
-        return int(State.STATE_PAUSED)
+            return int(StateCode.STATE_STOPPED)
+        return int(StateCode.STATE_PAUSED)
 
     def _get_state(self, _: Any, response: Any) -> None:
         response.state.state = self._state()
 
     def _set_state(self, request: Any, response: Any) -> None:
         target = request.state.state
-        if target not in list(State):
+        if target not in list(StateCode):
             raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                             f'state {target} cannot be set, only STOPPED (0), PLAYING (1) and '
                             'PAUSED (2); SIGTERM ends the simulator')
         if target == self._state():
             raise Rejection(SetStateCode.ALREADY_IN_TARGET_STATE,
                             'the simulation is in this state already')
-        if target == State.STATE_PLAYING and self._simulation.diverged is not None:
+        if target == StateCode.STATE_PLAYING and self._simulation.diverged is not None:
             raise Rejection(SetStateCode.STATE_TRANSITION_ERROR,
                             f'{self._simulation.diverged}; reset it first')
-        self._thread.pause(target != State.STATE_PLAYING)
-        if target == State.STATE_STOPPED:
+        self._thread.pause(target != StateCode.STATE_PLAYING)
+        if target == StateCode.STATE_STOPPED:
             self._thread.reset(restart_time=True)
-        self._stopped = target == State.STATE_STOPPED
+        self._stopped = target == StateCode.STATE_STOPPED
 
     async def _step(self, request: Any, response: Any) -> Any:
         with result_filled(response.result):
@@ -136,7 +136,7 @@ class SimulationInterfaces:
     async def _advance(self, steps: int) -> None:
         if steps == 0:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
-        if self._state() == State.STATE_STOPPED:
+        if self._state() == StateCode.STATE_STOPPED:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
                             'the simulation is stopped: pause it first')
         for done in range(steps):
@@ -149,12 +149,11 @@ class SimulationInterfaces:
 
     def _reset(self, request: Any, response: Any) -> None:
         scope = request.scope
-        everything = scope in (Scope.SCOPE_DEFAULT,
-                               Scope.SCOPE_ALL)
-        known = Scope.SCOPE_TIME | Scope.SCOPE_STATE
-        if not everything and (scope & ~known or not scope & Scope.SCOPE_STATE):
+        everything = scope in (ScopeCode.SCOPE_DEFAULT, ScopeCode.SCOPE_ALL)
+        known = ScopeCode.SCOPE_TIME | ScopeCode.SCOPE_STATE
+        if not everything and (scope & ~known or not scope & ScopeCode.SCOPE_STATE):
             raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
                             f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
                             'STATE with TIME (3)')
         self._thread.reset(
-            restart_time=everything or bool(scope & Scope.SCOPE_TIME))
+            restart_time=everything or bool(scope & ScopeCode.SCOPE_TIME))

@@ -21,7 +21,7 @@ from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.outputs import create_output, Output
 from manip_sim.ros.serialized import SerializedMessage
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.frames import Frame, FrameTree
+from manip_sim.simulation.frames import FrameTree, TreeFrame
 
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
 
@@ -99,7 +99,7 @@ class TransformPublisher:
                 simulation.time_ns, tree.moving_poses(simulation.data).ravel()))
 
 
-def transforms(frames: Sequence[Frame], prefix: str, stamp: Time, numbers: FloatArray) -> Any:
+def transforms(frames: Sequence[TreeFrame], prefix: str, stamp: Time, numbers: FloatArray) -> Any:
     """
     Return a message with the poses of frames in their parents.
 

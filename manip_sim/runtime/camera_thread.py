@@ -24,7 +24,7 @@ _LAST_S = 2.0
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """
     A camera and the size of its images.
 
@@ -51,7 +51,7 @@ class Shot:
     :ivar noise: what is to be added to the picture, or None
     """
 
-    view: View
+    view: CameraView
     snapshot: Snapshot
     picture: Picture
     took_s: float
@@ -60,7 +60,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class _Order:
-    view: View
+    view: CameraView
     snapshot: Snapshot
     rgb: bool
     depth: bool
@@ -91,7 +91,7 @@ class CameraThread:
     :ivar failed: why nothing is rendered, or None
     """
 
-    def __init__(self, way: str, world: VisibleWorld, views: list[View],
+    def __init__(self, way: str, world: VisibleWorld, views: list[CameraView],
                  deliver: Callable[[Shot], None],
                  report_failure: Callable[[ManipSimError], None]) -> None:
         self._way = way
@@ -99,8 +99,8 @@ class CameraThread:
         self._size = max(view.width for view in views), max(view.height for view in views)
         self._deliver = deliver
         self._report_failure = report_failure
-        self._orders: dict[View, _Order] = {}
-        self._shots: dict[View, Shot] = {}
+        self._orders: dict[CameraView, _Order] = {}
+        self._shots: dict[CameraView, Shot] = {}
         self._wake = threading.Condition()
         self._stopping = False
         self._ready = threading.Event()
@@ -118,7 +118,7 @@ class CameraThread:
         self._thread.start()
         self._ready.wait(timeout_s)
 
-    def order(self, view: View, snapshot: Snapshot, rgb: bool, depth: bool,
+    def order(self, view: CameraView, snapshot: Snapshot, rgb: bool, depth: bool,
               labels: bool = False, noise: ImageNoise | None = None) -> None:
         """
         Request a shot of a view, and return at once.

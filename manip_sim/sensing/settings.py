@@ -15,7 +15,7 @@ from manip_sim.quoting import shown
 
 
 @dataclass(frozen=True)
-class Quantity:
+class SensingQuantity:
     """
     Something that can be set.
 
@@ -37,51 +37,54 @@ TORQUE_PER_FORCE_M = 0.2 / 3.5
 _SD = 'Standard deviation of the white noise on'
 _OFFSET = 'Standard deviation of the constant offset, drawn from the seed, of'
 _WALK = 'Standard deviation after one second of the random walk of'
-QUANTITIES: Mapping[str, Quantity] = MappingProxyType({
-    'noise.joint_position': Quantity(f'{_SD} positions of joints.', 'rad or m', 1.0),
-    'noise.joint_velocity': Quantity(f'{_SD} velocities of joints.', 'rad/s or m/s', 10.0),
-    'noise.joint_effort': Quantity(f'{_SD} efforts of joints.', 'N m or N', 1000.0),
-    'noise.wrench_force': Quantity(f'{_SD} forces.', 'N', 1000.0),
-    'noise.wrench_torque': Quantity(f'{_SD} torques.', 'N m', 1000.0),
-    'noise.wrench_bias': Quantity(
+QUANTITIES: Mapping[str, SensingQuantity] = MappingProxyType({
+    'noise.joint_position': SensingQuantity(f'{_SD} positions of joints.', 'rad or m', 1.0),
+    'noise.joint_velocity': SensingQuantity(f'{_SD} velocities of joints.', 'rad/s or m/s', 10.0),
+    'noise.joint_effort': SensingQuantity(f'{_SD} efforts of joints.', 'N m or N', 1000.0),
+    'noise.wrench_force': SensingQuantity(f'{_SD} forces.', 'N', 1000.0),
+    'noise.wrench_torque': SensingQuantity(f'{_SD} torques.', 'N m', 1000.0),
+    'noise.wrench_bias': SensingQuantity(
         f'{_OFFSET} forces; that of torques is 0.057 m times this.', 'N', 1000.0),
-    'noise.wrench_drift': Quantity(
+    'noise.wrench_drift': SensingQuantity(
         f'{_WALK} forces; that of torques is 0.057 m times this.', 'N/sqrt(s)', 100.0),
-    'noise.imu_orientation': Quantity(f'{_SD} each axis of orientations of IMUs.', 'rad', 1.0),
-    'noise.imu_gyro': Quantity(f'{_SD} angular velocities of IMUs.', 'rad/s', 10.0),
-    'noise.imu_gyro_bias': Quantity(f'{_OFFSET} angular velocities of IMUs.', 'rad/s', 10.0),
-    'noise.imu_gyro_drift': Quantity(
+    'noise.imu_orientation': SensingQuantity(
+        f'{_SD} each axis of orientations of IMUs.', 'rad', 1.0),
+    'noise.imu_gyro': SensingQuantity(f'{_SD} angular velocities of IMUs.', 'rad/s', 10.0),
+    'noise.imu_gyro_bias': SensingQuantity(
+        f'{_OFFSET} angular velocities of IMUs.', 'rad/s', 10.0),
+    'noise.imu_gyro_drift': SensingQuantity(
         f'{_WALK} angular velocities of IMUs.', 'rad/s/sqrt(s)', 1.0),
-    'noise.imu_accelerometer': Quantity(f'{_SD} accelerations of IMUs.', 'm/s^2', 100.0),
-    'noise.imu_accelerometer_bias': Quantity(f'{_OFFSET} accelerations of IMUs.', 'm/s^2', 100.0),
-    'noise.imu_accelerometer_drift': Quantity(
+    'noise.imu_accelerometer': SensingQuantity(f'{_SD} accelerations of IMUs.', 'm/s^2', 100.0),
+    'noise.imu_accelerometer_bias': SensingQuantity(
+        f'{_OFFSET} accelerations of IMUs.', 'm/s^2', 100.0),
+    'noise.imu_accelerometer_drift': SensingQuantity(
         f'{_WALK} accelerations of IMUs.', 'm/s^2/sqrt(s)', 10.0),
-    'noise.range': Quantity(f'{_SD} distances of rangefinders and lidars.', 'm', 10.0),
-    'noise.pixel': Quantity(
+    'noise.range': SensingQuantity(f'{_SD} distances of rangefinders and lidars.', 'm', 10.0),
+    'noise.pixel': SensingQuantity(
         f'{_SD} each colour of each pixel of images, of 255.', '', 255.0),
-    'noise.depth': Quantity(
+    'noise.depth': SensingQuantity(
         f'{_SD} depth images at 1 m; it grows with the square of the depth.', '1/m', 10.0),
-    'noise.files': Quantity(
+    'noise.files': SensingQuantity(
         'Factor for the attribute noise, a standard deviation, that sensors have in the files; '
         'it is added to that of their kind.', '', 1000.0),
-    'resolution.joint_position': Quantity(
+    'resolution.joint_position': SensingQuantity(
         'Step of the encoders: positions of joints are rounded to multiples of it.', 'rad or m',
         1.0),
-    'latency.state': Quantity(
+    'latency.state': SensingQuantity(
         'Age of what is published of the robot in simulation time: states, wrenches, sensors.',
         's', 10.0),
-    'latency.state_jitter': Quantity(
+    'latency.state_jitter': SensingQuantity(
         'Standard deviation of that age; what is newest of what has arrived is published.', 's',
         10.0),
-    'latency.image': Quantity(
+    'latency.image': SensingQuantity(
         'Age of what images show, in simulation time.', 's', 10.0),
-    'latency.image_jitter': Quantity(
+    'latency.image_jitter': SensingQuantity(
         'Standard deviation of that age; what is newest of what has arrived is published.', 's',
         10.0),
-    'latency.command': Quantity(
+    'latency.command': SensingQuantity(
         'Time from when a command is taken until it takes effect, in simulation time.', 's',
         10.0),
-    'latency.command_jitter': Quantity(
+    'latency.command_jitter': SensingQuantity(
         'Standard deviation of that time; commands that arrive late do not replace newer ones.',
         's', 10.0),
 })

@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.randomized import apply_to_model, Drawn
 from manip_sim.simulation.simulation import Simulation
-from manip_sim.simulation.spawning import compile_visual, Plan
+from manip_sim.simulation.spawning import compile_visual, WorldPlan
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Snapshot:
     :ivar drawn: what differs from the plan in this episode, by name
     """
 
-    plan: Plan
+    plan: WorldPlan
     time_ns: int
     qpos: FloatArray
     mocap_pos: FloatArray
@@ -71,7 +71,7 @@ class VisibleWorld:
     :raises ModelError: with MuJoCo's message, if MuJoCo cannot compile it
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: WorldPlan) -> None:
         self.plan = plan
         self.model: Any = compile_visual(plan)
         self.data: Any = mujoco.MjData(self.model)

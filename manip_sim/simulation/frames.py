@@ -33,7 +33,7 @@ _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @dataclass(frozen=True)
-class Frame:
+class TreeFrame:
     """
     A frame and its parent.
 
@@ -62,11 +62,11 @@ class FrameTree:
     def __init__(self, model: mujoco.MjModel, sites: Iterable[str] = (),
                  placed: Iterable[tuple[str, Pose]] = ()) -> None:
         self.model = model
-        self.static: list[Frame] = []
+        self.static: list[TreeFrame] = []
         static_poses: list[FloatArray] = []
         tree = build_tree(model, 0, [model.site(name).id for name in sites])
-        bodies: dict[Frame, int] = {}
-        joints: dict[Frame, Joint] = {}
+        bodies: dict[TreeFrame, int] = {}
+        joints: dict[TreeFrame, Joint] = {}
         for frame, body, joint in _frames_of(model, tree):
             if joint is None:
                 bodies[frame] = body
@@ -75,18 +75,18 @@ class FrameTree:
                 static_poses.append(_row(joint.position, _quat_wxyz(joint.rotation)))
             else:
                 joints[frame] = joint
-        followers = {Frame(tree.take_name(model.camera(camera).name or f'camera_{camera}',
-                                          '_camera'), WORLD): camera
+        followers = {TreeFrame(tree.take_name(model.camera(camera).name or f'camera_{camera}',
+                                              '_camera'), WORLD): camera
                      for camera in range(model.ncam) if camera not in tree.link_of_camera}
         self._bodies = np.array(list(bodies.values()), dtype=np.int64)
         self._parents: Any = model.body_parentid[self._bodies]
         self._joints, self._cameras = list(joints.values()), list(followers.values())
-        self.moving: list[Frame] = [*bodies, *joints, *followers]
+        self.moving: list[TreeFrame] = [*bodies, *joints, *followers]
         for frame in followers:
-            self.static.append(Frame(tree.take_name(frame.name + OPTICAL, '_'), frame.name))
+            self.static.append(TreeFrame(tree.take_name(frame.name + OPTICAL, '_'), frame.name))
             static_poses.append(_row(np.zeros(3), _TO_OPTICAL))
         for name, pose in placed:
-            self.static.append(Frame(tree.take_name(name, '_frame'), WORLD))
+            self.static.append(TreeFrame(tree.take_name(name, '_frame'), WORLD))
             static_poses.append(np.concatenate([pose.position, pose.quat_xyzw]))
         self.static_poses = np.array(static_poses).reshape(-1, 7)
 
@@ -125,7 +125,7 @@ class FrameTree:
 
 
 def _frames_of(model: mujoco.MjModel, tree: KinematicTree
-               ) -> Iterator[tuple[Frame, int, Joint | None]]:
+               ) -> Iterator[tuple[TreeFrame, int, Joint | None]]:
     """
     Return the frames of a tree with their bodies, and joints where these give their poses.
 
@@ -137,13 +137,13 @@ def _frames_of(model: mujoco.MjModel, tree: KinematicTree
         if body is None:
             of = -1 if joint.id is None else int(model.jnt_bodyid[joint.id])
             if of < 0 or _has_scalar_joints(model, of):
-                yield Frame(joint.child, joint.parent), 0, joint
+                yield TreeFrame(joint.child, joint.parent), 0, joint
         elif not _has_scalar_joints(model, body) or (
                 joint.parent in names and joint.kind != 'fixed') or model.body_mocapid[body] >= 0:
             parent = tree.link_of_body[int(model.body_parentid[body])]
-            yield Frame(joint.child, parent), body, None
+            yield TreeFrame(joint.child, parent), body, None
         else:
-            yield Frame(joint.child, joint.parent), body, joint
+            yield TreeFrame(joint.child, joint.parent), body, joint
 
 
 def _has_scalar_joints(model: mujoco.MjModel, body: int) -> bool:

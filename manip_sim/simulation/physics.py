@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import mujoco
 
-from manip_sim.simulation.spawning import carry_over, LiveWorld, Plan, start_live
+from manip_sim.simulation.spawning import carry_over, LiveWorld, start_live, WorldPlan
 
 
 class Physics:
@@ -32,12 +32,12 @@ class Physics:
     :ivar gravcomp: of ``qfrc_gravcomp``
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: WorldPlan) -> None:
         self._adapt: list[Callable[[], None]] = []
         self._take(start_live(plan))
 
     def _take(self, live: LiveWorld) -> None:
-        self.plan: Plan = live.plan
+        self.plan: WorldPlan = live.plan
         self.model: mujoco.MjModel = live.model
         data = self.data = live.data
         self.qpos, self.qvel, self.act, self.ctrl = data.qpos, data.qvel, data.act, data.ctrl
@@ -50,6 +50,6 @@ class Physics:
         self._adapt.append(adapt)
         adapt()
 
-    def change(self, plan: Plan) -> None:
+    def change(self, plan: WorldPlan) -> None:
         """Replace the model by that of another plan, and carry the state and edits over."""
         self._take(carry_over(LiveWorld(self.plan, self.model, self.data), plan))

@@ -66,7 +66,7 @@ class Obstacle:
 
 
 @dataclass(frozen=True)
-class Hold:
+class HeldObject:
     """
     A grasp of an object.
 
@@ -94,7 +94,7 @@ class Changes:
 
     added: dict[str, FloatArray] = field(default_factory=dict)
     moved: dict[str, FloatArray] = field(default_factory=dict)
-    attached: dict[str, Hold] = field(default_factory=dict)
+    attached: dict[str, HeldObject] = field(default_factory=dict)
     detached: list[str] = field(default_factory=list)
 
 
@@ -129,7 +129,7 @@ class PlanningScene:
         self._grippers = [tuple(sorted(int(model.body(name).id) for name in bodies))
                           for bodies in grippers.values()]
         self._shown: dict[str, FloatArray] = {}
-        self.holds: dict[str, Hold] = {}
+        self.holds: dict[str, HeldObject] = {}
         #: For how many looks in succession an object was grasped, or not.
         self._looks: dict[str, int] = {}
 
@@ -173,7 +173,7 @@ class PlanningScene:
             del self.holds[name]
             changes.detached.append(name)
         else:
-            changes.attached[name] = self.holds[name] = Hold(
+            changes.attached[name] = self.holds[name] = HeldObject(
                 self._name(gripper[0]), tuple(self._name(body) for body in gripper),
                 _relative(data, gripper[0], obstacle.body))
 

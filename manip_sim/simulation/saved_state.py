@@ -142,13 +142,13 @@ class ControlState:
     def save(self) -> bytes:
         """Return the state, pickled."""
         file = io.BytesIO()
-        _Pickler(file, self._index_of).dump(
+        _StatePickler(file, self._index_of).dump(
             ([vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]))
         return file.getvalue()
 
     def restore(self, state: bytes) -> None:
         """Restore what :meth:`save` has returned, here or in another process."""
-        controls, grippers = _Unpickler(io.BytesIO(state), self._fixed).load()
+        controls, grippers = _StateUnpickler(io.BytesIO(state), self._fixed).load()
         for found, values in zip(self._stateful, controls):
             vars(found).clear()
             vars(found).update(values)
@@ -213,7 +213,7 @@ class ViewPickler(pickle.Pickler):
         return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
 
 
-class _Pickler(ViewPickler):
+class _StatePickler(ViewPickler):
     """A pickler that refers to what is fixed."""
 
     def __init__(self, file: io.BytesIO, index_of: Mapping[int, int]) -> None:
@@ -224,8 +224,8 @@ class _Pickler(ViewPickler):
         return self._index_of.get(id(found))
 
 
-class _Unpickler(pickle.Unpickler):
-    """A reader of what :class:`_Pickler` has written."""
+class _StateUnpickler(pickle.Unpickler):
+    """A reader of what :class:`_StatePickler` has written."""
 
     def __init__(self, file: io.BytesIO, fixed: list[object]) -> None:
         super().__init__(file)

@@ -33,7 +33,7 @@ from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
-from manip_sim.simulation.spawning import Plan, plan_world
+from manip_sim.simulation.spawning import plan_world, WorldPlan
 from manip_sim.simulation.start_check import check_start
 from manip_sim.simulation.surroundings import Surroundings
 from manip_sim.simulation.velocity_laws import VelocityLaws
@@ -128,7 +128,7 @@ class Simulation:
             [self.efforts, *self.robots.values()],
             (Clock, Physics, CartesianParser, CommandParser))
 
-    def change_objects(self, plan: Plan) -> None:
+    def change_objects(self, plan: WorldPlan) -> None:
         """
         Change the objects; everything else stays as it is, commands included.
 
@@ -138,7 +138,7 @@ class Simulation:
         self.physics.change(plan)
 
     @property
-    def plan(self) -> Plan:
+    def plan(self) -> WorldPlan:
         """What the world was compiled from."""
         return self.physics.plan
 

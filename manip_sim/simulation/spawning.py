@@ -25,7 +25,7 @@ from manip_sim.simulation.carrying import carry_data, carry_edits, ElementMap
 
 
 @dataclass(frozen=True)
-class Plan:
+class WorldPlan:
     """
     A world with its objects, compiled.
 
@@ -60,12 +60,12 @@ class LiveWorld:
     :ivar data: the ``mujoco.MjData``
     """
 
-    plan: Plan
+    plan: WorldPlan
     model: mujoco.MjModel
     data: mujoco.MjData
 
 
-def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world') -> Plan:
+def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world') -> WorldPlan:
     """
     Compile a world with objects.
 
@@ -77,7 +77,7 @@ def plan_world(base: Any, objects: tuple[ObjectModel, ...], name: str = 'world')
     """
     check_object_names(objects)
     spec, taken = _composed(base, objects)
-    return Plan(base, tuple(objects), spec, taken, compile_spec(spec, name))
+    return WorldPlan(base, tuple(objects), spec, taken, compile_spec(spec, name))
 
 
 def _composed(base: Any, objects: Iterable[ObjectModel]) -> tuple[Any, TakenNames]:
@@ -88,7 +88,7 @@ def _composed(base: Any, objects: Iterable[ObjectModel]) -> tuple[Any, TakenName
     return spec, taken
 
 
-def compile_visual(plan: Plan) -> Any:
+def compile_visual(plan: WorldPlan) -> Any:
     """
     Return the ``mujoco.MjModel`` of a plan with the geoms that cannot collide.
 
@@ -101,7 +101,7 @@ def compile_visual(plan: Plan) -> Any:
     return compile_spec(_composed(base, plan.objects)[0], 'the world with its visual shapes')
 
 
-def plan_with(plan: Plan, item: ObjectModel) -> Plan:
+def plan_with(plan: WorldPlan, item: ObjectModel) -> WorldPlan:
     """
     Return the plan of a world with one more object, which comes last.
 
@@ -115,13 +115,14 @@ def plan_with(plan: Plan, item: ObjectModel) -> Plan:
     return _follow(plan, objects, spec, taken, f"the world with '{item.name}'")
 
 
-def _follow(plan: Plan, objects: tuple[ObjectModel, ...], spec: Any, taken: TakenNames, name: str
-            ) -> Plan:
+def _follow(plan: WorldPlan, objects: tuple[ObjectModel, ...], spec: Any, taken: TakenNames,
+            name: str) -> WorldPlan:
     compiled = compile_spec(spec, name)
-    return Plan(plan.base, objects, spec, taken, compiled, ElementMap(plan.compiled, compiled))
+    return WorldPlan(plan.base, objects, spec, taken, compiled,
+                     ElementMap(plan.compiled, compiled))
 
 
-def plan_without(plan: Plan, name: str) -> Plan:
+def plan_without(plan: WorldPlan, name: str) -> WorldPlan:
     """
     Return the plan of a world without one of its objects.
 
@@ -138,13 +139,13 @@ def plan_without(plan: Plan, name: str) -> Plan:
     return _follow(plan, left, spec, taken, f"the world without '{name}'")
 
 
-def start_live(plan: Plan) -> LiveWorld:
+def start_live(plan: WorldPlan) -> LiveWorld:
     """Return a world at its start."""
     model = copy.copy(plan.compiled)
     return LiveWorld(plan, model, mujoco.MjData(model))
 
 
-def carry_over(live: LiveWorld, plan: Plan) -> LiveWorld:
+def carry_over(live: LiveWorld, plan: WorldPlan) -> LiveWorld:
     """
     Return the world of another plan in the state of a running one.
 

@@ -26,7 +26,8 @@ from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, speed, tou
 from manip_sim.tasks.placing import add_goal, draw, draw_yaw, move_mocap, nearness
 from manip_sim.tasks.task import Task
 from manip_sim.tasks.task_description import (
-    Condition, Contact, Described, Distance, GRIPPER, HAND, Held, Joint, Position, Speed, Start)
+    Condition, Contact, Described, Distance, GRIPPER, HAND, Held, InBox, JointInRange, Speed,
+    Start)
 
 #: How often a start is drawn until all things are apart.
 _TRIES = 1000
@@ -98,13 +99,13 @@ class DescribedTask(Task, registered=False):
         for term in self._terms:
             if isinstance(term, Distance):
                 self._known('body or site', term.distance, things)
-            elif isinstance(term, Position):
+            elif isinstance(term, InBox):
                 self._known('body or site', [term.position], things)
             elif isinstance(term, Contact):
                 self._known('body', term.contact, [GRIPPER, *bodies])
             elif isinstance(term, Held):
                 self._known('body', [term.held], bodies)
-            elif isinstance(term, Joint):
+            elif isinstance(term, JointInRange):
                 self._known('joint of one axis', [term.joint], joints)
             elif isinstance(term, Speed):
                 self._known('body', [term.speed], bodies)
@@ -194,7 +195,7 @@ class DescribedTask(Task, registered=False):
         far = length((one - other)[['xyz'.index(axis) for axis in term.axes]])
         return 0.0 if far < term.below else max(far - term.below, 1e-9)
 
-    def _position(self, simulation: Simulation, term: Position) -> float:
+    def _position(self, simulation: Simulation, term: InBox) -> float:
         here = self._where(simulation, term.position)
         return length(np.maximum(np.maximum(np.array(term.low) - here,
                                             here - np.array(term.high)), 0.0))
@@ -209,7 +210,7 @@ class DescribedTask(Task, registered=False):
     def _held(self, simulation: Simulation, term: Held) -> float:
         return 0.0 if held_only_by(simulation, term.held, simulation.robot, self.arm) else 1.0
 
-    def _joint(self, simulation: Simulation, term: Joint) -> float:
+    def _joint(self, simulation: Simulation, term: JointInRange) -> float:
         here = float(simulation.data.joint(term.joint).qpos[0])
         return max(term.low - here, here - term.high, 0.0)
 
@@ -219,8 +220,8 @@ class DescribedTask(Task, registered=False):
 
 
 _LACKS: dict[type[Condition], Callable[[Any, Simulation, Any], float]] = {
-    Distance: DescribedTask._distance, Position: DescribedTask._position,
-    Contact: DescribedTask._contact, Held: DescribedTask._held, Joint: DescribedTask._joint,
+    Distance: DescribedTask._distance, InBox: DescribedTask._position,
+    Contact: DescribedTask._contact, Held: DescribedTask._held, JointInRange: DescribedTask._joint,
     Speed: DescribedTask._speed}
 
 

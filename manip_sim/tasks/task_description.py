@@ -62,7 +62,7 @@ class Distance(Condition):
     axes: Literal['xyz', 'xy', 'xz', 'yz', 'x', 'y', 'z'] = 'xyz'
 
 
-class Position(Condition):
+class InBox(Condition):
     """
     A thing is in a box.
 
@@ -104,7 +104,7 @@ class Held(Condition):
     held: str
 
 
-class Joint(Condition):
+class JointInRange(Condition):
     """
     A joint is in a range.
 
@@ -131,8 +131,8 @@ class Speed(Condition):
 
 
 CONDITIONS: Mapping[str, type[Condition]] = {
-    'distance': Distance, 'position': Position, 'contact': Contact, 'held': Held, 'joint': Joint,
-    'speed': Speed}
+    'distance': Distance, 'position': InBox, 'contact': Contact, 'held': Held,
+    'joint': JointInRange, 'speed': Speed}
 
 
 class Range(_Strict):
@@ -168,7 +168,7 @@ class Start(_Strict):
     yaw: Any = 0.0
 
 
-class Goal(_Strict):
+class Mark(_Strict):
     """
     A mark that is only seen, and part of the observation.
 
@@ -242,7 +242,7 @@ class Described:
         self.values['objects'] = [_absolute(entry, folder) for entry in self.about.objects]
         self.objects = [_object(entry, f'{where}: object {number}')
                         for number, entry in enumerate(self.values['objects'], start=1)]
-        self.goals = [checked(Goal, _mapping(entry, f'{where}: goal {number}'),
+        self.goals = [checked(Mark, _mapping(entry, f'{where}: goal {number}'),
                               f'{where}: goal {number}')
                       for number, entry in enumerate(self.about.goals, start=1)]
         self.starts = {key: self._start(key, entry) for key, entry in self.about.start.items()}

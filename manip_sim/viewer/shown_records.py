@@ -52,7 +52,7 @@ class Plotted:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class RecordedPictures:
     """
     The compressed images of a camera.
 
@@ -82,7 +82,7 @@ class Shown(ABC):
     model: bytes
     times: FloatArray
     plots: dict[str, Plotted]
-    pictures: dict[str, Pictures]
+    pictures: dict[str, RecordedPictures]
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
@@ -117,8 +117,8 @@ class ShownEpisode(Shown):
             raise RecordError(f'episode {episode.number} has no states')
         self.times = np.arange(float(len(self._states))) * episode.period_s
         self.plots = self._plots()
-        self.pictures = {camera: Pictures(np.arange(float(len(found))) * episode.period_s,
-                                          [bytes(message.data) for message in found])
+        self.pictures = {camera: RecordedPictures(np.arange(float(len(found))) * episode.period_s,
+                                                  [bytes(message.data) for message in found])
                          for camera, found in _images(episode).items()}
 
     def _plots(self) -> dict[str, Plotted]:
@@ -203,7 +203,8 @@ class ShownWorld(Shown):
         self.pictures = {}
         for camera, images in _images(world).items():
             times, messages = _rising(images)
-            self.pictures[camera] = Pictures(times - begin_s, [bytes(m.data) for m in messages])
+            self.pictures[camera] = RecordedPictures(
+                times - begin_s, [bytes(m.data) for m in messages])
         self._notes: list[Line] = []
 
     def check(self, model: mujoco.MjModel) -> None:

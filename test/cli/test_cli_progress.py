@@ -8,7 +8,7 @@ import io
 import pytest
 
 from manip_sim.cli import progress
-from manip_sim.cli.progress import Progress
+from manip_sim.cli.progress import ProgressBar
 
 
 class Screen(io.StringIO):
@@ -24,7 +24,7 @@ def test_a_terminal_shows_five_numbers_a_second_and_nothing_at_the_end(terminal,
     screen, now_s = Screen(terminal), [100.0]
     monkeypatch.setattr('sys.stderr', screen)
     monkeypatch.setattr(progress.time, 'monotonic', lambda: now_s[0])
-    with Progress('episodes') as shown:
+    with ProgressBar('episodes') as shown:
         for done in range(21):
             shown.show(done, ', well')
             now_s[0] += 0.05

@@ -20,7 +20,7 @@ from test_msgs.action import Fibonacci  # noqa: E402
 
 from manip_sim.ros import sim_node  # noqa: E402
 from manip_sim.ros.action_messages import ActionMessages  # noqa: E402
-from manip_sim.ros.actions import Actions  # noqa: E402
+from manip_sim.ros.actions import ActionServers  # noqa: E402
 from manip_sim.simulation.goals import GoalCode, GoalError  # noqa: E402
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest  # noqa: E402
 
@@ -48,8 +48,9 @@ class Swing(ActionMessages):
 
 
 def offer(node, commands, thread, log):
-    return Actions(node, [(Swing(Fibonacci, c.robot, 'arm', lambda: thread.progress.time_ns), c)
-                          for c in commands], thread, log)
+    return ActionServers(
+        node, [(Swing(Fibonacci, c.robot, 'arm', lambda: thread.progress.time_ns), c)
+               for c in commands], thread, log)
 
 
 class Swinger:
@@ -221,7 +222,7 @@ def test_the_end_waits_for_five_rounds_of_the_executor_and_no_more():
         rounds.append(left)
         assert len(rounds) < 20
         after(left)
-    actions = object.__new__(Actions)
+    actions = object.__new__(ActionServers)
     actions.tracker = SimpleNamespace(goals=['goal'], abort_all=told.append)
     actions._node = SimpleNamespace(executor=SimpleNamespace(create_task=create_task))
     actions.end()

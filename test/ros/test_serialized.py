@@ -14,11 +14,11 @@ from manip_sim.ros import messages, outputs, transforms
 from manip_sim.ros.publishers import controller_numbers, controller_state, ROWS
 from manip_sim.ros.scene import odometry
 from manip_sim.ros.serialized import SerializedMessage
-from manip_sim.simulation.frames import Frame
+from manip_sim.simulation.frames import TreeFrame
 from manip_sim.simulation.state import ControllerState, JointReference
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
-FRAMES = [Frame('link1', 'world'), Frame('link2', 'link1'), Frame('ball', 'world')]
+FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
 #: Where each number of a message is told by how many names and frames there are before it.
 PREFIXES = ['', 'left/', 'a', 'ab', 'abc', 'rücken_']
 KINDS = {

@@ -100,7 +100,7 @@ def nanoseconds(stamp):
 @pytest.mark.parametrize(('ours', 'theirs'), [
     (codes.ResultCode, Result), (codes.SetStateCode, SetSimulationState.Response),
     (codes.SetEntityCode, SetEntityState.Response), (codes.SpawnCode, SpawnEntity.Response),
-    (codes.State, SimulationState), (codes.Scope, ResetSimulation.Request),
+    (codes.StateCode, SimulationState), (codes.ScopeCode, ResetSimulation.Request),
     (codes.Category, EntityCategory), (codes.BoundsType, Bounds),
     (codes.Feature, SimulatorFeatures)], ids=lambda kind: kind.__name__)
 def test_the_numbers_are_those_of_the_package(ours, theirs):

@@ -24,15 +24,15 @@ from manip_sim.ros import spawning_services
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.ros.standard_codes import (
-    BoundsType, Category, Feature, ResultCode, Scope, SetEntityCode, SetStateCode, SpawnCode,
-    State)
+    BoundsType, Category, Feature, ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawnCode,
+    StateCode)
 from manip_sim.ros.standard_services import SimulationInterfaces
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 
 OK, FAILED = ResultCode.RESULT_OK, ResultCode.RESULT_OPERATION_FAILED
 UNSUPPORTED, NOT_FOUND = ResultCode.RESULT_FEATURE_UNSUPPORTED, ResultCode.RESULT_NOT_FOUND
-STOPPED, PLAYING, PAUSED = State
+STOPPED, PLAYING, PAUSED = StateCode
 PERIOD_NS = 10_000_000
 BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2}'
 MJCF = ('<mujoco><worldbody><body name="can"><freejoint/>'
@@ -163,8 +163,8 @@ def test_numbers_are_those_of_version_2_1_of_the_package():
     # Bounds, and of its services SetSimulationState, SetEntityState, ResetSimulation.
     for codes, numbers in {
             ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
-            SpawnCode: [101, 102, 103, 104, 105, 106, 109], State: [0, 1, 2],
-            Scope: [0, 1, 2, 255], Category: [0, 1], BoundsType: [0],
+            SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2],
+            ScopeCode: [0, 1, 2, 255], Category: [0, 1], BoundsType: [0],
             Feature: [0, 1, 8, 9, 10, 11, 20, 22, 24, 25, 26, 31, 32]}.items():
         assert [int(code) for code in codes.__members__.values()] == numbers
 
@@ -215,8 +215,8 @@ def test_steps_that_were_made_are_told_when_the_next_one_cannot_be(standard):
 
 
 @pytest.mark.parametrize(('scope', 'restarts'), [
-    (Scope.SCOPE_DEFAULT, True), (Scope.SCOPE_ALL, True), (Scope.SCOPE_STATE, False),
-    (Scope.SCOPE_STATE | Scope.SCOPE_TIME, True)])
+    (ScopeCode.SCOPE_DEFAULT, True), (ScopeCode.SCOPE_ALL, True), (ScopeCode.SCOPE_STATE, False),
+    (ScopeCode.SCOPE_STATE | ScopeCode.SCOPE_TIME, True)])
 def test_reset_puts_all_back_and_keeps_or_restarts_time(standard, scope, restarts):
     start = standard.entity().state.pose.position
     standard.place(position=(0.1, 0.2, 1.5))
@@ -226,7 +226,7 @@ def test_reset_puts_all_back_and_keeps_or_restarts_time(standard, scope, restart
     assert standard.entity().state.pose.position == start
 
 
-@pytest.mark.parametrize('scope', [Scope.SCOPE_TIME, 4, 6, 64])
+@pytest.mark.parametrize('scope', [ScopeCode.SCOPE_TIME, 4, 6, 64])
 def test_scope_that_does_not_work_is_rejected(standard, scope):
     code, text = standard.code('reset_simulation', scope=int(scope))
     assert code == UNSUPPORTED and f'scope {int(scope)} is not supported' in text

@@ -15,7 +15,7 @@ from manip_sim.models import World
 from manip_sim.models.objects import create_object
 from manip_sim.rendering.gl import choose_gl
 from manip_sim.rendering.offscreen import OffscreenRenderer
-from manip_sim.runtime.camera_thread import _Order, CameraThread, View
+from manip_sim.runtime.camera_thread import _Order, CameraThread, CameraView
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.appearance import take_snapshot, VisibleWorld
 from manip_sim.simulation.poses import Pose
@@ -25,7 +25,7 @@ WAIT_S = 300.0
 BALL = {'name': 'ball', 'shape': 'sphere', 'size': 0.2, 'position': [3.0, 0.0, 1.0],
         'rgba': [0.0, 0.0, 1.0, 1.0]}
 EYE = {'name': 'eye', 'position': [2.0, 0.0, 1.0], 'fovy': 60}
-VIEW = View('eye', 64, 48)
+VIEW = CameraView('eye', 64, 48)
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_objects_that_come_and_go_are_seen(cameras, simulation):
 
 def test_a_camera_that_has_gone_with_its_object_is_left_out(cameras, simulation):
     thread, shots, failures = cameras()
-    thread.order(View('gone', 64, 48), take_snapshot(simulation), True, True)
+    thread.order(CameraView('gone', 64, 48), take_snapshot(simulation), True, True)
     order(thread, simulation)
     assert shots.get(timeout=WAIT_S).view.camera == 'eye'
     assert failures.empty()

@@ -10,7 +10,7 @@ import pytest
 
 from manip_sim.simulation.cartesian import displacements
 from manip_sim.simulation.cartesian.displacements import bend, displace, rate_without_bend
-from manip_sim.simulation.cartesian.frames import Frames
+from manip_sim.simulation.cartesian.frames import RobotFrames
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, stop)
 
@@ -155,7 +155,7 @@ def test_a_frame_is_a_body_or_a_site_that_is_turned_on_it():
         <site name="tip" pos="0.5 0 0" euler="90 0 0"/></body></worldbody></mujoco>""")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    frames = Frames(model, ['link'], ['tip'])
+    frames = RobotFrames(model, ['link'], ['tip'])
     position, rotation = frames.find('tip', 'a test').pose(data)
     np.testing.assert_allclose(position, [1.0, 2.5, 3.0], atol=1e-12)
     np.testing.assert_allclose(rotation, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)

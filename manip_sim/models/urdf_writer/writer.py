@@ -60,10 +60,10 @@ def write_urdf(model: mujoco.MjModel, robot: RobotModel,
     :param lidars: names of the lidars of the world
     """
     name = robot.name.removesuffix(str(robot.idn))
-    return _Writer(model, robot_tree(model, robot, lidars), name, meshes or {}).write(hardware)
+    return _UrdfWriter(model, robot_tree(model, robot, lidars), name, meshes or {}).write(hardware)
 
 
-class _Writer:
+class _UrdfWriter:
     """
     Writer of the URDF of one robot.
 

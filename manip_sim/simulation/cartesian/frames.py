@@ -57,7 +57,7 @@ class Frame:
         return np.ascontiguousarray(jacobian[:, dofs])
 
 
-class Frames:
+class RobotFrames:
     """
     The frames of a robot by name.
 

@@ -12,7 +12,7 @@ import mujoco
 
 from manip_sim.arrays import IntArray
 from manip_sim.models.robots import RobotModel
-from manip_sim.simulation.cartesian.frames import Frame, Frames
+from manip_sim.simulation.cartesian.frames import Frame, RobotFrames
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.wrench import EndEffectorReader
 
@@ -59,7 +59,7 @@ def find_hands(model: mujoco.MjModel, robot: RobotModel, parts: Mapping[str, Par
 
 
 def find_frames(model: mujoco.MjModel, robot: RobotModel,
-                end_effectors: Mapping[str, EndEffectorReader]) -> Frames:
+                end_effectors: Mapping[str, EndEffectorReader]) -> RobotFrames:
     """
     Return the links of a robot and of what is mounted on it, and the sites of its grippers.
 
@@ -67,5 +67,5 @@ def find_frames(model: mujoco.MjModel, robot: RobotModel,
     :param end_effectors: readers of the grippers, by arm
     """
     bodies = [*robot.bodies, *(body for part in robot.models for body in part.bodies)]
-    return Frames(model, bodies, [site for reader in end_effectors.values()
-                                  for site in (reader.grip_site, reader.ft_frame)])
+    return RobotFrames(model, bodies, [site for reader in end_effectors.values()
+                                       for site in (reader.grip_site, reader.ft_frame)])

@@ -16,7 +16,7 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.simulation.cartesian.commands import CartesianPose, CartesianTwist, PoseAction
-from manip_sim.simulation.cartesian.frames import Frames, rotation_of
+from manip_sim.simulation.cartesian.frames import RobotFrames, rotation_of
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.numbers import action_example, clamp, finite_numbers
@@ -32,7 +32,7 @@ class CartesianParser:
     :param frames: of the robot
     """
 
-    def __init__(self, robot: RobotModel, joints: JointController, frames: Frames) -> None:
+    def __init__(self, robot: RobotModel, joints: JointController, frames: RobotFrames) -> None:
         self._robot = robot
         self._joints = joints
         self._frames = frames

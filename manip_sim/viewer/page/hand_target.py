@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.page_commands import Commands, Following
+from manip_sim.viewer.page.page_commands import Following, PageCommands
 
 _SCALE = 0.18
 #: A hand that moves less between two calls [m] is still.
@@ -29,7 +29,7 @@ class HandTarget:
     :param commands: receives what people command
     """
 
-    def __init__(self, scene: Any, space: str, arm: str, commands: Commands) -> None:
+    def __init__(self, scene: Any, space: str, arm: str, commands: PageCommands) -> None:
         self._space, self._arm, self._commands = space, arm, commands
         self._following = Following()
         self._asked = False

@@ -10,7 +10,7 @@ import math
 import time
 from typing import Any
 
-from manip_sim.viewer.page.page_commands import Commands, Events, Following
+from manip_sim.viewer.page.page_commands import Events, Following, PageCommands
 from manip_sim.viewer.page.plain_text import plain
 from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
 
@@ -45,7 +45,7 @@ class JointPanel:
     :ivar field: that its commands use
     """
 
-    def __init__(self, gui: Any, robot: Robot, part: ShownPart, field: str, commands: Commands,
+    def __init__(self, gui: Any, robot: Robot, part: ShownPart, field: str, commands: PageCommands,
                  events: Events, folded: bool = False, order: float = 0.0) -> None:
         self.field = field
         self._robot, self._part = robot, part
@@ -152,7 +152,7 @@ class DrivePanel:
     :param events: queue to the thread that updates the page
     """
 
-    def __init__(self, gui: Any, robot: Robot, commands: Commands, events: Events) -> None:
+    def __init__(self, gui: Any, robot: Robot, commands: PageCommands, events: Events) -> None:
         assert robot.twist is not None
         self._robot, self._commands = robot, commands
         self._stopped = True

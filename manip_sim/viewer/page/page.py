@@ -18,7 +18,7 @@ from manip_sim.viewer.page.joint_panel import DrivePanel, JointPanel
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Overlays, Scene
-from manip_sim.viewer.page.page_commands import Commands, Events
+from manip_sim.viewer.page.page_commands import Events, PageCommands
 from manip_sim.viewer.page.panels import CameraPanel, SimulationPanel, ViewPanel
 from manip_sim.viewer.page.plain_text import PlainText
 from manip_sim.viewer.page.plots import PlotPanel
@@ -46,8 +46,9 @@ class Page:
     :param poses: those saved before
     """
 
-    def __init__(self, server: Any, commands: Commands | None, watch: Callable[[str, bool], None],
-                 dark: bool = False, poses: Poses | None = None) -> None:
+    def __init__(self, server: Any, commands: PageCommands | None,
+                 watch: Callable[[str, bool], None], dark: bool = False,
+                 poses: Poses | None = None) -> None:
         self._server, self._commands, self._watch = server, commands, watch
         self._saved_poses = poses or Poses()
         self.events = Events()
@@ -235,7 +236,7 @@ class Page:
                     panel.show(now_s, dict(zip(states.names, states.position)),
                                dict(zip(states.names, states.velocity)), paused)
 
-    def _panel(self, commands: Commands, robot: Robot, part: ShownPart, number: int
+    def _panel(self, commands: PageCommands, robot: Robot, part: ShownPart, number: int
                ) -> JointPanel | None:
         """Return the panel of a part for its present commands; None if it needs none."""
         field = self._fields.get(f'{robot.title}/{part.name}'.lstrip('/'), _POSITION)
@@ -255,7 +256,7 @@ class Page:
                     order=float(number))
         return found
 
-    def _change_drive(self, commands: Commands, robot: Robot, wanted: bool) -> None:
+    def _change_drive(self, commands: PageCommands, robot: Robot, wanted: bool) -> None:
         if wanted:
             with self._control:
                 self._drives[robot.space] = DrivePanel(

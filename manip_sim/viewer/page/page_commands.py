@@ -15,7 +15,7 @@ from manip_sim.arrays import FloatArray
 _HOLD_S = 1.0
 
 
-class Commands(Protocol):
+class PageCommands(Protocol):
     """
     A receiver of the commands that people give on the page; called in one thread.
 

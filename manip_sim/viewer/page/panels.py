@@ -16,7 +16,7 @@ from manip_sim.viewer.page.aiming import VIEWS
 from manip_sim.viewer.page.hand_target import HandTarget
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.model_scene import Scene
-from manip_sim.viewer.page.page_commands import Commands, Events
+from manip_sim.viewer.page.page_commands import Events, PageCommands
 from manip_sim.viewer.page.plain_text import Line, plain, PlainText
 
 _COLORS = {'running': '#2f9e44', 'paused': '#f08c00', 'waiting': '#868e96', 'gone': '#e03131',
@@ -32,14 +32,14 @@ class SimulationPanel:
     :param events: queue to the thread that updates the page
     """
 
-    def __init__(self, gui: Any, commands: Commands | None, events: Events) -> None:
+    def __init__(self, gui: Any, commands: PageCommands | None, events: Events) -> None:
         self._paused = False
         self._buttons: Any = None
         self._state = PlainText(gui)
         if commands is not None:
             self._add_buttons(gui, commands, events)
 
-    def _add_buttons(self, gui: Any, commands: Commands, events: Events) -> None:
+    def _add_buttons(self, gui: Any, commands: PageCommands, events: Events) -> None:
         self._buttons = gui.add_button_group(
             'Simulation', ('Pause', 'Step'),
             hint='Step: one control period of a paused simulation')

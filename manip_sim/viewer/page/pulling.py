@@ -16,7 +16,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.kinematics import Kinematics
 from manip_sim.viewer.page.model_scene import Scene
-from manip_sim.viewer.page.page_commands import Commands, Events
+from manip_sim.viewer.page.page_commands import Events, PageCommands
 
 #: A pull of the node ends 0.2 s after it was last asked for; time between two requests [s].
 _PERIOD_S = 0.05
@@ -52,7 +52,7 @@ class Pulling:
     :param events: queue to the thread that updates the page
     """
 
-    def __init__(self, gui: Any, commands: Commands, events: Events) -> None:
+    def __init__(self, gui: Any, commands: PageCommands, events: Events) -> None:
         self._commands, self._events = commands, events
         self._scene: Scene | None = None
         self._drag: _Drag | None = None

@@ -15,7 +15,7 @@ from typing import Any
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import quoted
 from manip_sim.viewer.page.latest import Latest
-from manip_sim.viewer.page.page_commands import Commands, Events
+from manip_sim.viewer.page.page_commands import Events, PageCommands
 from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
 
 _NAME = re.compile(r'\w[\w -]{0,39}')
@@ -118,7 +118,7 @@ class PosePanel:
     :param notify: called with what could not be done, for people
     """
 
-    def __init__(self, gui: Any, poses: Poses, robots: Sequence[Robot], commands: Commands,
+    def __init__(self, gui: Any, poses: Poses, robots: Sequence[Robot], commands: PageCommands,
                  events: Events, notify: Callable[[str], None]) -> None:
         self._poses, self._robots = poses, robots
         self._commands, self._notify = commands, notify

@@ -82,7 +82,7 @@ class CommandSender:
         self._waiting.clear()
 
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
-        """Publish goals of joints; see :class:`Commands`, as for all that follows."""
+        """Publish goals of joints; see :class:`PageCommands`, as for all that follows."""
         message = JointState(name=list(goals), **{field: list(goals.values())})
         self._publish(f'{space}{part}/joint_command', message)
 
