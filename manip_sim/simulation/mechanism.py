@@ -103,13 +103,14 @@ def _coupled(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
 
 
 def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
-    """Yield the joints that each constraint holds on their own, or by a weld to the world."""
+    """Yield the joints that a constraint holds alone, or by a weld to world or a mocap body."""
     for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
         if other < 0:
             yield (one,)
     for equality, one, other in _equalities(model, _EQUALITY.mjEQ_WELD):
         bodies = _tied_bodies(model, equality, one, other)
-        if not all(int(model.body_weldid[body]) for body in bodies):
+        if any(not int(model.body_weldid[body]) or int(model.body_mocapid[body]) >= 0
+               for body in bodies):
             yield joints_between(model, *bodies)
 
 

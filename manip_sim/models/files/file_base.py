@@ -43,6 +43,8 @@ class FileBase(RobotBaseModel, registered=False):
         self._model_file, self._loose_actuators = model_file, loose
         self._top = top
         self.inferred = model_file.inferred
+        if model_file.mocap is not None:
+            self.inferred += model_file.mocap.left_out()
         self._keyframes = model_file.keyframes
         super().__init__(model_file.file, idn=idn)
 

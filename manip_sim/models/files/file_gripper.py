@@ -140,6 +140,8 @@ class FileGripper(HandFromFile, registered=False):
         model_file = read_model(self.file, _KEYFRAMES, keyframe,
                                 xacro_args=declared.xacro_values)
         self.inferred = model_file.inferred
+        if model_file.mocap is not None:
+            self.inferred += model_file.mocap.left_out()
         self._keyframes = model_file.keyframes
         self._start = start_pose(model_file, declared.start, self._where)
         spec = model_file.spec

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
+from manip_sim.models.bases import MobileBaseModel
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.plan_description import described_plan
 from manip_sim.models.files.robot_plan import RobotPlan
@@ -53,6 +56,22 @@ class FileRobot(RobotModel, registered=False):
                            if name not in not_ours | self._plan.loose_actuators]
         for hand in hands:
             hand.bind(self, self._own_model)
+
+    def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
+                  floor_xpos: ArrayLike | None = None) -> None:
+        """
+        Add a copy of the robot, of all that is mounted on it and of the file's mocap bodies.
+
+        On a mobile base, the mocap bodies are left out.
+
+        :param spec: as for :meth:`RobotModel.attach_to`, and the others too
+        """
+        super().attach_to(spec, frame, floor_xpos)
+        if self._plan.mocap is None or isinstance(self.base, MobileBaseModel):
+            return
+        in_file, root = self._own_model.body(self._root().name), spec.body(self.root_body)
+        self._plan.mocap.add_to(spec, self.naming_prefix, self.name, *(
+            np.concatenate([place.pos, place.quat]) for place in (in_file, root)))
 
     @property
     def name(self) -> str:

@@ -17,6 +17,7 @@ from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
+from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf, masses_from_shapes
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
@@ -107,6 +108,7 @@ class ModelFile:
     :ivar start: where scalar joints start, by name [rad or m]
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
+    :ivar mocap: its mocap bodies, which the spec has no more, or None
     """
 
     file: Path
@@ -115,6 +117,7 @@ class ModelFile:
     start: dict[str, float]
     inferred: list[str] = field(default_factory=list)
     keyframes: dict[str, dict[str, float]] = field(default_factory=dict)
+    mocap: MocapBodies | None = None
 
 
 def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
@@ -143,6 +146,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     else:
         qpos = model.key_qpos[key]
         notes += [f"start pose: keyframe '{model.key(key).name}'"] if wanted is None else []
+    mocap = find_mocap_bodies(spec, model, key)
     start, named = positions_of(model, qpos), keyframes_of(model)
     notes += _place_root(spec, model, qpos)
     for old in list(spec.keys):
@@ -153,7 +157,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
-    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named)
+    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named, mocap)
 
 
 def _infer_inertias_once(spec: mujoco.MjSpec) -> None:

@@ -129,6 +129,8 @@ class RobotDescription(Description):
     placement: dict[Name, Vector] = {}
     #: Point that stands on a base or the floor, in the frame of the root body [m].
     foot: Vector | None = None
+    #: Whether mocap bodies of the file come with the robot.
+    mocap: Annotated[bool, Field(strict=True)] = True
     #: By joint [rad/s or m/s].
     velocity_limits: dict[Name, Annotated[Number, Field(gt=0.0)]] = {}
 

@@ -19,6 +19,7 @@ from manip_sim.models.files.classification import classify_joints
 from manip_sim.models.files.found_hands import (
     find_hands, FINGERS, FoundHand, hand_below, lone_hand)
 from manip_sim.models.files.found_places import add_body_at, find_place, free_name
+from manip_sim.models.files.mocap_bodies import MocapBodies
 from manip_sim.models.files.model_file import ModelFile, read_model
 from manip_sim.models.files.overlaps import exclude_overlaps
 from manip_sim.models.files.own_hand import OwnHand
@@ -172,6 +173,7 @@ class RobotPlan:
     :ivar loose_actuators: names of the actuators that are of no part
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
+    :ivar mocap: the mocap bodies that come with the robot, or None
     """
 
     file: Path
@@ -186,6 +188,7 @@ class RobotPlan:
     loose_actuators: set[str]
     inferred: list[str]
     keyframes: dict[str, dict[str, float]]
+    mocap: MocapBodies | None
 
 
 def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPlan:
@@ -204,6 +207,10 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
         raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
     notes += exclude_overlaps(spec, tree.model, start, file)
+    mocap = model_file.mocap
+    if mocap is not None:
+        notes += mocap.notes() if description.mocap else mocap.left_out()
+        mocap = mocap.at_start(tree.model, start) if description.mocap else None
     _check_joints(tree, description, where)
     found = _find_hands(tree, description, where)
     subsystems = classify_joints(tree, description.subsystems,
@@ -229,7 +236,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
     return RobotPlan(file, description, where, spec, start, by_name, ends, own, arms, loose,
-                     notes, model_file.keyframes)
+                     notes, model_file.keyframes, mocap)
 
 
 def _raised(model_file: ModelFile, description: RobotDescription) -> RobotDescription:

@@ -31,8 +31,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
     Leave out what is not part of a robot or hand, and put the rest below one root body.
 
     Left out are lights and grounds of the world body, its cameras, other shapes and sites if the
-    only root is free, mocap bodies, empty bodies, free bodies without actuators if there are other
-    roots, and roots without joints if only one other has some.
+    only root is free, mocap bodies (without a sentence), empty bodies, free bodies without
+    actuators if there are other roots, and roots without joints if only one other has some.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
     :param model: the same, compiled
@@ -113,8 +113,10 @@ def _leave_out(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     for what, elements in (('lights', list(world.lights)), ('grounds', grounds),
                            ('bodies', objects)):
         names = [element.name for element in elements if element.name]
-        if elements:
-            notes.append(f'left out: {len(elements)} {what} of the world body'
+        if elements is objects:  # Of mocap bodies, who reads the file says what becomes of them.
+            names = [body.name for body in objects if not body.mocap]
+        if names or (elements and elements is not objects):
+            notes.append(f'left out: {len(names) or len(elements)} {what} of the world body'
                          + (f' ({quoted_names(names)})' if names else ''))
         if elements is not objects:
             delete_elements(spec, elements)

@@ -1,0 +1,228 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The mocap bodies of a robot's file, and what they hold of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+import re
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+from manip_sim.models.naming import TakenNames
+from manip_sim.models.quaternion import relative_quat_wxyz
+from manip_sim.models.spec_edits import attach, delete_elements, rename_body
+from manip_sim.quoting import quoted_names
+
+_WELD = int(mujoco.mjtEq.mjEQ_WELD)
+_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
+#: What names of shapes and materials of mocap bodies begin with, behind the robot's prefix.
+_APART = 'mocap_'
+
+
+@dataclass(frozen=True)
+class Weld:
+    """
+    A weld constraint between a mocap body and another body.
+
+    :ivar name: of the constraint, may be empty
+    :ivar bodies: names in the file, in its order
+    :ivar data: as compiled, with the relative pose, shape (11,)
+    :ivar active: whether it holds at the start
+    :ivar solref: of the constraint
+    :ivar solimp: of the constraint
+    """
+
+    name: str
+    bodies: tuple[str, str]
+    data: FloatArray
+    active: bool
+    solref: FloatArray
+    solimp: FloatArray
+
+    def rest_of_mocap(self, names: Collection[str], places: Mapping[str, FloatArray]
+                      ) -> tuple[str, FloatArray]:
+        """
+        Return the mocap body of the weld, and its pose at which the weld is at rest, shape (7,).
+
+        :param names: of mocap bodies
+        :param places: position and quaternion w, x, y, z of the other bodies, shape (7,)
+        """
+        # MuJoCo keeps the anchor in the second body, that in the first one, and the rotation from
+        # the first to the second one.
+        anchors, turn, whole = [self.data[3:6], self.data[:3]], self.data[6:10].copy(), np.empty(4)
+        mocap = 0 if self.bodies[0] in names else 1
+        place = places[self.bodies[1 - mocap]]
+        if mocap == 0:
+            mujoco.mju_negQuat(turn, turn.copy())
+        mujoco.mju_mulQuat(whole, place[3:], turn)
+        point, back = np.empty(3), np.empty(3)
+        mujoco.mju_rotVecQuat(point, anchors[1 - mocap], place[3:])
+        mujoco.mju_rotVecQuat(back, anchors[mocap], whole)
+        return self.bodies[mocap], np.concatenate([place[:3] + point - back, whole])
+
+
+@dataclass(frozen=True)
+class MocapBodies:
+    """
+    The mocap bodies of a file.
+
+    :ivar spec: the file with nothing else, not to be changed
+    :ivar names: in the file
+    :ivar poses: position [m] and quaternion w, x, y, z at the start, by name, shape (7,)
+    :ivar welds: between them and other bodies
+    :ivar from_keyframe: whether a keyframe says where they start
+    """
+
+    spec: Any
+    names: tuple[str, ...]
+    poses: dict[str, FloatArray]
+    welds: tuple[Weld, ...]
+    from_keyframe: bool
+
+    def notes(self) -> list[str]:
+        """Return what a user has to know of them, in sentences."""
+        said = [f'mocap bodies: {quoted_names(list(self.names))}']
+        held = sorted({body for weld in self.welds if weld.active
+                       for body in weld.bodies if body not in self.names})
+        if held:
+            said.append(f'welds pull {quoted_names(held)} to mocap bodies, against commands of '
+                        "joints; 'mocap: false' in a YAML file leaves these bodies out")
+        return said
+
+    def at_start(self, model: mujoco.MjModel, start: Mapping[str, float]) -> MocapBodies:
+        """
+        Return them where their welds are at rest when the robot starts, unless a keyframe says.
+
+        :param model: the robot, compiled
+        :param start: where its scalar joints start, by name [rad or m]
+        """
+        if self.from_keyframe:
+            return self
+        data = mujoco.MjData(model)
+        for joint, position in start.items():
+            data.joint(joint).qpos[0] = position
+        mujoco.mj_kinematics(model, data)
+        places = {name: np.concatenate([data.body(name).xpos, data.body(name).xquat])
+                  for weld in self.welds for name in weld.bodies if name not in self.names}
+        return replace(self, poses={**self.poses, **dict(
+            weld.rest_of_mocap(self.names, places) for weld in self.welds[::-1] if weld.active)})
+
+    def left_out(self) -> list[str]:
+        """Return that they are left out, in sentences."""
+        return [f'left out: mocap bodies {quoted_names(list(self.names))}']
+
+    def add_to(self, spec: mujoco.MjSpec, prefix: str, part: str, before: FloatArray,
+               after: FloatArray) -> None:
+        """
+        Add them to a composition that has the robot.
+
+        :param spec: of the composition
+        :param prefix: what the names of the robot begin with
+        :param part: the robot, for messages
+        :param before: pose of the robot's root in its file, position and w, x, y, z, shape (7,)
+        :param after: its pose in the composition
+        :raises ModelError: if a name is taken
+        """
+        own = self.spec.copy()
+        TakenNames(spec).add(own, prefix + _APART, part)
+        attach(spec, own, prefix + _APART, spec.worldbody.add_frame())
+        for name in self.names:
+            body = spec.body(prefix + _APART + name)
+            rename_body(spec, body, prefix + _as_topic(name))
+            body.pos, body.quat = _moved(self.poses[name], before, after)
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        for weld in self.welds:
+            first, second = (prefix + (_as_topic(body) if body in self.names else body)
+                             for body in weld.bodies)
+            equality = spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=first,
+                name2=second, data=weld.data, active=weld.active, solref=weld.solref,
+                solimp=weld.solimp)
+            if weld.name:
+                equality.name = prefix + weld.name
+
+
+def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | None
+                      ) -> MocapBodies | None:
+    """
+    Return the mocap bodies of a file, or None.
+
+    :param spec: the file, not changed
+    :param model: the same, compiled
+    :param key: id of the keyframe that the robot starts from, or None
+    """
+    bodies = {str(model.body(body).name): int(model.body_mocapid[body])
+              for body in np.flatnonzero(model.body_mocapid >= 0).tolist()}
+    if not bodies:
+        return None
+    poses = {}
+    for name, mocap in bodies.items():
+        position = model.body(name).pos if key is None else model.key_mpos[key].reshape(-1, 3)[
+            mocap]
+        quat = model.body(name).quat if key is None else model.key_mquat[key].reshape(-1, 4)[mocap]
+        poses[name] = np.concatenate([position, quat])
+    return MocapBodies(_alone(spec, set(bodies)), tuple(bodies), poses, tuple(
+        _weld(model, equality) for equality in range(model.neq) if _ties(model, equality)),
+        key is not None)
+
+
+def _ties(model: mujoco.MjModel, equality: int) -> bool:
+    """Return whether an equality is a weld of a mocap body to a body that is not the world."""
+    if int(model.eq_type[equality]) != _WELD or int(model.eq_objtype[equality]) != _BODY:
+        return False
+    ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
+    mocap = [int(model.body_mocapid[end]) >= 0 for end in ends]
+    return any(mocap) and not all(mocap) and all(ends)
+
+
+def _weld(model: mujoco.MjModel, equality: int) -> Weld:
+    first, second = (str(model.body(int(body)).name) for body in (
+        model.eq_obj1id[equality], model.eq_obj2id[equality]))
+    return Weld(str(model.equality(equality).name), (first, second),
+                model.eq_data[equality].copy(), bool(model.eq_active0[equality]),
+                model.eq_solref[equality].copy(), model.eq_solimp[equality].copy())
+
+
+def _alone(spec: mujoco.MjSpec, names: set[str]) -> Any:
+    """Return a copy of a spec that has some bodies of the world, what they show, and no more."""
+    own = spec.copy()
+    world = own.worldbody
+    delete_elements(own, [*own.keys, *own.sensors])
+    delete_elements(own, [*world.geoms, *world.sites, *world.cameras, *world.lights])
+    for body in list(world.bodies):
+        if body.name not in names:
+            own.delete(body)
+    delete_elements(own, [*own.equalities, *own.excludes, *own.pairs, *own.actuators,
+                          *own.tendons])
+    shapes = own.geoms
+    meshes = {geom.meshname for geom in shapes}
+    materials = {element.material for element in [*shapes, *own.sites]}
+    textures = {texture for material in own.materials if material.name in materials
+                for texture in material.textures}
+    for elements, used in ((own.meshes, meshes), (own.materials, materials),
+                           (own.textures, textures), (own.hfields, {g.hfieldname for g in shapes}),
+                           (own.skins, set()), (own.flexes, set())):
+        delete_elements(own, [element for element in elements if element.name not in used])
+    return own
+
+
+def _as_topic(name: str) -> str:
+    """Return a name with underscores for what names of topics cannot have."""
+    return re.sub('[^A-Za-z0-9_]', '_', name)
+
+
+def _moved(pose: FloatArray, before: FloatArray, after: FloatArray
+           ) -> tuple[FloatArray, FloatArray]:
+    """Return the position and quaternion of a pose that moves with a body."""
+    back, pos, quat = np.empty(4), np.empty(3), np.empty(4)
+    mujoco.mju_negQuat(back, before[3:])
+    mujoco.mju_rotVecQuat(pos, pose[:3] - before[:3], back)
+    mujoco.mju_rotVecQuat(pos, pos.copy(), after[3:])
+    mujoco.mju_mulQuat(quat, after[3:], relative_quat_wxyz(before[3:], pose[3:]))
+    return pos + after[:3], quat
