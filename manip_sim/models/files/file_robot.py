@@ -64,7 +64,9 @@ class FileRobot(RobotModel, registered=False):
 
         On a mobile base, the mocap bodies are left out.
 
-        :param spec: as for :meth:`RobotModel.attach_to`, and the others too
+        :param spec: the spec to add to
+        :param frame: the frame of that spec to attach the robot to
+        :param floor_xpos: as for :meth:`RobotModel.attach_to`
         """
         super().attach_to(spec, frame, floor_xpos)
         if self._plan.mocap is None or isinstance(self.base, MobileBaseModel):
