@@ -156,7 +156,10 @@ class SimNode(Node):
         self._truths: list[tuple[Scope, Callable[[], None], bool]] = []
         self._cartesian = []
         #: What uses the value of a live parameter, by its name.
-        self._uses: dict[str, Callable[[float], None]] = {}
+        self._uses: dict[str, Callable[[Any], None]] = {
+            'real_time_factor': self.thread.set_real_time_factor,
+            'pause_at': self.thread.pause_at, 'seed': self.thread.set_seed,
+            'keyframe': partial(setattr, self.simulation, 'keyframe')}
         for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
@@ -265,18 +268,8 @@ class SimNode(Node):
         # After the end of the simulation there is nothing to change.
         with contextlib.suppress(SimulationEnded):
             for parameter in parameters:
-                if parameter.name == 'real_time_factor':
-                    self.thread.set_real_time_factor(parameter.value)
-                if parameter.name == 'pause_at':
-                    self.thread.pause_at(parameter.value)
-                if parameter.name == 'seed':
-                    self.thread.set_seed(parameter.value)
-                if parameter.name == 'keyframe':
-                    self.thread.call(partial(
-                        setattr, self.simulation, 'keyframe', parameter.value))
                 if parameter.name in self._uses:
-                    change = partial(self._uses[parameter.name], parameter.value)
-                    self.thread.call(change)
+                    self.thread.call(partial(self._uses[parameter.name], parameter.value))
                     self._publish_truth()
                 for cartesian in self._cartesian:
                     cartesian.parameter_changed(parameter)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -14,7 +15,6 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.models.bases import MobileBaseModel
 from manip_sim.models.files.own_hand import OwnHand
-from manip_sim.models.files.plan_description import described_plan
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import GripperModel
@@ -84,7 +84,7 @@ class FileRobot(RobotModel, registered=False):
     def described(self) -> dict[str, Any]:
         """The file's description, with all that was inferred, as the keys of a YAML file."""
         model = self._own_model
-        return described_plan(self._plan, {
+        return _described_plan(self._plan, {
             str(model.joint(joint).name): model.jnt_range[joint] for joint in range(model.njnt)
             if model.jnt_limited[joint]})
 
@@ -179,3 +179,32 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         self._record()
         self.update_joints()
         self.update_actuators()
+
+
+def _described_plan(plan: RobotPlan, ranges: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """
+    Return the description of a robot with all that was inferred, so that nothing is left to infer.
+
+    :param ranges: of the joints, by name in the file [rad or m], shape (2,)
+    :returns: the keys of a robot's YAML file beside the model
+    """
+    given = plan.description.model_dump(exclude_unset=True)
+    arms = {side: _arm(plan, side) for side in plan.ends}
+    return {**given, 'model': plan.file.name, 'arms': arms or 'none',
+            'subsystems': {**dict(plan.subsystems), **given.get('subsystems', {})},
+            'start': {
+                joint: at if joint not in ranges else float(np.clip(at, *ranges[joint]))
+                for joint, at in plan.start.items()}}
+
+
+def _arm(plan: RobotPlan, side: str) -> dict[str, Any]:
+    declared = plan.description.arm(side)
+    given = {} if declared is None else declared.model_dump(exclude_unset=True)
+    found = {**given, 'mount': given.get('mount', plan.arms[side].name)}
+    hand = plan.hands.get(side)
+    if hand is None:
+        return {**found, 'hand': 'none'}
+    own = given.get('hand')
+    return {**found, 'hand': {
+        **(own if isinstance(own, dict) else {}), 'body': hand.body,
+        'grasp_point': hand.grasp_point.model_dump(), 'closing': hand.closing}}

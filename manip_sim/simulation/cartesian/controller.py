@@ -17,7 +17,6 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
 from manip_sim.simulation.cartesian.commands import CartesianCommand, CartesianPose
-from manip_sim.simulation.cartesian.goals import target_of
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, STILL, stop)
@@ -26,7 +25,7 @@ from manip_sim.simulation.cartesian.operational_space_controller import (
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
 from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
-from manip_sim.simulation.cartesian.targets import pose_error, Target
+from manip_sim.simulation.cartesian.targets import pose_error, Target, target_of
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose

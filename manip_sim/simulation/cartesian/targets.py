@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a hand is to do: a goal pose, or a twist that moves it."""
+"""What a hand is to do: a goal pose, or a twist that moves it; made when a command begins."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ import numpy as np
 
 from manip_sim.algebra import dot, length, product, transposed_product
 from manip_sim.arrays import FloatArray
-from manip_sim.simulation.cartesian.frames import Frame, rotation_of_vector, rotation_vector
+from manip_sim.simulation.cartesian.commands import (
+    CartesianCommand, CartesianPose, CartesianTwist, PoseAction)
+from manip_sim.simulation.cartesian.frames import (
+    Frame, rotation_of_vector, rotation_vector, WORLD)
+from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
+#: How far an action of 1 moves and turns the goal [m], [rad]; robosuite's defaults for OSC_POSE.
+_ACTION_STEP, _ACTION_TURN = 0.05, 0.5
 
 
 @dataclass
@@ -155,3 +161,42 @@ def pose_error(goal: tuple[FloatArray, FloatArray], here: tuple[FloatArray, Floa
     np.subtract(goal[0], here[0], out=error[:3])
     error[3:] = rotation_vector(product(goal[1], here[1].T))
     return error
+
+
+def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data: mujoco.MjData,
+              before: Target | None, until_s: float) -> Target:
+    """
+    Return the target of a command.
+
+    :param hand: the hand that the target is for
+    :param model: the ``mujoco.MjModel``
+    :param data: the ``mujoco.MjData`` after ``mj_forward``
+    :param before: the target that a stream of twists has moved until now, or None
+    :param until_s: simulation time when a twist ends [s]
+    """
+    if isinstance(command, CartesianPose):
+        origin, turned = command.frame.pose(data)
+        anchor = Frame(WORLD, 0) if _moves(hand, command.frame, model) else command.frame
+        return Target.at(anchor, origin + product(turned, command.position),
+                         product(turned, command.rotation), data)
+    position, rotation = hand.tip.pose(data)
+    if isinstance(command, PoseAction):
+        _, axes = hand.origin.pose(data)
+        turn = rotation_of_vector(product(axes, _ACTION_TURN * command.action[3:]))
+        return Target.at(hand.origin, position + product(axes, _ACTION_STEP * command.action[:3]),
+                         product(turn, rotation), data)
+    assert isinstance(command, CartesianTwist)
+    if before is not None:
+        position, rotation = before.goal(data)
+    target = Target.at(hand.origin, position, rotation, data)
+    target.axes, target.twist, target.until_s = command.frame, command.twist, until_s
+    return target
+
+
+def _moves(hand: Hand, frame: Frame, model: mujoco.MjModel) -> bool:
+    """Return whether an arm moves a frame."""
+    own = set(model.jnt_bodyid[np.isin(model.jnt_qposadr, hand.qpos)].tolist())
+    body = frame.body
+    while body and body not in own:
+        body = int(model.body_parentid[body])
+    return body != 0
