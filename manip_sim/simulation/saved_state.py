@@ -281,6 +281,9 @@ class _Encoder:
                 yield from self.value(member)
         elif isinstance(value, CommandHandle) and not value.is_active:
             yield b'ended'
+        elif is_frozen(value) and type(value).__dataclass_params__.eq:
+            # Which of several equal objects it is makes no difference.
+            yield from self.members(value)
         elif id(value) in self._number_of:
             yield b'#%d' % self._number_of[id(value)]
         else:

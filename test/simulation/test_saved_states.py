@@ -110,6 +110,18 @@ def test_a_restored_state_continues_to_the_last_bit(panda, before, between, afte
     assert run(panda, after) == expected
 
 
+@pytest.mark.parametrize('kind', ['stream', 'gripper', 'pose', 'twist', 'trajectory'])
+def test_commands_on_their_way_are_the_same_after_restoring(panda, kind):
+    anew(panda, 1)
+    panda.robot.sensing.set('latency.command', 0.03)
+    run(panda, [kind])
+    state = panda.save()
+    expected = run(panda, [kind] * 3, begin=1)
+    panda.restore(state)
+    assert run(panda, [kind] * 3, begin=1) == expected
+    panda.robot.sensing.set('latency.command', 0.0)
+
+
 @pytest.mark.parametrize('name', ROBOTS.names())
 def test_every_robot_continues_and_starts_again_to_the_last_bit(name):
     simulation = Simulation(compose(name, arena='table'))
