@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 import hashlib
 import io
 from pathlib import Path, PurePosixPath
@@ -155,17 +156,42 @@ def load_archive(data: bytes) -> mujoco.MjModel:
         return compile_spec(load_spec(Path(folder, _MODEL)), 'the model of the archive')
 
 
+def unpacked_file(data: bytes, name: str, max_bytes: int) -> bytes:
+    """
+    Return a file of an archive from anywhere.
+
+    :param data: the archive
+    :param name: of the file in it
+    :param max_bytes: that are unpacked
+    :raises ModelError: if there is no such file, or it is larger or cannot be unpacked
+    """
+    _check_list(data)
+    with _explained(), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        info = {info.filename: info for info in archive.infolist()}.get(name)
+        if info is None:
+            raise ModelError(f'the archive has no {name}')
+        if info.file_size > max_bytes:
+            raise ModelError(f'{name} in the archive has {info.file_size} bytes, and at most '
+                             f'{max_bytes} are unpacked')
+        return _read(archive, info)
+
+
 def _unpacked(data: bytes) -> dict[str, bytes]:
     """Return the files of an archive by their names; all bounds are checked before."""
     if len(data) > MAX_ARCHIVE_BYTES:
         raise ModelError(f'the archive has {len(data)} bytes, and at most {MAX_ARCHIVE_BYTES} '
                          'are unpacked')
     _check_list(data)
+    with _explained(), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        files = [info for info in archive.infolist() if not info.is_dir()]
+        _check_files(files, len(data))
+        return {info.filename: _read(archive, info) for info in files}
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            files = [info for info in archive.infolist() if not info.is_dir()]
-            _check_files(files, len(data))
-            return {info.filename: _read(archive, info) for info in files}
+        yield
     # RuntimeError: it is encrypted.
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, OSError) as error:
         if isinstance(error, ModelError):

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import os
 from pathlib import Path
 import stat
+import sys
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line, quoted
@@ -23,7 +24,7 @@ def read_file(file: Path, kind: str, max_bytes: int) -> bytes:
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     with _explained(file, kind):
-        descriptor = _opened(file, max_bytes)
+        descriptor = opened(file, max_bytes)
         with open(descriptor, 'rb') as stream:
             return stream.read(max_bytes)
 
@@ -36,10 +37,15 @@ def check_file(file: Path, kind: str, max_bytes: int) -> None:
     :raises ModelError: if it is missing, not a regular file, too large or not readable
     """
     with _explained(file, kind):
-        os.close(_opened(file, max_bytes))
+        os.close(opened(file, max_bytes))
 
 
-def _opened(file: Path, max_bytes: int) -> int:
+def opened(file: Path, max_bytes: int = sys.maxsize) -> int:
+    """
+    Return the descriptor of a file that is open for reading.
+
+    :raises OSError: if it is missing, not a regular file, too large or not readable
+    """
     # Opening a device can change its state, so it is looked at before and after.
     _check_status(os.stat(file), max_bytes)
     descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -122,7 +128,7 @@ class FilesBelow(Files):
                 raise ModelError(
                     f'{kind} {quoted(str(file), 200)} must not be read: only files below '
                     f'{self._what} may be: {", ".join(one_line(str(f)) for f in self._given)}')
-            descriptor = _opened(file, max_bytes)
+            descriptor = opened(file, max_bytes)
             with open(descriptor, 'rb') as stream:
                 # A link may have changed since; this is the file that is open.
                 if not self._has(Path(f'/proc/self/fd/{descriptor}')):

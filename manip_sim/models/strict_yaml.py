@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from manip_sim.errors import ModelError
+from manip_sim.models.regular_files import opened
 from manip_sim.quoting import one_line, quoted, shown
 
 _MAX_BYTES = 1_000_000
@@ -52,12 +53,13 @@ def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictL
     """
     path = Path(file)
     try:
-        with path.open('rb') as stream:
+        with open(opened(path), 'rb') as stream:
             content = stream.read(_MAX_BYTES + 1)
     except FileNotFoundError:
         raise ModelError(f'no such YAML file: {path}') from None
-    except OSError as error:
-        raise ModelError(f'{path} cannot be read: {error.strerror}') from error
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path.
+        raise ModelError(f'{one_line(str(path))} cannot be read: '
+                         f'{getattr(error, "strerror", error)}') from error
     return parse_yaml(content, str(path), loader)
 
 

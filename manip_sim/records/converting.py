@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-import shutil
+import tempfile
 
 from manip_sim.errors import RecordError
 from manip_sim.records.frames import Frames
@@ -39,42 +39,37 @@ def convert(paths: Iterable[Path], name: str, target: Path,
     if not target.parent.is_dir():
         raise RecordError(f'no such folder: {target.parent}')
     notes: list[str] = []
-    done = 0
+    done, where = 0, ''
 
     def frames() -> Iterator[Frames]:
-        nonlocal done
+        nonlocal done, where
         for path in paths:
             for recorded in Record(path).episodes():
                 if recorded.result is None or recorded.result.get('error'):
                     notes.append(f'{path}: episode {recorded.number} is not complete, and was '
                                  'left out')
                 elif recorded.success or not only_success:
-                    try:
-                        yield Frames(recorded)
-                    except RecordError as error:
-                        raise RecordError(f'{path}: {error}') from error
+                    where = f'{path}: '
+                    yield Frames(recorded)
+                    where = ''
                     done += 1
                     progress(done)
-    unfinished = target.with_name(f'.{target.name}.unfinished')
-    _remove(unfinished)
     try:
-        periods = FORMATS[name](frames(), unfinished)
-        unfinished.rename(target)
+        # Of its own name, as another process may write the same data set.
+        with tempfile.TemporaryDirectory(prefix='.unfinished', dir=target.parent) as folder:
+            unfinished = Path(folder, 'set')
+            periods = FORMATS[name](frames(), unfinished)
+            if target.exists():
+                raise RecordError(f'{target} is there by now, and is not overwritten')
+            unfinished.rename(target)
+    except RecordError as error:
+        raise RecordError(f'{where}{error}') from error
     except OSError as error:
         raise RecordError(f'{target}: {error.strerror or error}') from error
     except ImportError as error:
         raise RecordError(f"{name} needs the package {error.name}: "
                           "pip install 'manip_sim[records]'") from error
-    finally:
-        _remove(unfinished)
     return done, periods, notes
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def records_in(paths: Iterable[Path]) -> list[Path]:

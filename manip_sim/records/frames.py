@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-import io
 import json
 import re
 from typing import Any
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
+from manip_sim.quoting import quoted
+from manip_sim.records.gate import finite, image
 from manip_sim.records.recorded import RecordedEpisode
-from manip_sim.records.recorder import GOAL, REWARD, SUCCESS
+from manip_sim.records.recorder import ACTION, GOAL, REWARD, SUCCESS
 
 _IMAGE = re.compile(r'/(?P<camera>.+)/color/image_raw/compressed')
 
@@ -54,11 +56,15 @@ class Frames:
 
     def __init__(self, recorded: RecordedEpisode) -> None:
         self.recorded = recorded
-        self.actions = recorded.actions
+        self.actions = finite(recorded.actions, ACTION)
         self._count = len(self.actions)
-        if not self._count:
+        if not self.actions.size:
             raise RecordError(f'episode {recorded.number} has no actions')
-        self.rewards = np.array([m.data for m in recorded.decoded(REWARD, 'std_msgs/Float64')])
+        if not 0 <= recorded.seed < 2**63:
+            raise RecordError(f'episode {recorded.number} has the seed {quoted(recorded.seed)}, '
+                              'and data sets hold whole numbers below 2^63')
+        self.rewards = finite(np.array([
+            m.data for m in recorded.decoded(REWARD, 'std_msgs/Float64')]), REWARD)
         self.done = np.array([m.data for m in recorded.decoded(SUCCESS, 'std_msgs/Bool')], bool)
         for values, what in ((self.rewards, 'rewards'), (self.done, 'results')):
             self._check(len(values), what, self._count)
@@ -68,7 +74,7 @@ class Frames:
         self.objects: dict[str, Columns] = {}
         for topic in recorded.types:
             self._read(topic)
-        goal = recorded.arrays(GOAL)
+        goal = finite(recorded.arrays(GOAL), GOAL)
         self.goal = Columns(goal, [f'goal{index}' for index in range(goal.shape[1])]
                             ) if goal.size else None
 
@@ -80,13 +86,21 @@ class Frames:
             self._check(len(messages), topic)
             names = list(messages[0].name)
             for found, field in ((self.positions, 'position'), (self.velocities, 'velocity')):
-                found[robot] = Columns(_rows([getattr(m, field) for m in messages], topic,
-                                             len(names)), names)
+                self._add(found, robot, topic, Columns(
+                    _rows([getattr(m, field) for m in messages], topic, len(names)), names))
         elif last == 'eef_pose' and scope:
             name = '/'.join(scope if len(scope) > 1 else [next(iter(self.robots), ''), *scope])
-            self.hands[name] = self._poses(topic, name)
+            self._add(self.hands, name, topic, self._poses(topic, name))
         elif last == 'pose' and scope[:1] == ['objects']:
-            self.objects[scope[1]] = self._poses(topic, scope[1])
+            name = '/'.join(scope[1:])
+            self._add(self.objects, name, topic, self._poses(topic, name))
+
+    def _add(self, found: dict[str, Columns], name: str, topic: str, quantity: Columns) -> None:
+        if not name:
+            raise RecordError(f'{topic} does not say of what it is')
+        if name in found:
+            raise RecordError(f'{topic} is of {quoted(name)}, as another topic is')
+        found[name] = Columns(finite(quantity.values, topic), quantity.names)
 
     def _poses(self, topic: str, name: str) -> Columns:
         messages = self.recorded.decoded(topic, 'geometry_msgs/PoseStamped')
@@ -121,27 +135,24 @@ class Frames:
         return {match['camera']: topic for topic in self.recorded.types
                 if (match := _IMAGE.fullmatch(topic))}
 
-    def images(self, camera: str) -> list[NDArray[np.uint8]]:
+    def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
         """
-        Return the images of a camera, at the start and after each period but the last.
+        Yield the images of a camera, at the start and after each period but the last.
 
         :param camera: its name
-        :returns: arrays of shape (height, width, 3), rgb
+        :returns: arrays of one shape (height, width, 3), rgb
         :raises RecordError: if one is missing or cannot be read, or they differ in size
         """
-        from PIL import Image, UnidentifiedImageError
         topic = self.cameras[camera]
         messages = self.recorded.decoded(topic, 'sensor_msgs/CompressedImage')
         self._check(len(messages), topic)
-        try:
-            found = [np.asarray(Image.open(io.BytesIO(bytes(m.data)), formats=['JPEG', 'PNG'])
-                                .convert('RGB')) for m in messages[:-1]]
-        except (UnidentifiedImageError, OSError, ValueError,
-                Image.DecompressionBombError) as error:
-            raise RecordError(f'an image of {camera} cannot be read: {error}') from error
-        if len({image.shape for image in found}) > 1:
-            raise RecordError(f'images of {camera} differ in size')
-        return found
+        shape: tuple[int, ...] = ()
+        for message in messages[:-1]:
+            found = image(bytes(message.data), f'an image of {camera}')
+            if found.shape != (shape or found.shape):
+                raise RecordError(f'images of {camera} differ in size')
+            shape = found.shape
+            yield found
 
 
 def _rows(rows: list[Any], topic: str, count: int) -> FloatArray:

@@ -6,17 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-import io
 import json
 from pathlib import Path
 from typing import Any
-import zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.errors import RecordError
 from manip_sim.records.frames import Frames
+from manip_sim.records.gate import model_xml
 
 #: robomimic's number for environments of gymnasium.
 _GYM = 2
@@ -51,7 +50,7 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
                         **frames.recorded.json('arguments'), 'action': about['action']}})
             count = len(frames.actions)
             demo.attrs.update(num_samples=count, seed=frames.recorded.seed,
-                              success=frames.recorded.success, model_file=_xml(
+                              success=frames.recorded.success, model_file=model_xml(
                                   frames.recorded.model))
             states = frames.recorded.states
             if len(states) != count + 1:
@@ -62,9 +61,12 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
             for key, values in _observations(frames).items():
                 demo[f'obs/{key}'], demo[f'next_obs/{key}'] = values[:-1], values[1:]
             for camera in frames.cameras:
-                images = np.stack(frames.images(camera))
-                demo.create_dataset(f'obs/{camera}_image', data=images, compression='gzip',
-                                    compression_opts=1, chunks=(1, *images.shape[1:]))
+                shape = next(frames.images(camera)).shape
+                images = demo.create_dataset(
+                    f'obs/{camera}_image', (count, *shape), np.uint8, compression='gzip',
+                    compression_opts=1, chunks=(1, *shape))
+                for index, image in enumerate(frames.images(camera)):
+                    images[index] = image
             total += count
             if frames.recorded.success:
                 successes.append(f'demo_{number}')
@@ -102,12 +104,3 @@ def _observations(frames: Frames) -> dict[str, NDArray[Any]]:
 
 def _camel(name: str) -> str:
     return ''.join(word.capitalize() for word in name.split('_'))
-
-
-def _xml(archive: bytes) -> str:
-    """Return the MJCF in a model archive."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(archive)) as file:
-            return file.read('model.xml').decode()
-    except (zipfile.BadZipFile, KeyError, OSError, ValueError, NotImplementedError) as error:
-        raise RecordError(f'the model of the record cannot be read: {error}') from error

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 import json
 from pathlib import Path
@@ -67,10 +67,10 @@ class _Writer:
     def add(self, frames: Frames) -> None:
         """Add an episode."""
         columns = _columns(frames)
-        images = {f'observation.images.{camera}': frames.images(camera)
-                  for camera in frames.cameras}
+        cameras = {f'observation.images.{camera}': camera for camera in frames.cameras}
         features = {**{key: _feature(quantity) for key, quantity in columns.items()}, **{
-            key: _image_feature(found[0].shape) for key, found in images.items()}}
+            key: _image_feature(next(frames.images(camera)).shape)
+            for key, camera in cameras.items()}}
         fps = Fraction(1) / Fraction(str(frames.recorded.period_s))
         if fps.denominator != 1:
             raise RecordError('LeRobot needs a whole number of control periods in a second, not '
@@ -86,8 +86,8 @@ class _Writer:
                'length': count, 'dataset_from_index': self._total,
                'dataset_to_index': self._total + count, 'seed': frames.recorded.seed,
                'success': frames.recorded.success}
-        for key, found in images.items():
-            row.update(self._add_video(key, found))
+        for key, camera in cameras.items():
+            row.update(self._add_video(key, frames.images(camera)))
         row.update(self._add_table(columns, frames, number, count))
         row.update({'meta/episodes/chunk_index': 0, 'meta/episodes/file_index': 0})
         self._rows.append(row)
@@ -129,17 +129,20 @@ class _Writer:
         path.parent.mkdir(parents=True, exist_ok=True)
         pyarrow.parquet.write_table(table, path, compression='snappy')
 
-    def _add_video(self, key: str, images: list[NDArray[np.uint8]]) -> dict[str, Any]:
+    def _add_video(self, key: str, images: Iterator[NDArray[np.uint8]]) -> dict[str, Any]:
         video = self._videos.get(key)
         if video is None or video.is_large:
             number = 0 if video is None else video.number + 1
             if video is not None:
                 video.close()
             path = self._folder / _place(_VIDEO, number, video_key=key)
-            video = self._videos[key] = _Video(path, number, self._fps, images[0].shape)
-        self._images.setdefault(key, _ImageStatistics()).add(images)
-        begin = video.frames / self._fps
-        video.add(images)
+            video = self._videos[key] = _Video(
+                path, number, self._fps, self._features[key]['shape'])
+        statistics = self._images.setdefault(key, _ImageStatistics())
+        begin, first = video.frames / self._fps, video.frames
+        for image in images:
+            statistics.add(image)
+            video.add(image, video.frames == first)
         return {f'videos/{key}/chunk_index': video.number // _CHUNK,
                 f'videos/{key}/file_index': video.number % _CHUNK,
                 f'videos/{key}/from_timestamp': begin,
@@ -213,8 +216,7 @@ def _columns(frames: Frames) -> dict[str, Columns]:
 def _action_names(frames: Frames) -> list[str]:
     names = json.loads(frames.recorded.about['action_names'])
     size = frames.actions.shape[1]
-    fit = isinstance(names, list) and len(names) == size
-    return names if fit else [f'action{index}' for index in range(size)]
+    return names if len(names) == size else [f'action{index}' for index in range(size)]
 
 
 def _joined(quantities: list[Columns]) -> Columns:
@@ -252,13 +254,12 @@ class _ImageStatistics:
         self._histogram = np.zeros((3, 256))
         self._count = 0
 
-    def add(self, images: list[NDArray[np.uint8]]) -> None:
-        """Count the pixels of images."""
-        self._count += len(images)
-        for image in images:
-            for colour in range(3):
-                self._histogram[colour] += np.bincount(
-                    image[::_STRIDE, ::_STRIDE, colour].ravel(), minlength=256)
+    def add(self, image: NDArray[np.uint8]) -> None:
+        """Count the pixels of an image."""
+        self._count += 1
+        for colour in range(3):
+            self._histogram[colour] += np.bincount(
+                image[::_STRIDE, ::_STRIDE, colour].ravel(), minlength=256)
 
     def result(self) -> dict[str, Any]:
         """Return the statistics, each of shape (3, 1, 1)."""
@@ -285,7 +286,7 @@ class _Video:
     :param shape: of the images, (height, width, 3), both even
     """
 
-    def __init__(self, path: Path, number: int, fps: int, shape: tuple[int, ...]) -> None:
+    def __init__(self, path: Path, number: int, fps: int, shape: Sequence[int]) -> None:
         import av
         height, width, _ = shape
         if height % 2 or width % 2:
@@ -301,17 +302,16 @@ class _Video:
                      'video.pix_fmt': _PIXELS, 'video.is_depth_map': False, 'video.fps': fps,
                      'video.channels': 3, 'has_audio': False}
 
-    def add(self, images: list[NDArray[np.uint8]]) -> None:
-        """Add the images of an episode."""
+    def add(self, image: NDArray[np.uint8], is_first: bool) -> None:
+        """Add an image; the first one of an episode becomes a key frame."""
         import av
         from av.video.frame import PictureType
-        for index, image in enumerate(images):
-            frame = av.VideoFrame.from_ndarray(image, format='rgb24')
-            frame.pts = self.frames
-            if index == 0:
-                frame.pict_type = PictureType.I
-            self.frames += 1
-            self._container.mux(self._stream.encode(frame))
+        frame = av.VideoFrame.from_ndarray(image, format='rgb24')
+        frame.pts = self.frames
+        if is_first:
+            frame.pict_type = PictureType.I
+        self.frames += 1
+        self._container.mux(self._stream.encode(frame))
 
     @property
     def is_large(self) -> bool:

@@ -19,19 +19,19 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
-from manip_sim.quoting import quoted
+from manip_sim.models.regular_files import opened
+from manip_sim.quoting import one_line, quoted
 from manip_sim.records.definitions import definition, full_name
-from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, FORMAT, MODEL, NODE, RESULT, STATE
+from manip_sim.records.gate import (
+    BoundedFile, check_about, check_name, check_topic, CutOff, MAX_BYTES, MAX_RECORD,
+    MESSAGE_BYTES, unpacked)
+from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE
 
-#: Largest record in a file, largest chunk, and most content of one episode or world [bytes].
-_MAX_RECORD, _MAX_CHUNK, _MAX_BYTES = 2**28, 2**26, 2**31
 #: What is kept of nodes.
 _SHOWN = {full_name(name) for name in (
     'geometry_msgs/PoseStamped', 'geometry_msgs/WrenchStamped', 'sensor_msgs/CompressedImage',
     'sensor_msgs/JointState')}
 _MAGIC = b'\x89MCAP0\r\n'
-_KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
-         'action', 'action_names', 'latency', 'settings', 'steps', 'manip_sim', 'mujoco')
 
 
 @dataclass
@@ -57,9 +57,9 @@ class Recorded:
 
         :raises RecordError: if it is too much
         """
-        self._size += len(content)
-        if self._size > _MAX_BYTES:
-            raise RecordError(f'an episode, or a world of a node, has more than {_MAX_BYTES} '
+        self._size += len(content) + MESSAGE_BYTES
+        if self._size > MAX_BYTES:
+            raise RecordError(f'an episode, or a world of a node, has more than {MAX_BYTES} '
                               'bytes')
         self.types[topic] = type_name
         self.messages.setdefault(topic, []).append((time_ns, content))
@@ -72,11 +72,14 @@ class Recorded:
         :param type_name: that it must have, such as ``std_msgs/Bool``
         :raises RecordError: if it has another type, or a message cannot be read
         """
+        return list(self._each(topic, type_name))
+
+    def _each(self, topic: str, type_name: str) -> Iterator[Any]:
         found = self.types.get(topic)
         if found not in (None, full_name(type_name)):
             raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(found)}')
         decode = _decoder(type_name)
-        return [decode(content) for _, content in self.messages.get(topic, ())]
+        return (decode(content) for _, content in self.messages.get(topic, ()))
 
 
 class RecordedWorld(Recorded):
@@ -145,7 +148,7 @@ class RecordedEpisode(Recorded):
         :raises RecordError: if the messages are not of that type and of one length
         """
         found = [np.array(message.data, dtype=np.float64)
-                 for message in self.decoded(topic, 'std_msgs/Float64MultiArray')]
+                 for message in self._each(topic, 'std_msgs/Float64MultiArray')]
         if len({len(numbers) for numbers in found}) > 1:
             raise RecordError(f'{topic} has arrays of different lengths')
         return np.stack(found) if found else np.empty((0, 0))
@@ -177,7 +180,8 @@ def _decoder(type_name: str) -> Callable[[bytes], Any]:
         try:
             return decode(content)
         except Exception as error:  # The reader raises whatever its operations do.
-            raise RecordError(f'a message of {type_name} cannot be read: {error}') from error
+            raise RecordError(f'a message of {type_name} cannot be read: '
+                              f'{one_line(str(error))}') from error
     return checked
 
 
@@ -216,7 +220,7 @@ class Record:
         :raises RecordError: if it is no such record, of another version, or damaged
         """
         try:
-            with self.path.open('rb') as file:
+            with open(opened(self.path), 'rb') as file:
                 yield from self._contents(file)
         except OSError as error:
             raise RecordError(f'{self.path}: {error.strerror or error}') from error
@@ -241,9 +245,9 @@ class Record:
                     open_one.model = item.data
                 model = item.data
             elif isinstance(item, Schema):
-                schemas[item.id] = item.name
+                schemas[item.id] = check_name(item.name, 'type')
             elif isinstance(item, Channel):
-                channels[item.id] = item.topic, schemas.get(item.schema_id, '')
+                channels[item.id] = check_topic(item.topic), schemas.get(item.schema_id, '')
             elif isinstance(item, Metadata) and item.name in (EPISODE, NODE):
                 if open_one is not None:
                     yield open_one
@@ -251,7 +255,7 @@ class Record:
                 if item.name == NODE:
                     open_one = RecordedWorld(item.metadata, b'')
                 else:
-                    _check(item.metadata)
+                    check_about(item.metadata)
                     open_one = RecordedEpisode(item.metadata, model)
             elif isinstance(item, Metadata) and item.name == RESULT and isinstance(
                     open_one, RecordedEpisode):
@@ -283,18 +287,18 @@ class Record:
         file.seek(max(0, size - len(_MAGIC)))
         whole = file.read() == _MAGIC
         file.seek(0)
-        stream = _Bounded(file, size)
+        stream = BoundedFile(file, size)
         try:
             for item in StreamReader(stream, emit_chunks=True, validate_crcs=True,
-                                     record_size_limit=_MAX_RECORD).records:
+                                     record_size_limit=MAX_RECORD).records:
                 if isinstance(item, DataEnd):
                     return
                 if isinstance(item, Chunk):
-                    whole_chunk = replace(item, data=_unpacked(item), compression='')
+                    whole_chunk = replace(item, data=unpacked(item), compression='')
                     yield from breakup_chunk(whole_chunk, validate_crc=True)
                 else:
                     yield item
-        except _CutOff:
+        except CutOff:
             if whole:
                 raise RecordError(f'damaged before byte {stream.position}') from None
             self.cut_off = True
@@ -302,66 +306,4 @@ class Record:
             raise
         except Exception as error:  # The library raises whatever its operations do.
             raise RecordError(f'damaged before byte {stream.position}: {type(error).__name__} '
-                              f'{error}') from error
-
-
-def _check(about: Mapping[str, str]) -> None:
-    """Reject metadata of another version, and damaged ones."""
-    if about.get('format') != FORMAT:
-        raise RecordError(f'the record has the format {quoted(about.get("format", ""))}, and '
-                          f'manip_sim reads {FORMAT}')
-    missing = [key for key in _KEYS if key not in about]
-    if missing:
-        raise RecordError(f'damaged: an episode has no {missing[0]}')
-    try:
-        json.loads(about['action_names'])
-        int(about['number']), int(about['seed']), int(about['steps']), float(about['period_s'])
-        are_objects = all(isinstance(json.loads(about[key]), dict)
-                          for key in ('arguments', 'latency', 'robots', 'settings', 'drawn',
-                                      'noise') if key in about)
-    except (ValueError, RecursionError) as error:
-        raise RecordError(f'damaged: an episode is described by what cannot be read: {error}'
-                          ) from error
-    if not are_objects or not 1e-6 <= float(about['period_s']) <= 1e6:
-        raise RecordError('damaged: an episode is described by what cannot be used')
-
-
-def _unpacked(chunk: Any) -> bytes:
-    """Return the content of a chunk, which has the size that it says."""
-    if chunk.uncompressed_size > _MAX_CHUNK:
-        raise RecordError(f'a chunk has {chunk.uncompressed_size} bytes, and at most {_MAX_CHUNK} '
-                          'are read')
-    if chunk.compression == 'lz4':
-        import lz4.frame
-        decompressor = lz4.frame.LZ4FrameDecompressor()
-        data: bytes = decompressor.decompress(chunk.data, max_length=chunk.uncompressed_size + 1)
-    elif chunk.compression == 'zstd':
-        import zstandard
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
-            data = reader.read(chunk.uncompressed_size + 1)
-    elif chunk.compression:
-        raise RecordError(f'the compression {quoted(chunk.compression)} is unknown')
-    else:
-        data = chunk.data
-    if len(data) != chunk.uncompressed_size:
-        raise RecordError('damaged: a chunk has not the size that it says')
-    return data
-
-
-class _CutOff(Exception):
-    """More was asked for than there is."""
-
-
-class _Bounded:
-    """A file that never reads, or reserves memory for, more than it has."""
-
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file, self._size = file, size
-        self.position = 0
-
-    def read(self, length: int) -> bytes:
-        if length > self._size - self.position:
-            raise _CutOff
-        data = self._file.read(length)
-        self.position += len(data)
-        return data
+                              f'{one_line(str(error))}') from error

@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import io
-import zipfile
 
 import mujoco
 import numpy as np
 
 from manip_sim.errors import CommandError, DivergenceError, ModelError, RecordError
 from manip_sim.quoting import one_line
+from manip_sim.records.gate import files_of
 from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import physics_state
 from manip_sim.resources import package_version
@@ -122,17 +121,8 @@ def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
     here = f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'
     if recorded.versions != here:
         return f': it was recorded by {recorded.versions}, this is {here}'
-    if _contents(recorded.model) != _contents(episode.task.world.to_archive()):
+    if files_of(recorded.model) != files_of(episode.task.world.to_archive()):
         return ': the model is another one than that of the record'
     return f'; both are {here}' + (
         '' if recorded.about.get('machine') is None else
         f", recorded on {recorded.about['machine']} with NumPy {recorded.about.get('numpy')}")
-
-
-def _contents(archive: bytes) -> dict[str, bytes] | None:
-    """Return the files of an archive; how they are compressed differs between machines."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(archive)) as file:
-            return {name: file.read(name) for name in file.namelist()}
-    except (zipfile.BadZipFile, OSError, ValueError, EOFError, NotImplementedError):
-        return None

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
+from collections.abc import Iterable
 import os
 import time
 from typing import Any
@@ -72,6 +74,7 @@ class Player:
 
     def __init__(self, server: Any, entries: list[Entry], dark: bool = False) -> None:
         self._server, self._entries = server, entries
+        self._labels = _labels_of(entries)
         self._events = Events()
         self._aiming = Aiming(server)
         self._model_archive: bytes | None = None
@@ -92,7 +95,7 @@ class Player:
     def _build(self) -> None:
         gui, add = self._server.gui, self._events.add
         self._text = PlainText(gui)
-        labels = tuple(entry.label for entry in self._entries)
+        labels = self._labels
         self._choice = gui.add_dropdown('Episode', labels)
         self._choice.on_update(lambda event: add(
             lambda: self._open(labels.index(event.target.value))))
@@ -125,7 +128,7 @@ class Player:
         except ManipSimError as error:
             self._text.show([Line(str(error), color=_FAILED)])
             return
-        self._choice.value = entry.label
+        self._choice.value = self._labels[index]
         self._quantity.options = tuple(shown.plots) or ('nothing',)
         self._draw()
         count = len(shown.times)
@@ -220,3 +223,14 @@ class Player:
                 self._is_new, self._new_s = False, None
                 self._draw_line()
         self._timeline.update(now_s)
+
+
+def _labels_of(entries: Iterable[Entry]) -> tuple[str, ...]:
+    """Return what entries are called on the page; files of one name in two folders differ."""
+    count: Counter[str] = Counter()
+    labels = []
+    for entry in entries:
+        count[entry.label] += 1
+        again = count[entry.label]
+        labels.append(entry.label if again == 1 else f'{entry.label} ({again})')
+    return tuple(labels)

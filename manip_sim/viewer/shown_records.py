@@ -8,7 +8,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-import io
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from manip_sim.errors import RecordError
 from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in
 from manip_sim.records.definitions import full_name
+from manip_sim.records.gate import image
 from manip_sim.records.recorded import Record, Recorded, RecordedEpisode, RecordedWorld
 from manip_sim.records.recorder import ACTION, GOAL, REWARD, STATE_PARTS
 from manip_sim.viewer.page.kinematics import Kinematics
@@ -390,8 +390,7 @@ def _images(recorded: Recorded) -> dict[str, list[Any]]:
 
 def decoded(content: bytes) -> NDArray[np.uint8] | None:
     """Return an image, shape (h, w, 3); None if it cannot be read."""
-    from PIL import Image, UnidentifiedImageError
     try:
-        return np.asarray(Image.open(io.BytesIO(content), formats=['JPEG', 'PNG']).convert('RGB'))
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError):
+        return image(content)
+    except RecordError:
         return None

@@ -184,7 +184,7 @@ def test_recorded_images_are_those_of_the_states_beside_them(renderer, policy, t
     assert row == Experiment(Setting('reach'), name).create_worker().run(3)
     (recorded,) = Record(tmp_path / '3.mcap').episodes()
     assert row.digest == recorded.result['digest']
-    found, episode = Frames(recorded).images('agentview'), setting.create_episode()
+    found, episode = list(Frames(recorded).images('agentview')), setting.create_episode()
     episode.reset(3)
     for action, image in zip(recorded.actions, found):
         seen = episode.observation['image/agentview'].astype(int)

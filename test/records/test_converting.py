@@ -75,7 +75,7 @@ def test_each_episode_begins_with_a_key_frame_and_shows_its_images(lerobot, epis
     with av.open(str(lerobot / f'{key}/chunk-000/file-000.mp4')) as file:
         frames = [(frame.time, frame.key_frame, frame.to_ndarray(format='rgb24'))
                   for frame in file.decode(video=0)]
-    wanted = np.concatenate([np.stack(item.images('front')) for item in episodes])
+    wanted = np.concatenate([np.stack([*item.images('front')]) for item in episodes])
     assert len(frames) == len(wanted)
     for row, item in zip(rows, episodes, strict=True):
         begin = row[f'{key}/from_timestamp']
@@ -97,7 +97,7 @@ def test_the_description_fits_the_files(lerobot, episodes):
     actions = np.concatenate([frames.actions for frames in episodes])
     np.testing.assert_allclose(stats['action']['mean'], actions.mean(axis=0))
     np.testing.assert_allclose(stats['action']['q90'], np.quantile(actions, 0.9, axis=0))
-    images = np.concatenate([np.stack(f.images('front'))[:, ::4, ::4] for f in episodes]) / 255
+    images = np.concatenate([np.stack([*f.images('front')])[:, ::4, ::4] for f in episodes]) / 255
     for name in ('mean', 'std', 'max'):
         np.testing.assert_allclose(np.ravel(stats['observation.images.front'][name]),
                                    getattr(images, name)(axis=(0, 1, 2)), atol=1e-9)
@@ -133,7 +133,7 @@ def test_hdf5_has_the_structure_of_robomimic(recording, episodes, tmp_path, caps
                 np.testing.assert_array_equal(
                     demo[f'{group}/robot0_eef_quat'], hand.values[rows, 3:])
             np.testing.assert_array_equal(
-                demo['obs/front_image'], np.stack(frames.images('front')))
+                demo['obs/front_image'], np.stack([*frames.images('front')]))
 
 
 def test_episodes_without_success_are_left_out_if_asked(recording, tmp_path, capsys):

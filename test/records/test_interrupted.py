@@ -24,7 +24,8 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
-from manip_sim.records.recorded import _check, _KEYS, Record  # noqa: E402
+from manip_sim.records.gate import _KEYS, check_about  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
 
 WRITER = """
 import sys
@@ -179,7 +180,7 @@ def test_an_episode_that_is_described_by_anything_is_read_or_an_error_in_one_lin
     first = next(Record(recording).episodes())
     about = {**first.about, **changes}
     try:
-        _check(about)
+        check_about(about)
         found = dataclasses.replace(first, about=about)
         assert isinstance(found.digests, dict) and found.period_s > 0.0
         assert isinstance(found.number, int) and isinstance(found.seed, int)

@@ -14,6 +14,7 @@ import pytest
 for needed in ('mcap', 'mcap_ros2', 'viser'):
     pytest.importorskip(needed, reason='needs the extras records and viewer')
 
+from hostile_records import about, content, model, rewrite  # noqa: E402
 from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
 
 from manip_sim.cli.main import main as manip_sim  # noqa: E402
@@ -115,7 +116,7 @@ def test_playing_goes_on_to_the_end_at_its_speed(player, frames):
 
 
 def test_images_are_those_of_the_period(player, frames):
-    wanted = frames[0].images('front')
+    wanted = list(frames[0].images('front'))
     for period in (0, 3):
         player._timeline.go(period)
         np.testing.assert_array_equal(player._images['front'].image, wanted[period])
@@ -241,3 +242,25 @@ def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):
     record.close()
     with pytest.raises(RecordError, match='cannot be shown: it has no joint_states'):
         entries_in([tmp_path / 'no_joints.mcap'])
+
+
+def test_records_of_one_name_in_two_folders_can_both_be_chosen(show, recording, tmp_path):
+    for folder in 'ab':
+        (tmp_path / folder).mkdir()
+        rewrite(recording, tmp_path / folder / 'reach.mcap', about(instruction=f'In {folder}.'))
+    player = show(tmp_path)
+    labels = player._choice.options
+    assert len({*labels}) == len(labels) == 4
+    player._choice.value = labels[2]
+    player.update(0.0)
+    assert 'In b.' in player._text._shown and player._choice.value == labels[2]
+
+
+@pytest.mark.parametrize('change', [
+    content('/episode/state', b''), content('/episode/action', b'\0'), model(b'no zip')])
+def test_an_episode_that_cannot_be_shown_is_a_line_on_the_page(
+        show, recording, tmp_path, change):
+    rewrite(recording, tmp_path / 'a.mcap', change)
+    player = show(tmp_path)
+    assert player._text._shown and player._scene is None
+    player.update(0.0)

@@ -13,6 +13,7 @@ import re
 from typing import Any
 
 from manip_sim.errors import ManipSimError
+from manip_sim.models.regular_files import opened
 from manip_sim.quoting import quoted
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.page_commands import Events, PageCommands
@@ -82,7 +83,7 @@ class Poses:
 
 def _read(file: Path) -> dict[str, dict[str, float]]:
     try:
-        with file.open('rb') as stream:
+        with open(opened(file), 'rb') as stream:
             poses = json.loads(stream.read(_MAX_BYTES))
     except FileNotFoundError:
         if file.parent.is_dir():

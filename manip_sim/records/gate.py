@@ -1,0 +1,225 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What is accepted of records, which may come from anybody.
+
+It bounds bytes, pixels and names, and checks what describes an episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import io
+import json
+import re
+from typing import Any, BinaryIO
+import warnings
+import zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manip_sim.arrays import FloatArray
+from manip_sim.errors import ModelError, RecordError
+from manip_sim.models.archive import unpacked_file
+from manip_sim.quoting import one_line, quoted
+from manip_sim.records.recorder import FORMAT
+
+#: Largest record in a file, largest chunk, and largest model file [bytes].
+MAX_RECORD, _MAX_CHUNK, _MAX_MODEL = 2**28, 2**26, 2**26
+#: Most content of one episode or world, and what a message takes beside its content [bytes].
+MAX_BYTES, MESSAGE_BYTES = 2**31, 128
+#: Those of the largest picture that ``manip_sim run --record`` takes.
+_MAX_PIXELS = 8192**2
+#: Length of a name, and least and longest control period [s].
+_MAX_NAME, _PERIODS_S = 255, (1e-6, 100.0)
+_TOPIC = re.compile(r'(/[^/\\]+)+')
+_KEYS = ('number', 'seed', 'task', 'instruction', 'arguments', 'robot', 'robots', 'period_s',
+         'action', 'action_names', 'latency', 'settings', 'steps', 'manip_sim', 'mujoco')
+_OBJECTS = 'arguments', 'latency', 'robots', 'settings', 'drawn', 'noise'
+#: How deep they may be nested: what reads and writes them calls itself.
+_MAX_DEPTH = 30
+
+
+def check_name(name: str, what: str) -> str:
+    """
+    Return a name that is printable and not too long.
+
+    :raises RecordError: if it is none
+    """
+    if len(name) > _MAX_NAME or not name.isprintable():
+        raise RecordError(f'damaged: {quoted(name)} cannot be the name of a {what}')
+    return name
+
+
+def check_topic(name: str) -> str:
+    """
+    Return the name of a topic, of which files can be named.
+
+    :raises RecordError: if it is none, or leads out of a folder
+    """
+    if not _TOPIC.fullmatch(check_name(name, 'topic')) or {'.', '..'} & set(name.split('/')):
+        raise RecordError(f'damaged: {quoted(name)} cannot be the name of a topic')
+    return name
+
+
+def check_about(about: Mapping[str, str]) -> None:
+    """
+    Check what describes an episode.
+
+    :raises RecordError: if it is of another version, or damaged
+    """
+    if about.get('format') != FORMAT:
+        raise RecordError(f'the record has the format {quoted(about.get("format", ""))}, and '
+                          f'manip_sim reads {FORMAT}')
+    missing = [key for key in _KEYS if key not in about]
+    if missing:
+        raise RecordError(f'damaged: an episode has no {missing[0]}')
+    try:
+        read = {key: json.loads(about[key]) for key in (*_OBJECTS, 'action_names')
+                if key in about}
+        number, steps = int(about['number']), int(about['steps'])
+        int(about['seed'])
+        period_s = float(about['period_s'])
+    except (ValueError, RecursionError) as error:
+        raise RecordError('damaged: an episode is described by what cannot be read: '
+                          + one_line(str(error))) from error
+    robots, (least, longest) = read['robots'], _PERIODS_S
+    if (not all(isinstance(read[key], dict) for key in _OBJECTS if key in read)
+            or any(map(_is_deep, read.values())) or not _are_names(read['action_names'])
+            or not all(isinstance(parts, dict) and all(map(_are_names, parts.values()))
+                       for parts in robots.values())
+            or not least <= period_s <= longest or not 0 <= steps < 2**53
+            or not 0 <= number < 2**31):
+        raise RecordError('damaged: an episode is described by what cannot be used')
+
+
+def _is_deep(value: Any, room: int = _MAX_DEPTH) -> bool:
+    inner = value.values() if isinstance(value, dict) else value if isinstance(
+        value, list) else ()
+    return not room or any(_is_deep(one, room - 1) for one in inner)
+
+
+def _are_names(value: Any) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(name, str) and name.isprintable() and len(name) <= _MAX_NAME
+        for name in value)
+
+
+def unpacked(chunk: Any) -> bytes:
+    """
+    Return the content of a chunk, which has the size that it says.
+
+    :param chunk: an ``mcap.records.Chunk``
+    :raises RecordError: if it is larger, too large, or compressed in an unknown way
+    """
+    size: int = chunk.uncompressed_size
+    if size > _MAX_CHUNK:
+        raise RecordError(f'a chunk has {size} bytes, and at most {_MAX_CHUNK} are read')
+    if chunk.compression == 'lz4':
+        import lz4.frame
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        data: bytes = decompressor.decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression == 'zstd':
+        import zstandard
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = reader.read(size + 1)
+    elif chunk.compression:
+        raise RecordError(f'the compression {quoted(chunk.compression)} is unknown')
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise RecordError('damaged: a chunk has not the size that it says')
+    return data
+
+
+def image(content: bytes, what: str = 'an image') -> NDArray[np.uint8]:
+    """
+    Return a compressed image.
+
+    :param content: JPEG or PNG
+    :param what: it is, for the message
+    :returns: rgb, shape (height, width, 3)
+    :raises RecordError: if it cannot be read, or has too many pixels; they are not unpacked then
+    """
+    from PIL import Image, UnidentifiedImageError
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('error', Image.DecompressionBombWarning)
+            picture = Image.open(io.BytesIO(content), formats=['JPEG', 'PNG'])
+        if picture.width * picture.height <= _MAX_PIXELS:
+            return np.asarray(picture.convert('RGB'))
+        reason = f'it has {picture.width} times {picture.height} pixels'
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError):
+        reason = 'it has too many pixels'
+    except UnidentifiedImageError:
+        reason = 'it is neither JPEG nor PNG'
+    except Exception as error:  # The library raises whatever its operations do.
+        reason = one_line(str(error))
+    raise RecordError(f'{what} cannot be read: {reason}')
+
+
+def model_xml(archive: bytes) -> str:
+    """
+    Return the MJCF in a model archive.
+
+    :raises RecordError: if it cannot be read, or is too large; it is not unpacked then
+    """
+    try:
+        text = unpacked_file(archive, 'model.xml', _MAX_MODEL).decode()
+    except (ModelError, UnicodeDecodeError) as error:
+        raise RecordError(f'the model of the record cannot be read: {error}') from error
+    if '\0' in text:
+        raise RecordError('the model of the record cannot be read: it is no text')
+    return text
+
+
+def files_of(archive: bytes) -> dict[str, tuple[int, int]] | None:
+    """Return sizes and check sums of the files in an archive by name; None if it is none."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(archive)) as file:
+            return {info.filename: (info.file_size, info.CRC) for info in file.infolist()}
+    except (zipfile.BadZipFile, OSError, ValueError, EOFError, NotImplementedError):
+        return None
+
+
+def finite(values: FloatArray, what: str) -> FloatArray:
+    """
+    Return numbers, which are finite.
+
+    :param what: they are, for the message
+    :raises RecordError: if one is not
+    """
+    if not np.isfinite(values).all():
+        raise RecordError(f'{what} has numbers that are not finite')
+    return values
+
+
+class CutOff(Exception):
+    """More was asked for than there is."""
+
+
+class BoundedFile:
+    """
+    A file that never reads, or reserves memory for, more than it has.
+
+    :param file: at its begin
+    :param size: of the file [bytes]
+    """
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._size = file, size
+        self.position = 0
+
+    def read(self, length: int) -> bytes:
+        """
+        Return some bytes.
+
+        :raises CutOff: if there are less
+        """
+        if length > self._size - self.position:
+            raise CutOff
+        data = self._file.read(length)
+        self.position += len(data)
+        return data

@@ -1,0 +1,209 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Records of somebody who wants to do harm: one line that names the file, and nothing written."""
+
+from dataclasses import replace
+import io
+import os
+import re
+import struct
+import tracemalloc
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+
+for needed in ('mcap', 'mcap_ros2', 'pyarrow', 'av', 'h5py'):
+    pytest.importorskip(needed, reason='needs the extra records')
+
+from hostile_records import about, content, encoded, model, rewrite, topic  # noqa: E402
+from mcap.records import Message  # noqa: E402
+
+from manip_sim.cli.main import main  # noqa: E402
+from manip_sim.errors import ModelError, RecordError  # noqa: E402
+from manip_sim.records import converting  # noqa: E402
+from manip_sim.records.recorded import Record  # noqa: E402
+from manip_sim.tasks import create_task  # noqa: E402
+
+IMAGES, JOINTS, ACTION = '/front/color/image_raw/compressed', '/joint_states', '/episode/action'
+HAND = '/right/eef_pose'
+
+
+def png(width, height):
+    """Return a black image of one bit per pixel."""
+    def chunk(name, data):
+        return struct.pack('>I', len(data)) + name + data + struct.pack(
+            '>I', zlib.crc32(name + data))
+    return (b'\x89PNG\r\n\x1a\n' + chunk(b'IHDR', struct.pack('>IIBBBBB', width, height, 1, 0, 0,
+                                                              0, 0))
+            + chunk(b'IDAT', zlib.compress(bytes(((width + 7) // 8 + 1) * height), 9))
+            + chunk(b'IEND', b''))
+
+
+def images(data):
+    return content(IMAGES, encoded('sensor_msgs/CompressedImage', format='png', data=data,
+                                   header={'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': ''}))
+
+
+def joints(names, positions):
+    return content(JOINTS, encoded(
+        'sensor_msgs/JointState', name=names, position=positions, velocity=positions, effort=[],
+        header={'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': ''}))
+
+
+def numbers(name, values):
+    return content(name, encoded('std_msgs/Float64MultiArray', data=values,
+                                 layout={'dim': [], 'data_offset': 0}))
+
+
+def archive(xml):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, 'w', zipfile.ZIP_DEFLATED) as file:
+        file.writestr('model.xml', xml)
+    return model(stream.getvalue())
+
+
+NO_TOPIC, NO_USE = 'cannot be the name of a topic', 'described by what cannot be used'
+CASES = {
+    'a camera above the folder': (topic(IMAGES, f'/../../../evil{IMAGES[6:]}'), NO_TOPIC),
+    'a camera behind another': (topic(IMAGES, f'/a/../../../../evil{IMAGES[6:]}'), NO_TOPIC),
+    'a camera that is the folder': (topic(IMAGES, f'/.{IMAGES[6:]}'), NO_TOPIC),
+    'a camera with a null character': (topic(IMAGES, f'/a\0b{IMAGES[6:]}'), NO_TOPIC),
+    'a camera with a line end': (topic(IMAGES, f'/a\nb{IMAGES[6:]}'), NO_TOPIC),
+    'a long camera': (topic(IMAGES, f'/{"a" * 5000}{IMAGES[6:]}'), NO_TOPIC),
+    'an object without a name': (topic(HAND, '/objects/pose'), 'does not say of what it is'),
+    'robots that are numbers': (about(robots='{"a": 5}'), NO_USE),
+    'joints that are numbers': (about(robots='{"a": {"right_gripper": 5}}'), NO_USE),
+    'joints that are lists': (about(robots='{"a": {"right_gripper": [[1]]}}'), NO_USE),
+    'names that are numbers': (about(action_names='[1, 2, 3, 4, 5, 6, {}]'), NO_USE),
+    'deep arguments': (about(arguments=f'{{"a": {"[" * 900}{"]" * 900}}}'), NO_USE),
+    'a period of weeks': (about(period_s='1e6'), NO_USE),
+    'steps before the begin': (about(steps='-5'), NO_USE),
+    'a huge seed': (about(seed=str(10**30)), 'data sets hold whole numbers below 2'),
+    'an image of 144 megapixels': (images(png(12000, 12000)), 'it has too many pixels'),
+    'an image of 81 megapixels': (images(png(9000, 9000)), 'it has 9000 times 9000 pixels'),
+    'an image that is text': (images(b'#!/bin/sh'), 'image of front .* neither JPEG nor PNG'),
+    'an image that is cut off': (images(png(64, 48)[:20]), 'image of front cannot be read'),
+    'no numbers in an action': (numbers(ACTION, []), 'has no actions'),
+    'an action without end': (numbers(ACTION, [np.inf] * 7), 'action has numbers .* not finite'),
+    'a reward that is no number': (content('/episode/reward', encoded(
+        'std_msgs/Float64', data=np.nan)), 'reward has numbers that are not finite'),
+    'a joint that is nowhere': (joints(['a'], [np.nan]), 'joint_states has numbers that are not'),
+    'more joints than it has': (content(JOINTS, b'\0\1\0\0' + struct.pack(
+        '<5I', 0, 0, 1, 0, 2**32 - 1)), 'JointState cannot be read')}
+MODELS = {
+    'a model that unpacks to much': (archive(b' ' * 2**28), 'at most 67108864 are unpacked'),
+    'a model with null characters': (archive(b'\0<mujoco/>'), 'it is no text')}
+
+
+def check_one_line(capsys, path, message):
+    error = capsys.readouterr().err
+    assert error.startswith(f'manip_sim: {path}: ') and error.count('\n') == 1
+    assert re.search(message, error) and len(error) < 1000
+
+
+@pytest.mark.parametrize('case, target', [
+    *((case, target) for case in CASES for target in ('lerobot', 'hdf5')),
+    *((case, 'hdf5') for case in MODELS)])
+def test_a_hostile_record_is_one_line_and_nothing_is_written(
+        recording, tmp_path, capsys, case, target):
+    change, message = {**CASES, **MODELS}[case]
+    folder = tmp_path / 'a' / 'b' / 'c'
+    folder.mkdir(parents=True)
+    path = rewrite(recording, folder / 'record.mcap', change)
+    there = {*tmp_path.rglob('*')}
+    assert main(['convert', str(path), '--to', target, str(folder / 'set')]) == 1
+    check_one_line(capsys, path, message)
+    assert {*tmp_path.rglob('*')} == there
+
+
+@pytest.mark.parametrize('size', [12000, 8500])
+def test_the_pixels_of_an_image_that_is_too_large_are_not_unpacked(recording, tmp_path, size):
+    path = rewrite(recording, tmp_path / 'a.mcap', images(png(size, size)))
+    frames = converting.Frames(next(Record(path).episodes()))
+    tracemalloc.start()
+    with pytest.raises(RecordError, match='pixels'):
+        list(frames.images('front'))
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
+
+
+def test_a_model_that_unpacks_to_much_takes_no_memory(recording, tmp_path, capsys):
+    path = rewrite(recording, tmp_path / 'a.mcap', archive(b' ' * 2**28))
+    tracemalloc.start()
+    main(['replay', str(path)])
+    assert main(['convert', str(path), '--to', 'hdf5', str(tmp_path / 'set')]) == 1
+    assert tracemalloc.get_traced_memory()[1] < 2**26
+    tracemalloc.stop()
+
+
+def test_messages_without_content_count_too(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr('manip_sim.records.recorded.MAX_BYTES', 2**24)
+
+    def many(item, of):
+        return [replace(item, data=b'')] * 50_000 if of == '/episode/digest' and isinstance(
+            item, Message) else item
+    path = rewrite(recording, tmp_path / 'a.mcap', many)
+    with pytest.raises(RecordError, match='has more than 16777216 bytes'):
+        list(Record(path).episodes())
+
+
+def test_a_pipe_is_no_record_and_no_task(tmp_path, capsys):
+    path = tmp_path / 'pipe.mcap'
+    os.mkfifo(path)
+    assert main(['replay', str(path)]) == 1
+    assert capsys.readouterr().err == f'manip_sim: {path}: it is a device or a pipe\n'
+    assert main(['replay', str(tmp_path)]) == 1
+    os.rename(path, tmp_path / 'task.yaml')
+    with pytest.raises(ModelError, match='task.yaml cannot be read: it is a device or a pipe'):
+        create_task(tmp_path / 'task.yaml')
+
+
+def test_two_topics_of_one_hand_are_an_error(recording):
+    episode = next(Record(recording).episodes())
+    (robot,) = converting.Frames(episode).robots
+    other = f'/{robot}{HAND}'
+    with pytest.raises(RecordError, match=f"{other} is of '{robot}/right', as another topic is"):
+        converting.Frames(replace(
+            episode, types={**episode.types, other: episode.types[HAND]},
+            messages={**episode.messages, other: episode.messages[HAND]}))
+
+
+def test_a_task_of_a_record_that_is_no_path_is_one_line(recording, tmp_path, capsys):
+    path = rewrite(recording, tmp_path / 'a.mcap', about(task='\0../task.yaml'))
+    assert main(['replay', str(path)]) == 1
+    check_one_line(capsys, path, 'embedded null byte')
+
+
+def test_a_data_set_that_another_process_has_written_meanwhile_is_kept(
+        recording, tmp_path, capsys, monkeypatch):
+    target = tmp_path / 'set.hdf5'
+
+    def write(frames, path):
+        periods = converting.write_hdf5(frames, path)
+        assert path.name != target.name and [*tmp_path.glob('*')] != [target]
+        target.write_text('precious')
+        return periods
+    monkeypatch.setitem(converting.FORMATS, 'hdf5', write)
+    assert main(['convert', str(recording), '--to', 'hdf5', str(target)]) == 1
+    assert capsys.readouterr().err == (
+        f'manip_sim: {target} is there by now, and is not overwritten\n')
+    assert [item.name for item in tmp_path.iterdir()] == ['set.hdf5']
+    assert target.read_text() == 'precious'
+
+
+def test_what_two_processes_have_begun_of_one_data_set_are_two_files(
+        recording, tmp_path, monkeypatch):
+    begun = []
+
+    def write(frames, path):
+        begun.append(path)
+        if len(begun) == 1:
+            converting.convert([recording], 'hdf5', tmp_path / 'set')
+            (tmp_path / 'set').unlink()
+        return converting.write_hdf5(frames, path)
+    monkeypatch.setitem(converting.FORMATS, 'hdf5', write)
+    converting.convert([recording], 'hdf5', tmp_path / 'set')
+    assert len({*begun}) == 2 and [*tmp_path.iterdir()] == [tmp_path / 'set']
