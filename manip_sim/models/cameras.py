@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.models.quaternion import NO_TURN
 from manip_sim.models.spec_edits import body_for
 from manip_sim.quoting import quoted
 
@@ -111,11 +111,10 @@ def create_camera(description: Camera) -> CameraModel:
 
 def _looks_along(found: CameraDescription, position: FloatArray) -> FloatArray:
     """Return the orientation w, x, y, z of the frame that looks along x, with z up."""
-    if found.quat_xyzw is not None:
-        quat = np.array(found.quat_xyzw)
-        return xyzw_to_wxyz(quat / length(quat))
+    if found.quat_wxyz is not None:
+        return found.quat_wxyz
     if found.look_at is None:
-        return quat_wxyz_from_rpy(found.rpy or [0.0, 0.0, 0.0])
+        return np.array(NO_TURN)
     forward = np.array(found.look_at) - position
     forward /= length(forward)
     left = np.cross([0.0, 0.0, 1.0], forward)

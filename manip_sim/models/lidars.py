@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
+from manip_sim.models.quaternion import NO_TURN
 from manip_sim.models.spec_edits import body_for
 from manip_sim.quoting import quoted
 from manip_sim.sensing.lidars import Rays
@@ -46,7 +46,7 @@ class LidarModel:
     name: str
     body: str = 'world'
     position: FloatArray = field(default_factory=lambda: np.zeros(3))
-    quat_wxyz: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    quat_wxyz: FloatArray = field(default_factory=lambda: np.array(NO_TURN))
     rays: Rays = Rays()
     rate_hz: float = 10.0
     noise: float = 0.0
@@ -93,11 +93,8 @@ def create_lidar(description: LidarLike) -> LidarModel:
     if rays.samples * rays.rings > MAX_RAYS:
         raise ModelError(f"{where}: 'samples' times 'rings' must be at most {MAX_RAYS}, got "
                          f'{rays.samples * rays.rings}')
-    if found.quat_xyzw is not None:
-        quat = np.array(found.quat_xyzw)
-        quat_wxyz = xyzw_to_wxyz(quat / np.sqrt((quat**2).sum()))
-    else:
-        quat_wxyz = quat_wxyz_from_rpy(found.rpy or [0.0, 0.0, 0.0])
+    quat_wxyz = found.quat_wxyz
     return LidarModel(found.name, found.body or 'world',
-                      np.array(found.position or [0.0, 0.0, 0.0], dtype=float), quat_wxyz, rays,
-                      found.rate, found.noise)
+                      np.array(found.position or [0.0, 0.0, 0.0], dtype=float),
+                      np.array(NO_TURN) if quat_wxyz is None else quat_wxyz, rays, found.rate,
+                      found.noise)

@@ -8,8 +8,13 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
+import numpy as np
+
+from manip_sim.algebra import length
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import describe_choices
 from manip_sim.models.object_model import MAX_MASS_KG, MIN_MASS_KG, SIZES
+from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, ConfigDict, Field, model_validator, Number, StrictBool)
 from manip_sim.quoting import counted, shown
@@ -80,6 +85,14 @@ class PlacedDescription(BaseModel):
             raise ValueError(f"'quat_xyzw' must be a quaternion x, y, z, w of length 1, got "
                              f'{self.quat_xyzw} of length {norm:g}')
         return self
+
+    @property
+    def quat_wxyz(self) -> FloatArray | None:
+        """The orientation, of length 1, shape (4,); None if it is not given."""
+        if self.quat_xyzw is not None:
+            quat = np.array(self.quat_xyzw)
+            return xyzw_to_wxyz(quat / length(quat))
+        return None if self.rpy is None else quat_wxyz_from_rpy(self.rpy)
 
 
 class FileDescription(PlacedDescription):

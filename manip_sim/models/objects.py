@@ -11,14 +11,11 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING, TypeVar, Union
 
 import mujoco
-import numpy as np
 
-from manip_sim.algebra import length
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.held_models import hold_model, HeldModel, LIMITS
 from manip_sim.models.loading import load_spec
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
-from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.regular_files import Files
 from manip_sim.models.sources import find_source, is_of_others
 from manip_sim.models.strict_yaml import parse_yaml, read_yaml
@@ -29,7 +26,7 @@ __all__ = ['check_object_names', 'create_described', 'create_object', 'create_ob
 
 if TYPE_CHECKING:
     from manip_sim.models.object_descriptions import (
-        FileDescription, PlacedDescription, ShapeDescription)
+        FileDescription, ShapeDescription)
 
 _YAML = ('.yaml', '.yml')
 #: Greatest number of degrees of freedom of an object that is spawned.
@@ -178,7 +175,7 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
     if files is not None:
         _check_dof(found)
     found.inferred += inferred
-    _place(found, description)
+    found.place(description.position, description.quat_wxyz)
     return found
 
 
@@ -221,13 +218,3 @@ def _read(file: Path, name: str | None = None, files: Files | None = None) -> Ob
 def _own_name(spec: mujoco.MjSpec) -> str:
     roots = spec.worldbody.bodies
     return (roots[0].name if roots else '') or str(spec.modelname)
-
-
-def _place(found: PlacedModel, description: PlacedDescription) -> None:
-    quat = None
-    if description.rpy is not None:
-        quat = quat_wxyz_from_rpy(description.rpy)
-    elif description.quat_xyzw is not None:
-        quat = xyzw_to_wxyz(np.array(description.quat_xyzw) / length(
-            np.array(description.quat_xyzw)))
-    found.place(description.position, quat)

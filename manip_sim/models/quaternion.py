@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 
+#: As w, x, y, z.
+NO_TURN = (1.0, 0.0, 0.0, 0.0)
+
 
 def wxyz_to_xyzw(quat_wxyz: ArrayLike) -> FloatArray:
     """Reorder a quaternion from MuJoCo's order to ROS's, shape (4,), a copy."""
