@@ -13,7 +13,6 @@ import re
 from typing import Any
 
 from manip_sim.errors import ManipSimError
-from manip_sim.models.regular_files import opened
 from manip_sim.quoting import quoted
 from manip_sim.viewer.page.latest import Latest
 from manip_sim.viewer.page.page_commands import Events, PageCommands
@@ -83,7 +82,7 @@ class Poses:
 
 def _read(file: Path) -> dict[str, dict[str, float]]:
     try:
-        with open(opened(file), 'rb') as stream:
+        with file.open('rb') as stream:
             poses = json.loads(stream.read(_MAX_BYTES))
     except FileNotFoundError:
         if file.parent.is_dir():
