@@ -32,6 +32,9 @@ _SIGNALS = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if signal.getsignal(number) != signal.SIG_IGN]
 #: Malformed messages after which caches are filled and growth counts.
 _WARM = 2_000
+#: Messages in one burst, places of the queue of a topic, which get a seventh of a burst, and
+#: what all queues can hold of messages of 20 kB, as four long names make them [MB].
+_BURST, _PLACES, _MALFORMED_MB = 200, 80, 12.0
 _NUMBERS = (0.0, 1.0, -1.0, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
 _NAMES = ('robot0_joint1', 'robot0_joint2', '', 'elbow', "x'y'z", 'a\nb', '\x1b[2J', 'j' * 5000,
           'gripper0_right_finger_joint1')
@@ -76,8 +79,10 @@ def _parameter(rng: random.Random) -> Parameter:
 def malformed(count: int, seed: int) -> Row:
     """Send messages that are random or damaged on all topics, and bad parameter requests."""
     rng = random.Random(seed)
-    # The queues hold what one burst sends, so that all messages come to the callbacks.
-    queues = [f'qos_overrides./{topic}.subscription.depth:=1000' for topic in _TOPICS]
+    # The queues hold what one burst sends, so that all messages come to the callbacks. Fast DDS
+    # keeps room for the largest message so far in each place of a queue, so that memory grows,
+    # ever slower, up to the number of places times the largest message, and no further.
+    queues = [f'qos_overrides./{topic}.subscription.depth:={_PLACES}' for topic in _TOPICS]
     with Target('robot:=PandaOmron', *queues) as target:
         client = target.client
         publishers = [(client.publisher(kind, topic), kind) for topic, kind in _TOPICS.items()]
@@ -88,7 +93,7 @@ def malformed(count: int, seed: int) -> Row:
             if not warm and sent >= min(_WARM, count // 10):
                 target.mark()
                 warm = True
-            for _ in range(min(200, count - sent)):
+            for _ in range(min(_BURST, count - sent)):
                 publisher, kind = rng.choice(publishers)
                 message = random_message(rng, kind)
                 publisher.publish(message if rng.random() < 0.5
@@ -105,7 +110,7 @@ def malformed(count: int, seed: int) -> Row:
             del arrays[:-1]
         elapsed_s = time.monotonic() - begin
         seen = _handled(client, arrays)
-        growth = target.checked_growth()
+        growth = target.checked_growth(_MALFORMED_MB)
         target.check()
         target.stop()
     return {'load': 'malformed messages', 'amount': f'{sent} sent, {seen} came to a callback',
