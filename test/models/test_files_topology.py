@@ -199,3 +199,30 @@ def test_long_fingers_on_a_wrist_are_a_hand(tmp_path):
         assert robot.arm_joints == ['robot0_wr0', 'robot0_wr1']
         assert len(robot.grippers['right'].joints) == 9
         assert len(robot.joints_of('other')) == (3 if file == 'turned.xml' else 0)
+
+
+def test_two_hands_of_one_arm_are_one_gripper_and_a_line_takes_one_of_them(tmp_path):
+    file = FILES / 'two_hands.xml'
+    robot = load_robot(file)
+    assert len(robot.grippers['right'].joints) == 4
+    assert ("right hand: the fingers on 'front', 'rear' are one gripper; arms: {right: {hand: "
+            "front}} in a YAML file takes one of them, and the joints of the others become the "
+            "part 'other'") in robot.inferred
+    (tmp_path / 'arm.yaml').write_text(f'model: {file}\narms: {{right: {{hand: front}}}}\n')
+    robot = load_robot(tmp_path / 'arm.yaml')
+    assert robot.grippers['right'].joints == ['robot0_front_finger1', 'robot0_front_finger2']
+    assert robot.other_joints == ['robot0_rear_finger1', 'robot0_rear_finger2']
+    assert not any('one gripper' in said for said in robot.inferred)
+
+
+def test_gravity_of_the_file_of_a_robot_is_left_behind_and_an_arena_sets_it(tmp_path):
+    robot = load_robot(FILES / 'two_hands.xml')
+    option = '<option gravity="0 0 -1.62"/>'
+    assert (f'left behind: the gravity of the file, 0 0 -1.62 m/s^2; {option} in the MJCF file of '
+            'an arena sets that of its worlds') in robot.inferred
+    assert compose(robot).compile().opt.gravity[2] == -9.81
+    (tmp_path / 'moon.xml').write_text(
+        f'<mujoco>{option}<worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>')
+    assert compose(FILES / 'two_hands.xml', arena=tmp_path / 'moon.xml').compile(
+        ).opt.gravity[2] == -1.62
+    assert not any('gravity' in said for said in load_robot(FILES / 'rover.xml').inferred)

@@ -3,6 +3,7 @@
 
 """Tests of robots from URDF: servos from its limits, links without inertia, mimics, meshes."""
 
+from pathlib import Path
 import struct
 
 import mujoco
@@ -165,6 +166,22 @@ def test_a_mesh_that_is_missing_is_told_with_its_link(tmp_path, monkeypatch, nam
     monkeypatch.delenv('ROS_PACKAGE_PATH', raising=False)
     with pytest.raises(ModelError, match=message):
         load_robot(write(tmp_path / 'arm.urdf', with_mesh(name)))
+
+
+def test_a_line_loads_a_model_without_any_of_its_meshes(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    monkeypatch.delenv('ROS_PACKAGE_PATH', raising=False)
+    file = Path(__file__).resolve().parents[1] / 'data/files/no_meshes.urdf'
+    with pytest.raises(ModelError, match="package 'elsewhere' is neither .*; 'meshes: none' in a "
+                                         'YAML file loads the model without the shapes'):
+        load_robot(file)
+    robot = load_robot(write(tmp_path / 'arm.yaml', f'model: {file}\nmeshes: none\n'))
+    assert any("left out: 1 visual shapes of files that cannot be read, such as 'package://else"
+               "where/base.stl' (package 'elsewhere' is neither" in said
+               for said in robot.inferred)
+    # The shoulder has no inertia, and neither has what is fixed to it.
+    assert '1 g for links without inertia and shape: shoulder' in robot.inferred
+    assert compose(robot).compile().body('robot0_shoulder').mass[0] == pytest.approx(1e-3)
 
 
 def test_a_mesh_that_mujoco_cannot_read_is_replaced_or_left_out(tmp_path):

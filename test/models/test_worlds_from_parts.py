@@ -208,7 +208,9 @@ def test_parts_alone_stand_on_an_empty_floor_and_beside_a_model(tmp_path):
     ('{arena: table, parameters: {cub: true}}', UnknownNameError, "'cub': did you mean 'cube'"),
     ('{model: loose.xml, arena: table}', ModelError, "give 'model', or 'arena' with its 'param"),
     ('{arena: table, xacro_args: {a: 1}}', ModelError,
-     "'xacro_args' are for robots, grippers and bases in xacro; an arena is MJCF"),
+     "'xacro_args' is for robots, grippers and bases in xacro; an arena is MJCF"),
+    ('{arena: table, meshes: none}', ModelError,
+     "'meshes' is for robots, grippers and bases in URDF; an arena is MJCF"),
     ('placements: {a: {objects: [b], x: [0, 1], y: [0, 1], z: 0}}', UnknownNameError,
      "unknown object of placement 'a' 'b'"),
     ('{arena: table, objects: [{name: a, shape: sphere, size: 1, visual: true}], '

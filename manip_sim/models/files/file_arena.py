@@ -40,9 +40,10 @@ class FileArena(Arena, registered=False):
         self._description = description
         self._other: Arena | None = None
         self.inferred: list[str] = []
-        if description.xacro_args:
-            raise ModelError(f"{where}: 'xacro_args' are for robots, grippers and bases in xacro; "
-                             'an arena is MJCF')
+        for key, kind in (('xacro_args', 'xacro'), ('meshes', 'URDF')):
+            if getattr(description, key):
+                raise ModelError(f"{where}: '{key}' is for robots, grippers and bases in {kind}; "
+                                 'an arena is MJCF')
         if file.suffix.lower() in _YAML:
             self._other = (EmptyArena() if description.arena is None else
                            create_arena(description.arena, **description.parameters))

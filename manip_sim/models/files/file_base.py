@@ -96,7 +96,8 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     :raises ModelError: if the file cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    model_file = read_model(file, servos=False, xacro_args=description.xacro_values)
+    model_file = read_model(file, servos=False, xacro_args=description.xacro_values,
+                            needs_meshes=description.meshes is None)
     model = compile_alone(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:

@@ -75,6 +75,25 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     return [hand for hand in hands if hand.joints]
 
 
+def hands_of_hand(tree: BodyTree, hand: FoundHand) -> list[str]:
+    """
+    Return the names of the bodies that carry the fingers of a hand, if it may be several hands.
+
+    These are bodies fixed to its own that carry two chains or more each, and all of its fingers.
+    """
+    rigid, fingers = tree.model.body_weldid, set(hand.joints)
+    carriers: dict[int, int] = {}
+    first = [joint for joint in hand.joints if not fingers.intersection(
+        tree.joints(tree.path(tree.parent(int(tree.model.jnt_bodyid[joint])))))]
+    for joint in first:
+        carrier = tree.parent(int(tree.model.jnt_bodyid[joint]))
+        if rigid[carrier] != rigid[hand.body]:
+            return []
+        carriers[carrier] = carriers.get(carrier, 0) + 1
+    several = len(carriers) > 1 and min(carriers.values()) > 1 and hand.body not in carriers
+    return [tree.name(body) for body in carriers] if several else []
+
+
 def lone_hand(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
               ) -> FoundHand | None:
     """

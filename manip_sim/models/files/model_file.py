@@ -121,7 +121,8 @@ class ModelFile:
 
 
 def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
-               servos: bool = True, xacro_args: Mapping[str, str] | None = None) -> ModelFile:
+               servos: bool = True, xacro_args: Mapping[str, str] | None = None,
+               needs_meshes: bool = True) -> ModelFile:
     """
     Read a robot, hand or base.
 
@@ -130,10 +131,13 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     :param wanted: a keyframe to take instead
     :param servos: give joints position servos if the file has no actuators
     :param xacro_args: arguments of a xacro file, by name
+    :param needs_meshes: as for :func:`load_urdf`
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
-    spec, notes = load_urdf(file, xacro_args) if is_urdf(file) else (load_spec(file), [])
+    spec, notes = load_urdf(file, xacro_args, needs_meshes) if is_urdf(file) else (
+        load_spec(file), [])
+    notes += _gravity_of_file(spec)
     name_unnamed_elements(spec)
     _infer_inertias_once(spec)
     model = compile_alone(spec, str(file))
@@ -158,6 +162,16 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
     return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named, mocap)
+
+
+def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
+    """Return that gravity other than the usual one is left behind, in a sentence."""
+    gravity = np.asarray(spec.option.gravity)
+    if np.array_equal(gravity, mujoco.MjSpec().option.gravity):
+        return []
+    numbers = ' '.join(f'{number:g}' for number in gravity)
+    return [f'left behind: the gravity of the file, {numbers} m/s^2; <option gravity="{numbers}"/> '
+            'in the MJCF file of an arena sets that of its worlds']
 
 
 def _infer_inertias_once(spec: mujoco.MjSpec) -> None:

@@ -15,11 +15,12 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.fingers import Fingers
-from manip_sim.models.files.found_hands import FoundHand
+from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
 from manip_sim.models.files.hand_model import fill_control_ranges, HandFromFile
 from manip_sim.models.files.part_descriptions import OwnHandDescription
 from manip_sim.models.quaternion import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.models.spec_edits import delete_elements
+from manip_sim.quoting import quoted_names
 
 if TYPE_CHECKING:
     from manip_sim.models.robots.robot_model import RobotModel
@@ -57,6 +58,12 @@ class OwnHand(HandFromFile, registered=False):
         """
         self.inferred += fill_control_ranges(spec, tree.model, list(hand.actuators))
         self._add_grasp_frame(spec, tree, hand, f'{self.idn}_hand_')
+        bodies = hands_of_hand(tree, hand)
+        if bodies:
+            self.inferred.append(
+                f'the fingers on {quoted_names(bodies)} are one gripper; arms: {{{self.idn}: {{'
+                f'hand: {bodies[0]}}}}} in a YAML file takes one of them, and the joints of the '
+                "others become the part 'other'")
         self._body = tree.name(hand.body)
         self._joints = [str(tree.model.joint(joint).name) for joint in hand.joints
                         if int(tree.model.jnt_type[joint]) != 0]

@@ -43,6 +43,8 @@ class Description(BaseModel):
     #: Arguments of a xacro file.
     xacro_args: dict[Name, Union[Annotated[str, Field(strict=True)],
                                  Annotated[bool, Field(strict=True)], Number]] = {}
+    #: ``none``: a URDF file may lack all of its meshes.
+    meshes: Union[Literal['none'], None] = None
 
     @property
     def xacro_values(self) -> dict[str, str]:

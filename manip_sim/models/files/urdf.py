@@ -45,7 +45,8 @@ def is_urdf(file: Path) -> bool:
     return first is not None and first.group(1) == 'robot'
 
 
-def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None) -> tuple[Any, list[str]]:
+def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_meshes: bool = True
+              ) -> tuple[Any, list[str]]:
     """
     Read a spec from a URDF file, or from a xacro file that makes one.
 
@@ -54,11 +55,12 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None) -> tuple[
     mimic joint is coupled by an equality constraint.
 
     :param xacro_args: arguments of a xacro file, by name
+    :param needs_meshes: reject a file if none of its meshes is found, or a package of theirs
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
-    :raises ModelError: if it cannot be read, or a mesh is not found
+    :raises ModelError: if it cannot be read, or meshes that it needs are not found
     """
     robot = _parse(file, _text(file, xacro_args or {}))
-    notes = [*_find_meshes(robot, file), *_drop_empty_shapes(robot), *make_physical(robot)]
+    notes = [*_find_meshes(robot, file, needs_meshes), *_drop_empty_shapes(robot), *make_physical(robot)]
     for visual in robot.iter('visual'):
         for material in visual.findall('material')[1:]:  # MuJoCo reads one.
             visual.remove(material)
@@ -113,16 +115,16 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
     return ElementTree.SubElement(extension, 'compiler') if compiler is None else compiler
 
 
-def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
+def _find_meshes(robot: ElementTree.Element, file: Path, needed: bool) -> list[str]:
     """
     Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
 
-    :raises ModelError: if a package, or all meshes, are missing
+    :raises ModelError: if a package, or all meshes, are missing, and they are needed
     """
     extension = robot.find('mujoco/compiler')
     folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
     unread: dict[str, list[str]] = {'visual': [], 'collision': []}
-    missing: list[_MissingMesh] = []
+    missing: list[_Missing] = []
     read = 0
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
@@ -131,16 +133,18 @@ def _find_meshes(robot: ElementTree.Element, file: Path) -> list[str]:
                 continue
             try:
                 found, why = _converted(_resolve(mesh.get('filename', ''), folder, file, link))
-            except _MissingMesh as error:
+            except _Missing as error:
+                if needed and error.is_package:
+                    raise
                 missing.append(error)
-                found, why = None, f'no such file: {error.place}'
+                found, why = None, error.why
             if found is None:
                 unread[shape.tag].append(f'{quoted(mesh.get("filename"))} ({why})')
                 link.remove(shape)
             else:
                 mesh.set('filename', str(found))
                 read += 1
-    if missing and not read:  # The folder or the package is wrong.
+    if missing and not read and needed:  # The folder or the package is wrong.
         raise missing[0]
     lost = {'visual': '', 'collision': '; nothing touches these links there'}
     return [f'left out: {len(names)} {tag} shapes of files that cannot be read, such as '
@@ -187,17 +191,19 @@ def _converted(mesh: Path) -> tuple[Path | None, str]:
     return None, f'not one of {", ".join((*_MESHES, *SUFFIXES))}'
 
 
-class _MissingMesh(ModelError):
+class _Missing(ModelError):
     """
     A mesh is missing.
 
     :param where: which one, for the message
-    :ivar place: where it should be
+    :param why: what is not there
+    :param is_package: whether it is the whole package
     """
 
-    def __init__(self, where: str, place: Path) -> None:
-        super().__init__(f'{where}: no such file: {place}')
-        self.place = place
+    def __init__(self, where: str, why: str, is_package: bool) -> None:
+        super().__init__(f"{where}: {why}; 'meshes: none' in a YAML file loads the model without "
+                         'the shapes that are missing')
+        self.why, self.is_package = why, is_package
 
 
 def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> Path:
@@ -217,13 +223,13 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
             # The package has another name here.
             folder for folder in file.resolve().parents[:2] if (folder / rest).is_file()]
         if not roots:
-            raise ModelError(f'{where}: package {quoted(package)} is neither in AMENT_PREFIX_PATH '
-                             f'or ROS_PACKAGE_PATH nor a folder above the file')
+            raise _Missing(where, f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or '
+                           'ROS_PACKAGE_PATH nor a folder above the file', True)
         candidates = [root / rest for root in roots]
     for candidate in candidates:
         if candidate.is_file() or _readable(candidate) not in (None, candidate):
             return candidate.resolve()
-    raise _MissingMesh(where, candidates[0])
+    raise _Missing(where, f'no such file: {candidates[0]}', False)
 
 
 def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
@@ -251,12 +257,13 @@ def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element) -> None:
 
 
 def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
-    """Give a little mass to links that move and neither have nor carry inertia or shapes."""
+    """Give a little mass to links that move, with nothing on them that has inertia or shapes."""
     without = {str(link.get('name')) for link in robot.iter('link')
                if link.find('inertial') is None}
     light = []
     for body in spec.bodies[1:]:
-        carried = [body, *body.find_all('body')]
+        # What moves on it may be heavy: MuJoCo wants a mass of its own nevertheless.
+        carried = [body, *_fixed_on(body)]
         if (body.name in without and len(body.joints)
                 and not any(_has_mass(other, without) for other in carried)):
             body.mass, body.inertia = _LIGHT_KG, [_LIGHT_INERTIA] * 3
@@ -281,6 +288,13 @@ def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
             notes.append(f"link '{body.name}' has no <inertial>: {made.mass[0]:.4g} kg from its "
                          f'collision shapes at {max(densities):g} kg/m^3')
     return notes
+
+
+def _fixed_on(body: Any) -> Iterator[Any]:
+    for child in body.bodies:
+        if not child.joints:
+            yield child
+            yield from _fixed_on(child)
 
 
 def _has_mass(body: Any, without_inertia: set[str]) -> bool:
