@@ -13,6 +13,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / 'manip_sim').rglob('*.py'))
 ROWS = re.findall(r'^\| (?!word |---)(.+?) \| .+ \|$',
                   (ROOT / 'docs' / 'glossary.md').read_text(), re.MULTILINE)
+#: Where each word's code begins, as the page on the architecture has it.
+PLACES = re.findall(r'^\| ([^|`]+) \| `([a-z_/]+(?:\.py)?)` \|$',
+                    (ROOT / 'docs' / 'explanation' / 'architecture.md').read_text()
+                    .partition('## Threads')[0].rpartition('| word |')[2], re.MULTILINE)
 #: What the style of the project says with other words: report, log, need, support, handle, speed.
 NOT_USED = {'tell', 'tells', 'told', 'untold', 'heard', 'bear', 'bears', 'borne', 'mend', 'mends'}
 
@@ -24,6 +28,11 @@ def named(node):
     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
         return node.attr
     return node.arg if isinstance(node, ast.arg) else ''
+
+
+def in_lower_case(text):
+    """Return a text as one line of words in lower case."""
+    return re.sub(r'[\s_-]+', ' ', text.lower())
 
 
 def words_of(name):
@@ -39,13 +48,26 @@ def test_the_glossary_is_in_order_and_names_each_word_once():
 
 @pytest.fixture(scope='module')
 def code():
-    """Return all sources as one line of words in lower case."""
-    return re.sub(r'[\s_-]+', ' ', ' '.join(file.read_text() for file in SOURCES).lower())
+    """Return all sources, as :func:`in_lower_case` has them."""
+    return in_lower_case(' '.join(file.read_text() for file in SOURCES))
 
 
 @pytest.mark.parametrize('word', ROWS)
 def test_the_code_uses_the_word(word, code):
     assert re.search(rf"\b{re.sub('[-_]', ' ', word.strip('`').lower())}", code)
+
+
+@pytest.mark.parametrize(('word', 'place'), PLACES, ids=[word for word, _ in PLACES])
+def test_the_code_of_a_word_is_where_the_architecture_says(word, place):
+    path = ROOT / 'manip_sim' / place
+    text = (path if path.is_file() else path / '__init__.py').read_text()
+    assert word in ROWS
+    assert all(part in in_lower_case(text) for part in in_lower_case(word).split())
+
+
+def test_most_places_have_the_name_of_their_word():
+    found = {word for word, place in PLACES if word.split()[-1] in place}
+    assert len(found) > 20, {word for word, _ in PLACES} - found
 
 
 def test_names_avoid_words_that_the_style_replaces():

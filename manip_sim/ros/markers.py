@@ -21,7 +21,7 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.contacts import read_contacts
-from manip_sim.simulation.wrench import EndEffectorReader
+from manip_sim.simulation.end_effectors import EndEffectorReader
 
 #: Length of the arrow of a force [m/N].
 FORCE_SCALE = 0.01

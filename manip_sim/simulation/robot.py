@@ -32,7 +32,7 @@ from manip_sim.simulation.parts import find_parts, Part
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.reflexes import Reflexes
 from manip_sim.simulation.state import ControllerState, State
-from manip_sim.simulation.wrench import end_effector, EndEffectorReader, READINGS
+from manip_sim.simulation.end_effectors import end_effector, EndEffectorReader, READINGS
 
 
 class SimulatedRobot:

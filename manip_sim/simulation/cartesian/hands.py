@@ -14,7 +14,7 @@ from manip_sim.arrays import IntArray
 from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.cartesian.frames import Frame, RobotFrames
 from manip_sim.simulation.parts import Part
-from manip_sim.simulation.wrench import EndEffectorReader
+from manip_sim.simulation.end_effectors import EndEffectorReader
 
 
 @dataclass(frozen=True)
