@@ -73,6 +73,10 @@ def test_the_scene_shows_the_period_of_the_slider(player, frames):
         player.update(0.0)
         np.testing.assert_allclose(hand_of(player), hand.values[period, :3], atol=1e-6)
     assert 'period' in player._text._shown and slider_of(player).max == len(frames[0].actions)
+    assert player._text._shown.endswith(f', reward {frames[0].rewards[-1]:.3f}</div>')
+    slider_of(player).value = 0
+    player.update(0.0)
+    assert 'reward' not in player._text._shown  # There is none at the start.
 
 
 def test_failure_leads_to_the_end_of_the_next_episode_that_failed(player, frames):
@@ -96,6 +100,7 @@ def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, fr
     (joints,) = frames[0].positions.values()
     at = np.searchsorted(times, np.arange(len(joints.values)) * 0.05 - 1e-9)
     np.testing.assert_allclose(np.array(columns)[:, at].T, joints.values, atol=1e-6)
+    assert (times[0], times[-1]) == pytest.approx((0.0, 0.05 * (len(joints.values) - 1)), abs=1e-3)
     assert times[np.argmax(now)] == pytest.approx(0.2)
     assert player._plot.scales == {'x': {'time': False}}  # Seconds, not dates.
     assert {'reward', 'action', 'right position', 'right external force'} <= set(

@@ -11,6 +11,9 @@ import pytest
 from sensor_msgs.msg import Imu, JointState, MagneticField, Range
 from std_msgs.msg import Float64MultiArray
 
+from manip_sim.models.objects import create_object
+from manip_sim.simulation.spawning import plan_with, plan_without
+
 OBJECT = """
 <mujoco>
   <worldbody>
@@ -105,3 +108,30 @@ def test_pads_of_fingers_tell_by_points_how_deep_each_is_pressed(serve, client):
         'tactile of gripper0_right_finger1_pad_tactile: depth, slip, slip')
     client.publish('right/gripper/command', Float64MultiArray(data=[1.0]))
     client.spin_until(lambda: all(min(pad[-1].data[:16]) > 0.0 for pad in pads))
+
+
+def test_sensors_of_objects_come_and_go_with_them_and_the_others_stay(
+        probe, serve, client, tmp_path):
+    node = serve(start_paused=True, objects=[probe])
+    ranges = client.listen(Range, 'sensors/probe_down/range')
+    client.spin_until(lambda: ranges and ranges[-1].header.frame_id == 'probe_eye')
+
+    def publishers():
+        return {topic.topic_name: topic for topic in node.publishers
+                if topic.topic_name.startswith('/sensors/')}
+
+    def change(plan):
+        node.thread.call(lambda: node.simulation.change_objects(plan))
+        node.executor.create_task(node._objects_changed, node.simulation)
+
+    before, plan = publishers(), node.simulation.plan
+    other = tmp_path / 'other.xml'
+    other.write_text(OBJECT.replace('"eye"', '"lens"'))
+    without = plan_without(plan, 'probe')
+    change(plan_with(without, create_object({'name': 'probe', 'file': str(other)})))
+    client.spin_until(lambda: ranges[-1].header.frame_id == 'probe_lens')
+    change(without)
+    client.spin_until(lambda: not any('probe' in name for name in publishers()))
+    found = publishers()
+    assert found and all(found[name] is before[name] for name in found)
+    assert found.keys() == {name for name in before if 'probe' not in name}

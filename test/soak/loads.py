@@ -32,9 +32,9 @@ _SIGNALS = [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if signal.getsignal(number) != signal.SIG_IGN]
 #: Malformed messages after which caches are filled and growth counts.
 _WARM = 2_000
-#: Messages in one burst, places of the queue of a topic, which get a seventh of a burst, and
-#: what all queues can hold of messages of 20 kB, as four long names make them [MB].
-_BURST, _PLACES, _MALFORMED_MB = 200, 80, 12.0
+#: Messages in one burst, no more than the node takes until the next one; places of the queue of a
+#: topic; and what all places can hold of messages of 20 kB, as four long names make them [MB].
+_BURST, _PLACES, _MALFORMED_MB = 80, 80, 12.0
 _NUMBERS = (0.0, 1.0, -1.0, 1e308, -1e308, 5e-324, float('nan'), float('inf'), -float('inf'))
 _NAMES = ('robot0_joint1', 'robot0_joint2', '', 'elbow', "x'y'z", 'a\nb', '\x1b[2J', 'j' * 5000,
           'gripper0_right_finger_joint1')
@@ -80,8 +80,8 @@ def malformed(count: int, seed: int) -> Row:
     """Send messages that are random or damaged on all topics, and bad parameter requests."""
     rng = random.Random(seed)
     # The queues hold what one burst sends, so that all messages come to the callbacks. Fast DDS
-    # keeps room for the largest message so far in each place of a queue, so that memory grows,
-    # ever slower, up to the number of places times the largest message, and no further.
+    # keeps room for the largest message so far in each place of a queue: memory grows, ever slower,
+    # up to the number of places times the largest message, and no further.
     queues = [f'qos_overrides./{topic}.subscription.depth:={_PLACES}' for topic in _TOPICS]
     with Target('robot:=PandaOmron', *queues) as target:
         client = target.client

@@ -330,6 +330,24 @@ def test_a_model_that_cannot_be_drawn_leaves_the_rest_of_the_page(server, monkey
     assert page._posture.data.body('b').xpos[2] == pytest.approx(3.0)
 
 
+def test_markers_are_wanted_while_one_of_their_boxes_is_ticked(server):
+    page = Page(server, None, lambda *_: None)
+    contacts, wrenches = page._view._contacts, page._view._wrenches
+    seen = []
+    for contacts.value, wrenches.value in ((False, False), (True, False), (False, True)):
+        seen.append(page.wants_markers)
+    assert seen == [False, True, True]
+
+
+def test_names_of_bodies_go_with_their_tick(server):
+    page = Page(server, None, lambda *_: None)
+    page.show_model(box(), Latest())
+    page._scene.show_names(True)
+    (label,) = page._scene._labels
+    page._scene.show_names(False)
+    assert label._impl.removed and not page._scene._labels
+
+
 class Ignored:
     """Takes all commands."""
 
