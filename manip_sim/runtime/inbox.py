@@ -27,7 +27,7 @@ class Inbox:
         if self._woken.wait(timeout_s):
             self._woken.clear()
 
-    def take(self, most: int = 1) -> None:
+    def take(self, most: int) -> None:
         """
         Take the messages that have come, without waiting; here there are none.
 

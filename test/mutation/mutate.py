@@ -77,7 +77,7 @@ SCOPES = {
         {'ros': (['manip_sim/ros'], 0.45), 'runtime': (['manip_sim/runtime'], 0.1),
          'viewer': (['manip_sim/viewer'], 0.3), 'cli': (['manip_sim/cli'], 0.15)},
         ['test/ros', 'test/runtime', 'test/viewer', 'test/cli', 'test/records',
-         'test/test_startup.py',
+         'test/experiments', 'test/test_startup.py',
          '--ignore=test/ros/test_documentation.py', '--ignore=test/ros/test_soak.py'])}
 
 
