@@ -53,8 +53,7 @@ PAYLOADS = {
     'RobotiqThreeFingerGripper': (2.5, 0.06), 'RobotiqThreeFingerDexterousGripper': (2.5, 0.06),
     # Not checked: the arm's payload, 1.6 kg in Kinova's data sheet of the Jaco.
     'JacoThreeFingerGripper': (1.6, 0.05), 'JacoThreeFingerDexterousGripper': (1.6, 0.05),
-    # Not checked: 2 kg in PAL Robotics' data sheet of the TIAGo's gripper. The SO-101 has no figure
-    # of a maker: 0.3 kg.
+    # Not checked: 2 kg in PAL Robotics' sheet of the TIAGo's gripper. SO-101: no maker's figure.
     'PalGripper': (2.0, 0.04), 'SO101Gripper': (0.3, 0.03)}
 #: Robots that are measured with their own grippers; Panda and GR1 are with those that they carry.
 ROBOTS = ['UR5e', 'IIWA', 'Sawyer', 'Kinova3', 'Jaco', 'Baxter']

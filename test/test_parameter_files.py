@@ -19,7 +19,7 @@ def test_a_node_in_a_namespace_has_its_own_section(written):
     ('robot: Panda\n', "it has no key 'ros__parameters'"),
     ('other:\n  ros__parameters: {a: 1}\n', "has no parameters for /manip_sim, it is for 'other'"),
     ('/**:\n  ros__parameters: 3\n', r"'\*\*': ros__parameters must hold names and values"),
-    ('/**:\n  ros__parameters: {a: 1, a: 2}\n', "'a' is there twice"),
+    ('/**:\n  ros__parameters: {a: 1, a: 2}\n', "'a' appears twice"),
     ('/**:\n  ros__parameters: {a: !!python/name:os.system }\n', 'is invalid or unsafe YAML'),
     ('- 1\n', 'must hold keys and values')])
 def test_a_file_that_cannot_be_used_is_told(text, what, written):

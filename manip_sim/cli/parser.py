@@ -51,10 +51,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     words = sys.argv[1:] if arguments is None else list(arguments)
     parser = _Parser(
         prog='manip_sim', allow_abbrev=False,
-        description='List robots, grippers, bases and arenas, and describe, check, render and '
-                    'export what is composed of them; record nodes, repeat and '
-                    'convert records. Works without '
-                    'ROS.',
+        description='List robots, grippers, bases and arenas; describe, check, render and export '
+                    'compositions of them; run policies on tasks; record nodes, and repeat and '
+                    'convert records. Works without ROS.',
         epilog=f"For the options of a command, type manip_sim COMMAND --help. {_EXIT_CODES}. "
                "The node is another program, 'sim_node'.")
     parser.add_argument('--version', action='version', version=f'manip_sim {package_version()}')
@@ -219,7 +218,7 @@ def _add_record(commands: Any) -> None:
     parser = _command(
         commands, 'record', 'record', 'record topics of a running node',
         'Writes an MCAP file as rosbag2 does, with the model, the parameters and the definitions '
-        'of all types inside. Ends with Ctrl-C; the file is then complete. It needs ROS.',
+        'of all types inside. Ctrl-C ends it and completes the file. It needs ROS.',
         'examples: manip_sim record all.mcap\n'
         "          manip_sim record joints.mcap joint_states '~/mjcf' --duration 10")
     parser.add_argument('file', type=Path, metavar='FILE', help='new file, such as out.mcap')
@@ -229,14 +228,14 @@ def _add_record(commands: Any) -> None:
     parser.add_argument('--node', default='manip_sim', metavar='NAME', help='full name of the '
                         'node, such as /left/manip_sim (default: /manip_sim)')
     parser.add_argument('--duration', type=positive, metavar='SECONDS',
-                        help='end after this time, of the wall clock [s]')
+                        help='end after this wall time [s]')
 
 
 def _add_replay(commands: Any) -> None:
     parser = _command(
         commands, 'replay', 'replay', 'repeat recorded episodes in a fresh simulation',
-        'Says how many succeed. With --verify it compares the state of each control period and '
-        'the digests with those of the record, and says in which period an episode first '
+        'Reports how many succeed. With --verify it compares the state of each control period '
+        'and the digests with those of the record, and reports in which period an episode first '
         'differs.',
         'example: manip_sim replay --verify run.mcap\n'
         'With --verify the exit code is 0 only if all episodes are equal to the last bit and the '
@@ -270,22 +269,22 @@ def _add_run(commands: Any) -> None:
     parser = _command(
         commands, 'run', 'run', 'run a policy on a task for many seeds, and report its success',
         'Writes a row for each episode to episodes.parquet, and the success with its 95 % '
-        'interval to summary.json. A run that was interrupted goes on with the same command. An '
-        'episode in which the policy fails is a row with the error, and the exit code is 1.',
+        'interval to summary.json. To continue an interrupted run, repeat the command. An '
+        'episode in which the policy fails gets a row with the error, and the exit code is 1.',
         'examples: manip_sim run pick_cube --policy expert --seeds 0:100 --out results\n'
         '          manip_sim run reach --policy my_policy.py:Reach --latency 0.15 --seeds 0:1000 '
         '--out late\n'
         '          manip_sim run pick_cube --policy expert --seeds 0:12 --state-latency '
         '0,0.05,0.1,0.15,0.25,0.4 --out sweep')
-    parser.add_argument('task', metavar='TASK', help="as 'manip_sim list tasks' has it, or "
-                        'the path of a YAML file that describes one')
+    parser.add_argument('task', metavar='TASK', help="a task from 'manip_sim list tasks', "
+                        'or the path of a YAML file that describes one')
     parser.add_argument('--policy', required=True, help="'expert'; MODULE:CLASS or FILE.py:CLASS "
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
                         'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '
                         'node that answers observations')
     parser.add_argument('--policy-limit', type=positive, default=10.0, metavar='SECONDS',
-                        help='how long a node may take for an answer, wall time; then its episode '
-                        'fails (default: 10)')
+                        help='longest wall time that a node may take to answer; after that, its '
+                        'episode fails (default: 10)')
     parser.add_argument('--seeds', required=True, metavar='SEEDS',
                         help='such as 0:1000, which is 0 to 999, 0:1000:10 or 1,5,10:20')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of the run')
@@ -297,31 +296,31 @@ def _add_run(commands: Any) -> None:
     parser.add_argument('--control-hz', type=number, default=20.0, metavar='HZ',
                         help='actions per second of simulated time (default: 20)')
     parser.add_argument('--latency', type=numbers, metavar='SECONDS[,...]',
-                        help='how much later a command takes effect, in simulated time (default: '
-                        '0); several are runs in DIR/latency_SECONDS, with one table')
+                        help='delay of each command, in simulated time (default: 0); several '
+                        'values make several runs, in DIR/latency_SECONDS, with one table')
     parser.add_argument('--state-latency', type=numbers, metavar='SECONDS[,...]',
-                        help='how old the observed state is (default: 0); several as above')
+                        help='age of the observed state (default: 0); several values as above')
     for option, what in (('--latency-jitter', '--latency'),
                          ('--state-latency-jitter', '--state-latency')):
         parser.add_argument(option, type=number, metavar='SECONDS',
                             help=f'standard deviation of {what}, drawn from the seed (default: '
                             '0)')
-    parser.add_argument('--noise', action='append', metavar='NOISE', help="of what is observed: a "
-                        "profile ('franka', 'ur', 'ideal'), whose latency counts where --latency "
-                        'and the like are not given, a file of parameters of the node, or '
-                        'NAME:=VALUE; may be repeated, the last one wins')
+    parser.add_argument('--noise', action='append', metavar='NOISE', help='noise on what is '
+                        "observed: a profile ('franka', 'ur', 'ideal'), whose latency applies "
+                        'unless --latency and the like are given, a parameter file of the node, '
+                        'or NAME:=VALUE; may be repeated, the last one wins')
     parser.add_argument('--randomization', type=Path, metavar='FILE', help='YAML file with '
                         'distributions, drawn at each start from its seed')
     parser.add_argument('--cameras', action='append', metavar='NAME', help='camera whose images '
                         'are observed, or description of another camera; may be repeated')
     parser.add_argument('--image-size', type=image_size, metavar='WIDTHxHEIGHT',
-                        help='size of the images [pixels] (default: as the camera has it)')
-    parser.add_argument('--worlds', type=count, metavar='N', help='episodes at once, each in a '
-                        'process (default: one for each processor)')
+                        help='size of the images [pixels] (default: that of the camera)')
+    parser.add_argument('--worlds', type=count, metavar='N', help='how many episodes run at '
+                        'once, each in a process (default: one for each processor)')
     parser.add_argument('--engine', choices=('processes', 'ray'), default='processes',
                         help='what runs the episodes (default: processes of this machine)')
-    parser.add_argument('--address', metavar='ADDRESS', help="of a cluster of Ray, such as 'auto' "
-                        '(default: one is started here)')
+    parser.add_argument('--address', metavar='ADDRESS', help='address of a Ray cluster, such as '
+                        "'auto' (default: start one here)")
     parser.add_argument('--shard', default='1/1', metavar='I/K', help='run only one of K parts, '
                         'from 1/K to K/K; parts in one folder are merged')
     parser.add_argument('--record', action='store_true',
@@ -330,10 +329,11 @@ def _add_run(commands: Any) -> None:
 
 def _add_merge(commands: Any) -> None:
     parser = _command(
-        commands, 'merge', 'run', 'merge the folders of shards that ran apart', '',
+        commands, 'merge', 'run', 'merge the folders of shards that ran separately', '',
         'example: manip_sim merge shard1 shard2 --out results')
     parser.add_argument('folders', nargs='+', type=Path, metavar='DIR', help='folders of a run')
-    parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of all')
+    parser.add_argument('--out', required=True, type=Path, metavar='DIR',
+                        help='folder for the merged run')
 
 
 def add_composition(parser: argparse.ArgumentParser) -> None:
@@ -370,7 +370,8 @@ def add_composition(parser: argparse.ArgumentParser) -> None:
     group.add_argument('--tactile', action='store_true', default=None,
                        help='tactile sensors on the pads of the grippers')
     group.add_argument('--params-file', type=Path, metavar='FILE', help='parameter file of a '
-                       'node, instead of all these options; may have several robots and objects')
+                       'node, instead of all these options; may describe several robots and '
+                       'objects')
     group.add_argument('--cameras', action='append', metavar='NAME', help='camera of the model '
                        'whose images the node publishes, or description of another camera, as '
                        "for the node: '{name: front, position: [2, 0, 1], look_at: [0, 0, 1]}'; "

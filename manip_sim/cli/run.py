@@ -77,7 +77,7 @@ def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, flo
             try:
                 found[name] = float(value)
             except ValueError as error:
-                raise ModelError(f'--noise {quoted(given)}: {quoted(value)} is no number'
+                raise ModelError(f'--noise {quoted(given)}: {quoted(value)} is not a number'
                                  ) from error
             continue
         profile = share_directory() / 'config' / f'noise_{given}.yaml'

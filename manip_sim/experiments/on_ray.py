@@ -61,7 +61,7 @@ def _check_answered(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
     except (OSError, OverflowError) as error:
-        raise ManipSimError(f'no cluster of Ray answers at {one_line(address, 100)}: '
+        raise ManipSimError(f'no Ray cluster answers at {one_line(address, 100)}: '
                             f'{getattr(error, "strerror", None) or error}') from error
 
 

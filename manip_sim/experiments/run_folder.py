@@ -78,7 +78,8 @@ class RunFolder:
             try:
                 fcntl.flock(own, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
-                raise ModelError(f'shard {number}/{count} of {self.path} runs already') from error
+                raise ModelError(
+                    f'shard {number}/{count} of {self.path} is already running') from error
             yield Shard(own, self._seeds[number - 1::count])
 
     def rows(self) -> dict[int, Row]:
@@ -157,7 +158,7 @@ def read_rows(lines: Iterable[str]) -> dict[int, Row]:
         try:
             row = Row.of(json.loads(line))
         except (ValueError, TypeError) as error:
-            raise ModelError(f'line {number} of the rows is none: {line[:60]!r}') from error
+            raise ModelError(f'line {number} is not a row: {line[:60]!r}') from error
         found[row.seed] = row
     return found
 
@@ -171,9 +172,9 @@ def read_json(file: Path) -> dict[str, Any]:
     try:
         found = json.loads(file.read_text())
     except ValueError as error:
-        raise ModelError(f'{file} is not of a run: {error}') from error
+        raise ModelError(f'{file} does not belong to a run: {error}') from error
     if not isinstance(found, dict):
-        raise ModelError(f'{file} is not of a run')
+        raise ModelError(f'{file} does not belong to a run')
     return found
 
 

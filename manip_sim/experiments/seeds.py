@@ -39,7 +39,7 @@ def parse_seeds(text: str) -> list[int]:
             raise ModelError(f'seeds {quoted(text)}: more than {MOST} seeds')
         seeds += found
     if len(set(seeds)) != len(seeds):
-        raise ModelError(f'seeds {quoted(text)}: a seed is there twice')
+        raise ModelError(f'seeds {quoted(text)}: a seed appears twice')
     return seeds
 
 

@@ -40,9 +40,9 @@ def node_parameters() -> list[ParameterSpec]:
         ParameterSpec('robots', [''], 'Names of several robots in one world, such as left and '
                       'right. The name is the namespace of the topics of a robot and the prefix '
                       'of its parameters, such as left.robot. Empty: one robot.'),
-        ParameterSpec('task', '', "Task that is done, as 'manip_sim list tasks' has it, or the "
-                      'path of a YAML file that describes one: it brings '
-                      'arena and objects, and its starts are drawn from seed; empty: none.'),
+        ParameterSpec('task', '', "A task from 'manip_sim list tasks', or the path of a YAML "
+                      'file that describes one. It sets arena and objects, and draws its starts '
+                      'from seed. Empty: no task.'),
         ParameterSpec('arena', 'empty', 'What surrounds the robot.',
                       choices=tuple(arena_names()), kind='arenas'),
         ParameterSpec('cube', True, 'In the arena table: put a free cube of 0.05 m and 0.1 kg on '
@@ -143,11 +143,11 @@ def composition_parameters(scope: Scope) -> list[ParameterSpec]:
                       'Start of all names of the robot, its base and its '
                       'grippers: joints, frames, the model. Empty: names such as robot0_joint1.'),
         ParameterSpec('tactile', False, 'Put tactile sensors on the pads of the grippers: '
-                      'points some 4 mm apart that tell how deep each is pressed.'),
+                      'points some 4 mm apart that measure how deep each is pressed.'),
         ParameterSpec('lockstep_parts', ['arm'], 'Parts that must each receive a command before '
                       'lockstep advances by a control period, such as arm or right/gripper; '
-                      'of a robot without arm, arm stands for all parts; arena is that of the '
-                      "arena's joints.")]
+                      'for a robot without arms, arm stands for all parts; arena stands for '
+                      "the arena's joints.")]
     if not scope.name:
         specs.append(ParameterSpec('idn', 0, 'Number of the robot in names such as robot0_joint1, '
                                    'if prefix is empty.', minimum=0, maximum=999))
@@ -162,7 +162,7 @@ def actuation_parameters(scope: Scope, subsystems: Sequence[str]) -> list[Parame
     """
     return [spec.within(scope) for name in subsystems for spec in (
         ParameterSpec(f'friction.{name}', 'none', f'Friction of the joints of the {name}: none '
-                      "(but that of the model), 'catalogue', or values such as '{coulomb: 0.5, "
+                      "(only that of the model), 'catalogue', or values such as '{coulomb: 0.5, "
                       "static: 0.8, stribeck_velocity: 0.05, viscous: 1.0}', each a number or "
                       'one for each joint.'),
         ParameterSpec(f'torque_speed.{name}', 'none', 'Velocity up to which the joints '

@@ -208,11 +208,11 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
 def _check_list(data: bytes) -> None:
     """Check the size of the list of files, which zipfile reads as a whole."""
     if len(data) < _END.size:
-        raise ModelError('the archive is no zip archive')
+        raise ModelError('the archive is not a zip archive')
     signature, *_, count, size, _, comment = _END.unpack(data[-_END.size:])
     begin = len(data) - _END.size - len(_LOCATOR_64) - 16
     if signature != b'PK\x05\x06' or comment or data[begin:begin + 4] == _LOCATOR_64:
-        raise ModelError('the archive is no zip archive that ends without a comment')
+        raise ModelError('the archive is not a zip archive that ends without a comment')
     if count > _MAX_FILES or size > _MAX_LIST_BYTES:
         raise ModelError(f'the archive has {count} files in a list of {size} bytes, and at most '
                          f'{_MAX_FILES} in {_MAX_LIST_BYTES} are unpacked')

@@ -45,7 +45,7 @@ def check_content(kind: str, suffix: str, content: bytes, name: str) -> None:
     checks = _CHECKS.get(kind, {})
     where = f'{kind} file {one_line(name)}'
     if suffix not in checks:
-        raise ModelError(f'{where} is of no type that can be spawned: these are '
+        raise ModelError(f'{where} has a type that cannot be spawned; these types can: '
                          + ', '.join(known for each in _CHECKS.values() for known in each))
     problem = checks[suffix](content)
     if problem:

@@ -55,7 +55,7 @@ class Registry(Generic[T]):
         if name is None:
             return
         if _importing and self._is_another(name, cls):
-            _LOGGER.warning('%s defines a %s %r, which is registered already and kept',
+            _LOGGER.warning('%s defines a %s %r, which is already registered and is kept',
                             _importing[-1], self.kind, name)
             return
         self._classes[name] = cls

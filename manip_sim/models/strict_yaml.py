@@ -36,7 +36,7 @@ class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
                 raise yaml.YAMLError(f'a key must be a string, got {key!r} in line '
                                      f'{key_node.start_mark.line + 1}')
             if key in seen:
-                raise yaml.YAMLError(f'{quoted(key)} is there twice, again in line '
+                raise yaml.YAMLError(f'{quoted(key)} appears twice, again in line '
                                      f'{key_node.start_mark.line + 1}')
             seen.add(key)
         return super().construct_mapping(node, deep=deep)

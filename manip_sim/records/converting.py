@@ -35,7 +35,7 @@ def convert(paths: Iterable[Path], name: str, target: Path,
     :raises RecordError: if a record cannot be read, or an episode cannot be written
     """
     if target.exists():
-        raise RecordError(f'{target} is there already, and is not overwritten')
+        raise RecordError(f'{target} already exists and is not overwritten')
     if not target.parent.is_dir():
         raise RecordError(f'no such folder: {target.parent}')
     notes: list[str] = []
@@ -83,6 +83,6 @@ def records_in(paths: Iterable[Path]) -> list[Path]:
     for path in paths:
         files = sorted(path.rglob('*.mcap')) if path.is_dir() else [path]
         if not files:
-            raise RecordError(f'{path}: there is no *.mcap in this folder')
+            raise RecordError(f'{path}: this folder has no *.mcap file')
         found += files
     return found

@@ -83,7 +83,7 @@ def check_about(about: Mapping[str, str]) -> None:
         int(about['seed'])
         period_s = float(about['period_s'])
     except (ValueError, RecursionError) as error:
-        raise RecordError('damaged: an episode is described by what cannot be read: '
+        raise RecordError('damaged: the description of an episode cannot be read: '
                           + one_line(str(error))) from error
     robots, (least, longest) = read['robots'], _PERIODS_S
     if (not all(isinstance(read[key], dict) for key in _OBJECTS if key in read)
@@ -92,7 +92,7 @@ def check_about(about: Mapping[str, str]) -> None:
                        for parts in robots.values())
             or not least <= period_s <= longest or not 0 <= steps < 2**53
             or not 0 <= number < 2**31):
-        raise RecordError('damaged: an episode is described by what cannot be used')
+        raise RecordError('damaged: the description of an episode cannot be used')
 
 
 def _is_deep(value: Any, room: int = _MAX_DEPTH) -> bool:
@@ -130,7 +130,7 @@ def unpacked(chunk: Any) -> bytes:
     else:
         data = chunk.data
     if len(data) != size:
-        raise RecordError('damaged: a chunk has not the size that it says')
+        raise RecordError('damaged: a chunk does not have the size that it states')
     return data
 
 

@@ -60,7 +60,7 @@ def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float 
         topic
     """
     if path.exists():
-        raise RecordError(f'{path} is there already, and is not overwritten')
+        raise RecordError(f'{path} already exists and is not overwritten')
     ended = EndSignals()
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:

@@ -48,7 +48,7 @@ class RecordFile:
         try:
             self._file = _WholeWrites(path, overwrite)
         except FileExistsError:
-            raise RecordError(f'{path} is there already, and is not overwritten') from None
+            raise RecordError(f'{path} already exists and is not overwritten') from None
         except OSError as error:
             raise RecordError(f'{path}: {error.strerror or error}') from error
         self._writer = Writer(self._file, chunk_size=_NEVER, compression=CompressionType.LZ4,

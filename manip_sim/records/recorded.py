@@ -208,9 +208,9 @@ class Record:
         for found in self.contents():
             if not isinstance(found, RecordedEpisode):
                 raise RecordError(
-                    f'{self.path}: it is of the node {quoted(found.node)}, and cannot be repeated '
-                    'or converted: when its commands took effect is not part of it; sim_view '
-                    '--record shows it')
+                    f'{self.path} is a record of the node {quoted(found.node)}, which cannot be '
+                    'repeated or converted, because it does not contain when commands took '
+                    'effect; sim_view --record shows it')
             yield found
 
     def contents(self) -> Iterator[RecordedEpisode | RecordedWorld]:
@@ -274,8 +274,8 @@ class Record:
         if open_one is not None and open_one.messages:
             yield open_one
         if not any_yet:
-            raise RecordError('no episodes of tasks are recorded in it' + (
-                ', it ends early' if self.cut_off else ''))
+            raise RecordError('it contains no episodes of tasks' + (
+                ' and ends early' if self.cut_off else ''))
 
     def _items(self, file: BinaryIO) -> Iterator[Any]:
         """Yield what is in the file up to the end of its data, or to where it is cut off."""

@@ -264,7 +264,7 @@ class Cameras:
             publishers.publish_names(names)
 
     def _report_failure(self, error: ManipSimError) -> None:
-        self._node.get_logger().error(f'no images: {error}; all else works')
+        self._node.get_logger().error(f'no images: {error}; everything else works')
 
     def stop(self) -> None:
         """End the thread that renders; if rendering hangs, it is abandoned."""

@@ -68,24 +68,24 @@ QUANTITIES: Mapping[str, SensingQuantity] = MappingProxyType({
         'Factor for the attribute noise, a standard deviation, that sensors have in the files; '
         'it is added to that of their kind.', '', 1000.0),
     'resolution.joint_position': SensingQuantity(
-        'Step of the encoders: positions of joints are rounded to multiples of it.', 'rad or m',
+        'Step of the encoders: joint positions are rounded to multiples of it.', 'rad or m',
         1.0),
     'latency.state': SensingQuantity(
-        'Age of what is published of the robot in simulation time: states, wrenches, sensors.',
+        'Age of the states, wrenches and sensor values that are published, in simulation time.',
         's', 10.0),
     'latency.state_jitter': SensingQuantity(
-        'Standard deviation of that age; what is newest of what has arrived is published.', 's',
+        'Standard deviation of that age; the newest state that has arrived is published.', 's',
         10.0),
     'latency.image': SensingQuantity(
         'Age of what images show, in simulation time.', 's', 10.0),
     'latency.image_jitter': SensingQuantity(
-        'Standard deviation of that age; what is newest of what has arrived is published.', 's',
+        'Standard deviation of that age; the newest image that has arrived is published.', 's',
         10.0),
     'latency.command': SensingQuantity(
-        'Time from when a command is taken until it takes effect, in simulation time.', 's',
+        'Delay from the arrival of a command until it takes effect, in simulation time.', 's',
         10.0),
     'latency.command_jitter': SensingQuantity(
-        'Standard deviation of that time; commands that arrive late do not replace newer ones.',
+        'Standard deviation of that delay; commands that arrive late do not replace newer ones.',
         's', 10.0),
 })
 

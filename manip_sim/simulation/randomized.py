@@ -114,7 +114,7 @@ def split(key: str) -> tuple[str, str, str]:
         return group, rest, ''
     name, _, quantity = rest.rpartition('/')
     if quantity not in GROUPS.get(group, {}):
-        raise ModelError(f'nothing is drawn that is called {shown(key)}')
+        raise ModelError(f'nothing that is drawn is called {shown(key)}')
     return group, name, quantity
 
 
@@ -197,8 +197,8 @@ class Randomized:
                 raise ModelError(f'{rule.where}: {error}' if rule.where not in str(error)
                                  else str(error)) from None
             if (group, quantity) == ('joints', 'friction') and name in lawful:
-                raise ModelError(f"{rule.where}: joint '{name}' has Stribeck friction, of which "
-                                 'nothing is drawn')
+                raise ModelError(f"{rule.where}: joint '{name}' has Stribeck friction, which "
+                                 'cannot be drawn')
 
     def _names(self) -> dict[str, list[str]]:
         one = len(self._sensing) == 1

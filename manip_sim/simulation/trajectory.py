@@ -73,7 +73,7 @@ class Trajectory:
             derived = self._coefficients * np.maximum(np.diff(times), 1.0)[:, None, None] ** 5
         if not (np.isfinite(derived).all() and np.isfinite(velocities).all()):
             raise CommandError('the spline through the points is not finite: positions, '
-                               'velocities or accelerations are too great')
+                               'velocities or accelerations are too large')
         self._knots = times
         self._end = (positions[-1].copy(), velocities[-1].copy(), np.zeros(positions.shape[1]))
 

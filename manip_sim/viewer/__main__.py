@@ -68,15 +68,16 @@ def _parser() -> argparse.ArgumentParser:
     from pathlib import Path
     parser = argparse.ArgumentParser(
         prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
-        description='Show a running sim_node on a page for the browser, and drive it from there; '
+        description='Show a running sim_node on a page in the browser, and drive it from there; '
         'or show records.')
     parser.add_argument('--listen', '--host', default='127.0.0.1', metavar='ADDRESS',
-                        help='where to listen, %(default)s by default: this machine alone; with '
-                        '0.0.0.0, everyone on the network who knows the token can drive the robot')
+                        help='address to listen on, %(default)s by default: only this machine; '
+                        'with 0.0.0.0, everyone on the network who knows the token can drive the '
+                        'robot')
     parser.add_argument('--port', type=int, default=_PORT, help='%(default)s by default')
     parser.add_argument('--allow-host', action='append', default=[], metavar='NAME',
-                        help='a name under which browsers may open the page, beside localhost, '
-                        'the name of this machine and addresses; may be given several times')
+                        help='a name under which browsers may open the page, in addition to '
+                        'localhost, the name of this machine and addresses; may be repeated')
     parser.add_argument('--no-commands', action='store_true',
                         help='watch only: nobody can command the robot or the simulation from '
                         'the page')
@@ -84,14 +85,15 @@ def _parser() -> argparse.ArgumentParser:
                         help='the node to show, %(default)s by default; relative names are in '
                         'the namespace')
     parser.add_argument('--poses', type=Path, metavar='FILE',
-                        help='keep the poses that are saved on the page in this file (JSON); '
+                        help='keep the poses that you save on the page in this file (JSON); '
                         'without it they are lost when sim_view ends')
-    parser.add_argument('--dark', action='store_true', help='begin with a dark page')
+    parser.add_argument('--dark', action='store_true', help='start with a dark page')
     parser.add_argument('--record', type=Path, nargs='+', metavar='FILE',
                         help='show records of episodes or nodes instead: files, or folders with '
                         '*.mcap; needs no ROS')
     parser.add_argument('--native', action='store_true',
-                        help="open MuJoCo's own viewer in a window instead; it only shows")
+                        help="open MuJoCo's own viewer in a window instead; it cannot send "
+                        'commands')
     return parser
 
 

@@ -28,7 +28,7 @@ def loaded(file):
 def test_of_several_robots_one_is_named(here, rejected, tmp_path):
     world = SOURCE / 'config' / 'hand_over.yaml'
     assert rejected('export', tmp_path / 'out.urdf', '--params-file', world) == (
-        'a URDF is of one robot: name one of left, middle, right')
+        'a URDF describes one robot: name one of left, middle, right')
     assert rejected('export', tmp_path / 'out.urdf', '--params-file', world, '--name', 'lift'
                     ).startswith("unknown robot 'lift': did you mean 'left'")
     code, _, errors = here('export', tmp_path / 'out.urdf', '--params-file', world, '--name',

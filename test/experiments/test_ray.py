@@ -65,5 +65,5 @@ def test_a_task_that_cannot_be_used_is_said(cluster):
 
 @pytest.mark.parametrize('address', ['127.0.0.1:9', 'ray://127.0.0.1:9', '127.0.0.1:99999'])
 def test_a_cluster_that_is_not_there_is_said_at_once(address):
-    with pytest.raises(ManipSimError, match='no cluster of Ray answers at '):
+    with pytest.raises(ManipSimError, match='no Ray cluster answers at '):
         list(run_on_ray(EXPERIMENT, [0], address, None))

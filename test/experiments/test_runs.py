@@ -216,7 +216,7 @@ def test_latency_is_a_part_of_the_run(whole, tmp_path):
     ({'policy': 'nothing:'}, "must be 'expert', MODULE:CLASS"),
     ({'policy': 'there.onnx:'}, "must be 'expert'"),
     ({'seeds': '5:5'}, "'5:5' has no seed"), ({'seeds': '-1'}, "'-1' must be like 7, 0:1000"),
-    ({'seeds': '0:3,2'}, 'a seed is there twice'), ({'seeds': '0:9:0'}, 'has no seed'),
+    ({'seeds': '0:3,2'}, 'a seed appears twice'), ({'seeds': '0:9:0'}, 'has no seed'),
     ({'seeds': '0:99999999999'}, 'more than 10000000 seeds'), ({'seeds': ''}, 'must be like 7'),
     ({'more': ['--shard', '5/4']}, 'must be from 1/4 to 4/4'),
     ({'more': ['--shard', '0/4']}, 'must be from 1/4 to 4/4'),
@@ -226,7 +226,7 @@ def test_latency_is_a_part_of_the_run(whole, tmp_path):
     ({'more': ['--noise', 'noise.joint_positon:=0.1']}, "did you mean 'noise.joint_position'"),
     ({'more': ['--noise', 'noise.joint_position:=-1']}, 'must be a number from 0 to 1'),
     ({'more': ['--noise', 'noise.joint_position:=nan']}, 'must be a number from 0 to 1'),
-    ({'more': ['--noise', 'noise.joint_position:=much']}, "'much' is no number"),
+    ({'more': ['--noise', 'noise.joint_position:=much']}, "'much' is not a number"),
     ({'more': ['--address', 'auto']}, '--address is for --engine ray')])
 def test_what_cannot_be_used_is_said_in_one_line(tmp_path, capsys, more, text):
     arguments = {**more}

@@ -50,7 +50,7 @@ def test_a_text_tells_grippers_by_arm(text):
 @pytest.mark.parametrize(('text', 'what'), [
     ('{right: none, left: 3}', "the gripper of arm 'left' must be a name or a file, got 3"),
     ('{right: null}', "the gripper of arm 'right' must be a name or a file, got None"),
-    ('{right: a, right: b}', "'right' is there twice"),
+    ('{right: a, right: b}', "'right' appears twice"),
     ('{right: !!python/name:os.system }', 'gripper is invalid or unsafe YAML'),
     ('{right: PandaGripper', 'gripper is invalid or unsafe YAML'),
     ('{right: PandaGriper}', "unknown gripper 'PandaGriper': did you mean 'PandaGripper'"),

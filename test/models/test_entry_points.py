@@ -145,7 +145,7 @@ def test_another_package_cannot_replace_what_is_there(package, warnings_of):
     assert 'Panda' in robots.robot_names()
     assert type(robots.create_robot('Panda')) is Panda
     first, second = warnings_of()
-    assert "defines a robot 'Panda', which is registered already and kept" in first
+    assert "defines a robot 'Panda', which is already registered and is kept" in first
     assert second.endswith('is ignored: that name is registered already')
 
 

@@ -347,9 +347,10 @@ def test_a_file_of_a_known_type_passes(kind, suffix, content):
 
 
 @pytest.mark.parametrize(('kind', 'suffix', 'content', 'problem'), [
-    ('mesh', '.png', png(), 'is of no type that can be spawned: these are .stl, .obj, .png'),
-    ('texture', '.stl', tetrahedron(), 'is of no type'), ('mesh', '', b'', 'is of no type'),
-    ('texture', '.ktx', b'\xabKTX 11\xbb', 'is of no type'),
+    ('mesh', '.png', png(),
+     'has a type that cannot be spawned; these types can: .stl, .obj, .png'),
+    ('texture', '.stl', tetrahedron(), 'has a type'), ('mesh', '', b'', 'has a type'),
+    ('texture', '.ktx', b'\xabKTX 11\xbb', 'has a type'),
     ('mesh', '.stl', b'solid cube', 'is not a binary STL'), ('mesh', '.stl', b'', 'is not a'),
     ('mesh', '.stl', bytes(84), 'is not a binary STL'),
     ('mesh', '.stl', tetrahedron()[:-1], 'is not a binary STL'),

@@ -294,7 +294,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('[1, 2]', 'must hold keys and values'),
     ('objects: [', 'is invalid or unsafe YAML'),
     ('objects: !!python/object/apply:os.system [ls]', 'could not determine a constructor'),
-    ('objects: []\nobjects: []', "'objects' is there twice, again in line 2"),
+    ('objects: []\nobjects: []', "'objects' appears twice, again in line 2"),
     ('a: &a [1]\nobjects: *a', "anchors and aliases are not read, found 'a' in line 1"),
     ('objects: ' + 3000 * '[', 'is invalid or unsafe YAML'),
     ('objects: ' + 3000 * '[' + 3000 * ']', 'it is nested too deeply'),

@@ -193,7 +193,7 @@ def test_one_robot_of_several_is_chosen_by_name():
     world = World([compose_robot('Panda', prefix='left_'), compose_robot('UR5e', prefix='right_')])
     assert '<robot name="UR5e">' in world.to_urdf('right')
     assert '"left_' not in world.to_urdf('right')
-    with pytest.raises(ModelError, match='a URDF is of one robot: name one of left, right'):
+    with pytest.raises(ModelError, match='a URDF describes one robot: name one of left, right'):
         world.to_urdf()
     with pytest.raises(UnknownNameError, match="unknown robot 'rigth': did you mean 'right'"):
         world.to_urdf('rigth')

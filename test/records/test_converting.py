@@ -148,7 +148,7 @@ def test_what_is_there_is_kept(recording, tmp_path, capsys):
     path.write_text('precious')
     assert main(['convert', str(recording), '--to', 'hdf5', str(path)]) == 1
     assert capsys.readouterr().err == (
-        f'manip_sim: {path} is there already, and is not overwritten\n')
+        f'manip_sim: {path} already exists and is not overwritten\n')
     assert path.read_text() == 'precious'
     assert main(['convert', str(recording), '--to', 'hdf5', str(tmp_path / 'no/set')]) == 1
     assert f'no such folder: {tmp_path}/no' in capsys.readouterr().err

@@ -211,7 +211,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(tmp_path):
     path = tmp_path / 'bomb.mcap'
     path.write_bytes(b'\x89MCAP0\r\n' + builder.end())
     tracemalloc.start()
-    with pytest.raises(RecordError, match='a chunk has not the size that it says'):
+    with pytest.raises(RecordError, match='a chunk does not have the size that it states'):
         list(Record(path).episodes())
     assert tracemalloc.get_traced_memory()[1] < 2**23
     tracemalloc.stop()

@@ -239,8 +239,9 @@ def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):
         assert manip_sim(verb) == 1
         error = capsys.readouterr().err
         assert error.count('\n') == 1 and (
-            "is of the node '/cell/manip_sim', and cannot be repeated or converted: when its "
-            'commands took effect is not part of it; sim_view --record shows it') in error
+            "is a record of the node '/cell/manip_sim', which cannot be repeated or converted, "
+            'because it does not contain when commands took effect; sim_view --record shows it'
+            ) in error
     record = NodeRecord(tmp_path / 'no_joints.mcap', archive)
     record.write('/objects/cube/pose', 'geometry_msgs/PoseStamped', 1.0, pose={
         'position': dict.fromkeys('xyz', 0.0), 'orientation': dict.fromkeys('xyzw', 0.5)})

@@ -137,7 +137,7 @@ def test_images_are_jpeg(recorded):
 def test_a_file_that_is_there_is_overwritten_only_if_asked(tmp_path, episode):
     path = tmp_path / 'a.mcap'
     path.write_bytes(b'precious')
-    with pytest.raises(RecordError, match='a.mcap is there already, and is not overwritten'):
+    with pytest.raises(RecordError, match='a.mcap already exists and is not overwritten'):
         EpisodeRecorder(path, episode)
     assert path.read_bytes() == b'precious'
     EpisodeRecorder(path, episode, overwrite=True).close()

@@ -151,7 +151,7 @@ def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):
     assert capsys.readouterr().err == (
         f'manip_sim: {tmp_path}/none.mcap: No such file or directory\n')
     assert main(['replay', str(tmp_path)]) == 1
-    assert 'there is no *.mcap in this folder' in capsys.readouterr().err
+    assert 'this folder has no *.mcap file' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('kind', ['joint_position', 'joint_velocity', 'joint_effort'])

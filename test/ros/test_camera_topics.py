@@ -294,7 +294,7 @@ def test_a_node_that_cannot_render_says_so_once_and_does_all_else(value, sim_pro
     told = [line for line in errors.splitlines() if 'render' in line]
     assert len(told) == 1, errors
     assert f'no images: cannot render with MUJOCO_GL={value}: ' in told[0]
-    assert told[0].endswith('; all else works')
+    assert told[0].endswith('; everything else works')
 
 
 #: The node, with renderings that never end, and a driver whose end waits for them.

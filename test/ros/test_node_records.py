@@ -111,7 +111,7 @@ def test_named_topics_are_recorded_for_a_time(sim_process, record, client, tmp_p
     again = record(path)
     out, errors = again.communicate(timeout=WAIT_S)
     assert (again.returncode, out) == (1, '')
-    assert errors == f'manip_sim: {path} is there already, and is not overwritten\n'
+    assert errors == f'manip_sim: {path} already exists and is not overwritten\n'
 
 
 def test_what_is_not_there_is_one_line_and_no_file(sim_process, record, client, tmp_path):

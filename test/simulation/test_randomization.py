@@ -262,7 +262,7 @@ def test_distributions_have_the_moments_that_they_say():
     ('- a', 'must hold keys and values'),
     ('bodies: &a {}', 'anchors and aliases are not read'),
     ('bodies:\n  "*":\n    mass: {uniform: [1, 2]}\n  "*":\n    mass: {uniform: [1, 2]}',
-     "'*' is there twice, again in line 4")])
+     "'*' appears twice, again in line 4")])
 def test_what_makes_no_sense_is_rejected_in_one_line(text, message, tmp_path, simulation):
     file = tmp_path / 'file.yaml'
     file.write_text(text)
@@ -278,7 +278,7 @@ def test_a_file_that_is_not_there_is_an_error(tmp_path):
 
 
 def test_told_values_of_what_there_is_not_are_rejected(simulation):
-    with pytest.raises(ModelError, match='nothing is drawn that is called'):
+    with pytest.raises(ModelError, match='nothing that is drawn is called'):
         simulation.reset(1, {'bodies/box/weight': 1.0})
 
 

@@ -246,7 +246,7 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
     robots = {robot.name_in_world: robot for robot in world.robots}
     if name is None:
         if len(robots) != 1:
-            raise ModelError('a URDF is of one robot: name one of '
+            raise ModelError('a URDF describes one robot: name one of '
                              + (', '.join(robots) or 'none'))
         return next(iter(robots.values()))
     if name not in robots:

@@ -111,7 +111,7 @@ def image(message: Image) -> NDArray[Any]:
         raise MessageError(f'the encoding is {quoted(message.encoding)}, and only rgb8 is shown')
     if not (0 < height <= _MAX_PIXELS and 0 < width <= _MAX_PIXELS and 3 * width <= step
             and len(message.data) == height * step):
-        raise MessageError(f'{len(message.data)} bytes are no image of {width} times {height} '
+        raise MessageError(f'{len(message.data)} bytes are not an image of {width} times {height} '
                            f'pixels in rows of {step} bytes')
     pixels = np.frombuffer(message.data, np.uint8).reshape(height, step)
     return pixels[:, :3 * width].reshape(height, width, 3)
