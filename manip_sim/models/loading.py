@@ -140,7 +140,8 @@ def name_unnamed_elements(spec: mujoco.MjSpec) -> None:
             ('body', spec.bodies), ('joint', spec.joints), ('site', spec.sites),
             ('camera', spec.cameras), ('actuator', spec.actuators), ('sensor', spec.sensors)):
         _name_unnamed(elements, lambda element, kind=kind: f'{kind}{{}}')  # type: ignore[misc]
-    _name_unnamed(spec.geoms, lambda geom: 'g{}_col' if _collides(geom) else 'g{}_vis')
+    _name_unnamed(spec.geoms, lambda geom: (
+        'g{}_col' if geom.contype or geom.conaffinity else 'g{}_vis'))
 
 
 def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> None:
@@ -155,7 +156,3 @@ def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> Non
             number += 1
         element.name = form.format(number)
         next_number[form] = number + 1
-
-
-def _collides(geom: mujoco.MjsGeom) -> bool:
-    return bool(geom.contype or geom.conaffinity)

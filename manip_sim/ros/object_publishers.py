@@ -10,13 +10,13 @@ from functools import partial
 from rclpy.node import Node
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import TOKEN
+from manip_sim.interface.topics import TOKEN, Topic
 from manip_sim.interface.world_topics import topics_of_objects
 from manip_sim.ros import messages
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.outputs import create_output, Publication, Publications
-from manip_sim.ros.publishers import Reading
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.entities import Entities
 
 
 class ObjectPublishers(Publications):
@@ -45,32 +45,24 @@ class ObjectPublishers(Publications):
         """
         names = [name for name in simulation.entities.free_names if TOKEN.fullmatch(name)]
         gone = {name: self._topics[name] for name in self._topics if name not in names}
-        self._topics = {name: self._topics.get(name) or self._create(name) for name in names}
+        self._topics = {name: self._topics.get(name) or tuple(
+            map(self._create, topics_of_objects([name]))) for name in names}
         self.replace(tuple(topic for topics in self._topics.values() for topic in topics))
         for topics in gone.values():
             for topic in topics:
                 topic.output.close(self._node)
 
-    def _create(self, name: str) -> tuple[Publication, ...]:
-        return tuple(Publication(create_output(self._node, self._log, row),
-                                 *_READERS[row.by](name, self._world))
-                     for row in topics_of_objects([name]))
+    def _create(self, row: Topic) -> Publication:
+        read, make, count = _READERS[row.by]
+
+        def numbers(simulation: Simulation) -> FloatArray | None:
+            # The body may be gone before follow() is called.
+            there = row.of in simulation.entities.free_names
+            return read(simulation.entities, simulation.data, row.of) if there else None
+        return Publication(create_output(self._node, self._log, row),
+                           partial(make, self._world), numbers, count)
 
 
-def _pose(name: str, world: str) -> Reading:
-    def read(simulation: Simulation) -> FloatArray | None:
-        # The body may be gone before follow() is called.
-        there = name in simulation.entities.free_names
-        return simulation.entities.pose(simulation.data, name) if there else None
-    return partial(messages.pose_stamped, world), read, 7
-
-
-def _twist(name: str, world: str) -> Reading:
-    def read(simulation: Simulation) -> FloatArray | None:
-        there = name in simulation.entities.free_names
-        return simulation.entities.twist(simulation.data, name) if there else None
-    return partial(messages.twist_stamped, world), read, 6
-
-
-#: By the name in a row of the table: returns what reads a body.
-_READERS = {'object_pose': _pose, 'object_twist': _twist}
+#: By the name in a row of the table: what is read of a body, its message and its size.
+_READERS = {'object_pose': (Entities.pose, messages.pose_stamped, 7),
+            'object_twist': (Entities.twist, messages.twist_stamped, 6)}

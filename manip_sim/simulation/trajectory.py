@@ -77,11 +77,6 @@ class Trajectory:
         self._knots = times
         self._end = (positions[-1].copy(), velocities[-1].copy(), np.zeros(positions.shape[1]))
 
-    @property
-    def end_velocity(self) -> FloatArray:
-        """Velocity at the last point [rad/s or m/s], shape (n,)."""
-        return np.asarray(self._end[1])
-
     def slowed(self, factor: float, from_s: float = 0.0) -> Trajectory:
         """
         Return the rest of the path in ``factor`` times the time; its time zero is ``from_s``.

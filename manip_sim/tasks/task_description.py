@@ -289,11 +289,9 @@ def _object(entry: Any, where: str) -> ObjectModel:
 
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:
-    return value if isinstance(value, dict) else _not_mapping(where, value)
-
-
-def _not_mapping(where: str, value: Any) -> Any:
-    raise ModelError(f'{where} must be keys and values, got {shown(value)}')
+    if not isinstance(value, dict):
+        raise ModelError(f'{where} must be keys and values, got {shown(value)}')
+    return value
 
 
 def _ordered(low: Any, high: Any) -> bool:

@@ -100,7 +100,6 @@ def test_last_point_is_held_and_time_before_the_start_is_the_start():
     for values in trajectory.at(99.0):
         values[:] = 7.0
     assert position(trajectory, 1.0)[0] == 0.5
-    assert trajectory.end_velocity[0] == 0.3
 
 
 def test_point_at_time_zero_is_dropped_where_others_follow():
