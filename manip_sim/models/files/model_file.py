@@ -170,8 +170,8 @@ def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
     if np.array_equal(gravity, mujoco.MjSpec().option.gravity):
         return []
     numbers = ' '.join(f'{number:g}' for number in gravity)
-    return [f'left behind: the gravity of the file, {numbers} m/s^2; <option gravity="{numbers}"/> '
-            'in the MJCF file of an arena sets that of its worlds']
+    return [f'left behind: the gravity of the file, {numbers} m/s^2; '
+            f'<option gravity="{numbers}"/> in the MJCF file of an arena sets that of its worlds']
 
 
 def _infer_inertias_once(spec: mujoco.MjSpec) -> None:

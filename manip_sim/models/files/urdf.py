@@ -60,7 +60,8 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_mes
     :raises ModelError: if it cannot be read, or meshes that it needs are not found
     """
     robot = _parse(file, _text(file, xacro_args or {}))
-    notes = [*_find_meshes(robot, file, needs_meshes), *_drop_empty_shapes(robot), *make_physical(robot)]
+    notes = [*_find_meshes(robot, file, needs_meshes), *_drop_empty_shapes(robot),
+             *make_physical(robot)]
     for visual in robot.iter('visual'):
         for material in visual.findall('material')[1:]:  # MuJoCo reads one.
             visual.remove(material)
