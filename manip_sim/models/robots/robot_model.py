@@ -91,8 +91,6 @@ class RobotModel(Subsystems, ABC):
         if self._given_prefix:
             self.set_naming_prefix(self._given_prefix)
         self._refresh_if_edited()
-        self.update_joints()
-        self.update_actuators()
 
     # ------------------------------------------------------------------ base and place
 
@@ -129,6 +127,8 @@ class RobotModel(Subsystems, ABC):
             raise UnknownNameError(f'body of {base.name} to mount a robot on', base.support_body,
                                    [body.name for body in base._spec.bodies[1:]])
         self._base = base
+        self.update_joints()
+        self.update_actuators()
         self._was_mounted()
 
     @property

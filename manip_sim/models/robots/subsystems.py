@@ -132,14 +132,14 @@ class Subsystems(MujocoXMLModel):
         return [actuator for part in self._own_parts() for actuator in part.actuators]
 
     def update_joints(self) -> None:
-        """Sort all joints into subsystems again, as every ``add_*`` does."""
+        """Sort all joints into subsystems again, as ``add_base`` does."""
         self._joints_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for raw in part._joints:
                 self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
 
     def update_actuators(self) -> None:
-        """Sort all actuators into subsystems again, as every ``add_*`` does."""
+        """Sort all actuators into subsystems again, as ``add_base`` does."""
         self._actuators_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
             for raw in part._actuators:
