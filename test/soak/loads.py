@@ -80,8 +80,8 @@ def malformed(count: int, seed: int) -> Row:
     """Send messages that are random or damaged on all topics, and bad parameter requests."""
     rng = random.Random(seed)
     # The queues hold what one burst sends, so that all messages come to the callbacks. Fast DDS
-    # keeps room for the largest message so far in each place of a queue: memory grows, ever slower,
-    # up to the number of places times the largest message, and no further.
+    # keeps room for the largest message so far in each place of a queue: memory grows, ever
+    # slower, up to the number of places times the largest message, and no further.
     queues = [f'qos_overrides./{topic}.subscription.depth:={_PLACES}' for topic in _TOPICS]
     with Target('robot:=PandaOmron', *queues) as target:
         client = target.client
