@@ -35,9 +35,9 @@ _DELETES = 4000000
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 #: What an object cannot have, by the field of ``mujoco.MjModel`` that counts it.
 _NOT_IN_OBJECTS = {
-    'nu': 'actuators, which nothing would command', 'nflex': 'flexible bodies',
-    'nskin': 'skins', 'nhfield': 'height fields', 'nplugin': 'plugins', 'nmocap': 'mocap bodies',
-    'nhistory': 'delays', 'nplastic': 'plastic joints'}
+    'nflex': 'flexible bodies', 'nskin': 'skins', 'nhfield': 'height fields',
+    'nplugin': 'plugins', 'nmocap': 'mocap bodies', 'nhistory': 'delays',
+    'nplastic': 'plastic joints'}
 
 
 def check_object_name(name: str, where: str,

@@ -23,7 +23,8 @@ from manip_sim.interface.composition import (
 from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.ros2_control import STALLS
 from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
-from manip_sim.interface.world_topics import topics_of_objects, topics_of_world
+from manip_sim.interface.world_topics import (
+    topics_of_objects, topics_of_surroundings, topics_of_world)
 from manip_sim.models import World
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
@@ -185,8 +186,10 @@ class SimNode(Node):
             self.publish_truth_by(
                 scope, partial(instruments.publish_truth, scope, self.simulation))
         self.thread.observe(instruments.publish, look=instruments.look)
-        self._followers = [model.follow, self.objects.follow, instruments.follow, *publish_scene(
-            self, value, self._robots, self.simulation, self.thread, self.rejections)]
+        scene = publish_scene(
+            self, value, self._robots, self.simulation, self.thread, self.rejections)
+        self._followers = [model.follow, self.objects.follow, instruments.follow,
+                           self._surroundings.follow, *scene]
         if value('publish_clock'):
             clock = ClockPublisher(self, self.rejections)
             self.thread.observe(clock.publish, look=clock.look)
@@ -294,7 +297,8 @@ class SimNode(Node):
         # With use_sim_time rclpy subscribes to the clock.
         if self.table is None or (direction, topic) == (SUBSCRIBED, '/clock'):
             return
-        listed = [*self.table, *topics_of_objects(self.simulation.entities.free_names)]
+        listed = [*self.table, *topics_of_objects(self.simulation.entities.free_names),
+                  *topics_of_surroundings(self.simulation.surroundings)]
         if not any((row.direction, row.name) == (direction, topic) for row in listed):
             raise ManipSimError(f"'{topic}' is {direction} but not in the table of topics")
 

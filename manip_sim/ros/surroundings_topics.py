@@ -16,21 +16,25 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker
 
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.interface.topics import PUBLISHED, Topic
+from manip_sim.arrays import FloatArray
+from manip_sim.interface.topics import BY_NAME, PUBLISHED, Topic
 from manip_sim.interface.world_topics import topics_of_surroundings
 from manip_sim.quoting import counted, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.commands import CommandStatistics, CommandSubscription
 from manip_sim.ros.log import kind_of, RejectionLog
-from manip_sim.ros.outputs import create_output, message_class, Publication, Publications
+from manip_sim.ros.outputs import create_output, message_class, Output, Publication, Publications
 from manip_sim.ros.reading import read_command
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
+from manip_sim.simulation.surroundings import ACTUATORS
 
 #: What the message of a pull holds: two points, and no pose of its own.
 _ENDS, _NOWHERE = 2, PoseMessage()
+#: The topics of actuators that come and go with objects.
+_LOOSE = BY_NAME['actuators/states'], BY_NAME['actuators/command']
 
 
 class SurroundingsTopics(Publications):
@@ -55,28 +59,55 @@ class SurroundingsTopics(Publications):
         self._thread = thread
         self._prefix = frame_prefix
         self.statistics: dict[str, CommandStatistics] = {}
-        rows = topics_of_surroundings(self._surroundings)
-        self.replace(tuple(self._publication(row) for row in rows if row.direction == PUBLISHED))
-        take: dict[str, Callable[[str, Any], None]] = {
+        self._take: dict[str, Callable[[str, Any], None]] = {
             'direct_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
+        rows = [row for row in topics_of_surroundings(self._surroundings) if row not in _LOOSE]
+        self._lasting = tuple(
+            self._publication(row) for row in rows if row.direction == PUBLISHED)
         for row in rows:
             if row.direction != PUBLISHED:
-                self._subscribe(row, partial(take[row.by], row.of))
+                self._subscribe(row)
+        self._loose: tuple[tuple[str, ...], Output] | None = None
+        self.follow(simulation)
+
+    def follow(self, simulation: Simulation) -> None:
+        """
+        Serve the actuators of no part that there are now; their commands stay subscribed to.
+
+        To be called in the thread that spins the node, or before it spins.
+
+        :param simulation: with these actuators
+        """
+        names, states = simulation.surroundings.other_actuators, self._loose
+        if states is not None and states[0] == names:
+            return
+        if states is None and names:
+            if ACTUATORS not in self.statistics:
+                self._subscribe(_LOOSE[1])
+            states = names, create_output(self._node, self._log, _LOOSE[0])
+        self._loose = (names, states[1]) if states is not None and names else None
+        self.replace(self._lasting if self._loose is None else (
+            *self._lasting, self._loose_publication(*self._loose)))
+        if states is not None and self._loose is None:
+            states[1].close(self._node)
+
+    def _loose_publication(self, names: tuple[str, ...], output: Output) -> Publication:
+        def read(simulation: Simulation) -> FloatArray | None:
+            found = simulation.surroundings
+            # Objects with actuators may have come or gone before follow() is called.
+            return found.state_of_actuators() if found.other_actuators == names else None
+        return Publication(output, partial(messages.joint_state, names), read, 3 * len(names))
 
     def _publication(self, row: Topic) -> Publication:
         found, output = self._surroundings, create_output(self._node, self._log, row)
         if row.by == 'arena_joints':
             return Publication(output, partial(messages.joint_state, found.joints),
                                lambda _: found.state(), 3 * len(found.joints))
-        if row.by == 'loose_actuators':
-            return Publication(output, partial(messages.joint_state, found.other_actuators),
-                               lambda _: found.state_of_actuators(),
-                               3 * len(found.other_actuators))
         return Publication(output, partial(messages.pose_stamped, self._prefix + messages.WORLD),
                            lambda _: found.pose(row.of), 7)
 
-    def _subscribe(self, row: Topic, use: Callable[[Any], None]) -> None:
-        message_type = message_class(row)
+    def _subscribe(self, row: Topic) -> None:
+        message_type, use = message_class(row), partial(self._take[row.by], row.of)
         counts = self.statistics[
             'pull' if row.by == 'pull' else row.name.rpartition('/')[0]] = CommandStatistics()
 

@@ -135,7 +135,10 @@ class Simulation:
         :param plan: made from :attr:`plan`, by ``plan_with`` or ``plan_without``
         """
         _ = self.efforts.values  # They belong to a step of the model before.
+        known = self.surroundings.other_actuators
         self.physics.change(plan)
+        if self.surroundings.hold_actuators(known):
+            mujoco.mj_forward(self.model, self.data)
 
     @property
     def plan(self) -> WorldPlan:

@@ -38,7 +38,7 @@ class Surroundings:
     :ivar mocap_names: names of the mocap bodies
     :ivar joints: scalar joints of the arena
     :ivar actuators: of the arena, those that drive one of these joints each
-    :ivar other_actuators: those of neither, such as of tendons
+    :ivar other_actuators: those of neither, such as of tendons, and of objects
     :ivar commands: of :attr:`joints` and of :attr:`other_actuators`, by ``arena`` and
         ``actuators``
     """
@@ -50,15 +50,10 @@ class Surroundings:
         joint_of = {name: driven_joint(model, model.actuator(name).id)
                     for name in arena.actuators}
         self.actuators = tuple(name for name in arena.actuators if joint_of[name] in self.joints)
-        taken = {*of_parts, *self.actuators}
-        self.other_actuators = tuple(name for name in map(
-            str, (model.actuator(i).name for i in range(model.nu))) if name not in taken)
+        self._of_others = {*of_parts, *self.actuators}
         self.commands = {
             ARENA: DirectControls(physics, ARENA, 'joint of the arena', self.joints,
-                                  {joint_of[name] or '': name for name in self.actuators}),
-            ACTUATORS: DirectControls(physics, ACTUATORS, 'actuator that is of no part',
-                                      self.other_actuators,
-                                      {name: name for name in self.other_actuators})}
+                                  {joint_of[name] or '': name for name in self.actuators})}
         physics.on_change(self._look_at_model)
 
     def _look_at_model(self) -> None:
@@ -68,8 +63,13 @@ class Surroundings:
         self.mocap_names = tuple(self._mocap)
         ids = [model.joint(name).id for name in self.joints]
         self._qpos, self._dofs = model.jnt_qposadr[ids], model.jnt_dofadr[ids]
+        names = [str(model.actuator(actuator).name) for actuator in range(model.nu)]
+        self.other_actuators = tuple(name for name in names if name not in self._of_others)
         self._others = np.array(
             [model.actuator(name).id for name in self.other_actuators], dtype=np.int64)
+        self.commands[ACTUATORS] = DirectControls(
+            self._physics, ACTUATORS, 'actuator that is of no part', self.other_actuators,
+            {name: name for name in self.other_actuators})
 
     def state(self) -> FloatArray:
         """
@@ -99,11 +99,17 @@ class Surroundings:
         if joint in arena and arena.control(joint)[0] == POSITION.name:
             arena.command({joint: position})
 
-    def hold_actuators(self) -> None:
-        """Let position servos among :attr:`other_actuators` hold the lengths that they have."""
+    def hold_actuators(self, known: Collection[str] = ()) -> bool:
+        """
+        Let position servos among :attr:`other_actuators` hold the lengths that they have.
+
+        :param known: names of those that go on as before
+        :returns: whether there are others
+        """
         model, data = self._physics.model, self._physics.data
         others = self.commands[ACTUATORS]
-        for name in self.other_actuators:
+        new = [name for name in self.other_actuators if name not in known]
+        for name in new:
             kind, actuator = others.control(name)
             gain, activation = model.actuator_gainprm[actuator, 0], model.actuator_actadr[actuator]
             bias = model.actuator_biasprm[actuator]
@@ -114,6 +120,7 @@ class Surroundings:
                 data.act[activation] = setpoint
             if kind == POSITION.name:
                 others.command(others.checked([name], [setpoint], [], []))
+        return bool(new)
 
     def pose(self, name: str) -> FloatArray:
         """

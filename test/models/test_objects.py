@@ -164,8 +164,6 @@ def test_a_free_joint_that_a_file_has_is_kept(mug_file, joint):
      'an object is one root body, found 2: mug, saucer'),
     ({'beside': '<geom size="0.1"/>'},
      'an object is one root body, found geoms beside it: put them into the body mug'),
-    ({'sections': '<actuator><motor joint="hinge"/></actuator>'},
-     'an object cannot have actuators, which nothing would command'),
     ({'sections': '<asset><hfield name="hill" nrow="2" ncol="2" size="1 1 1 1"/></asset>'},
      'an object cannot have height fields')])
 def test_a_file_that_is_no_object_is_rejected(mug_file, parts, message):

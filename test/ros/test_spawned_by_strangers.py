@@ -128,6 +128,27 @@ def test_an_object_that_is_made_in_the_background_comes(serve, client, tmp_path)
     assert not [t for t in threading.enumerate() if t.name == 'background']
 
 
+def test_an_arm_that_is_spawned_takes_commands_by_its_actuators(serve, client):
+    folder = Path(__file__).resolve().parents[1] / 'data/files'
+    node = serve(arena='table', stepping='free')
+    spawning = TriggeredSpawning(node, folder)
+    spawning.request = request(uri='stand_arm.xml')
+    assert client.node.count_publishers('actuators/states') == 0
+    assert client.call(Trigger, 'manip_sim/spawn_entity').message == 'stand'
+    states = client.listen(JointState, 'actuators/states')
+    commands = client.node.create_publisher(JointState, 'actuators/command', 10)
+    client.spin_until(lambda: states and commands.get_subscription_count())
+    assert list(states[0].name) == ['stand_pan', 'stand_lift']
+    commands.publish(JointState(name=['stand_pan'], position=[0.6]))
+    client.spin_until(lambda: abs(states[-1].position[0] - 0.6) < 1e-2)
+    spawning.request = Plain(entity='stand')
+    client.call(Trigger, 'manip_sim/delete_entity')
+    assert node.simulation.plan.object_names == ['cube']
+    client.spin_until(lambda: client.node.count_publishers('actuators/states') == 0)
+    commands.publish(JointState(name=['stand_pan'], position=[0.6]))
+    client.spin_until(lambda: node._surroundings.statistics['actuators'].rejected == 1)
+
+
 def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):
     node, going, ended = Plain(executor=None), threading.Event(), []
     monkeypatch.setattr(os, '_exit', ended.append)
