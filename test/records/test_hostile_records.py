@@ -65,7 +65,7 @@ def archive(xml):
     return model(stream.getvalue())
 
 
-NO_TOPIC, NO_USE = 'cannot be the name of a topic', 'described by what cannot be used'
+NO_TOPIC, NO_USE = 'cannot be the name of a topic', 'the description of an episode cannot be used'
 CASES = {
     'a camera above the folder': (topic(IMAGES, f'/../../../evil{IMAGES[6:]}'), NO_TOPIC),
     'a camera behind another': (topic(IMAGES, f'/a/../../../../evil{IMAGES[6:]}'), NO_TOPIC),
