@@ -194,6 +194,21 @@ def test_a_mesh_that_mujoco_cannot_read_is_replaced_or_left_out(tmp_path):
     assert load_robot(tmp_path / 'arm.urdf').compile().nmesh == 1
 
 
+@pytest.mark.parametrize(('before', 'after', 'message'), [
+    ('velocity="1.5"', 'velocity="1 2"', "velocity of its <limit> must be a finite number, "
+     "got '1 2'"),
+    ('velocity="1.5"', 'velocity="inf"', "velocity of its <limit> must be a finite number, "
+     "got 'inf'"),
+    ('<dynamics', '<mimic joint="elbow" multiplier="inf"/><dynamics',
+     "multiplier of its <mimic> must be a finite number, got 'inf'")])
+def test_a_number_of_a_joint_that_mujoco_does_not_read_is_checked(
+        tmp_path, before, after, message):
+    file = write(tmp_path / 'arm.urdf', URDF.replace(before, after))
+    with pytest.raises(ModelError) as error:
+        load_robot(file)
+    assert str(error.value) == f"{file}: joint 'shoulder': {message}"
+
+
 @pytest.mark.parametrize(('text', 'message'), [
     (URDF[:300], 'arm.urdf is not well-formed XML'),
     ('<mujoco/>', "arm.urdf is not URDF: its root is 'mujoco', not 'robot'"),

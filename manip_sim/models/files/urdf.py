@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+import math
 from pathlib import Path
 import re
 from typing import Any
@@ -72,7 +73,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_mes
     compiler.attrib.pop('meshdir', None)
     spec = spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
     for joint in robot.iter('joint'):
-        _complete_joint(spec, joint)
+        _complete_joint(spec, joint, file)
     notes += _give_mass(spec, robot)
     return spec, notes
 
@@ -241,19 +242,30 @@ def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
                 yield root.joinpath(*path.parts[number:])
 
 
-def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element) -> None:
+def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element, file: Path) -> None:
     name = joint.get('name', '')
     element = spec.joint(name)
     if element is None:
         return
     limit, mimic = joint.find('limit'), joint.find('mimic')
-    velocity = float(limit.get('velocity', 0.0)) if limit is not None else 0.0
+
+    def number(of: ElementTree.Element, attribute: str, default: float) -> float:
+        given = of.get(attribute, default)
+        try:
+            value = float(given)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise ModelError(f'{file}: joint {quoted(name)}: {attribute} of its <{of.tag}> must '
+                             f'be a finite number, got {quoted(given)}')
+        return value
+    velocity = number(limit, 'velocity', 0.0) if limit is not None else 0.0
     if velocity > 0.0:
         element.userdata = [velocity]
     if mimic is not None and spec.joint(mimic.get('joint', '')) is not None:
         tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name,
                                 name2=mimic.get('joint'), objtype=mujoco.mjtObj.mjOBJ_JOINT)
-        tie.data[:5] = [float(mimic.get('offset', 0.0)), float(mimic.get('multiplier', 1.0)),
+        tie.data[:5] = [number(mimic, 'offset', 0.0), number(mimic, 'multiplier', 1.0),
                         0.0, 0.0, 0.0]
 
 
