@@ -19,7 +19,7 @@ from manip_sim.models import World
 from manip_sim.models.urdf_writer import choose_robot, Hardware, OWN_PLUGIN
 from manip_sim.moveit.package import Controlling, describe, GRIPPER_COMMANDS, TRAJECTORIES
 from manip_sim.moveit.ros_package import (
-    as_yaml, build_files, check_folder, Settings, write_files)
+    as_yaml, build_files, check_folder, robot_in, Settings, write_files)
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Types of ros2_controllers, branch jazzy.
@@ -128,7 +128,7 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
     simulation = Simulation(world)
     robot, model = simulation.robot, simulation.model
     urdf, meshes = describe(model, choose_robot(world), folder.name, hardware)
-    name = str(ElementTree.fromstring(urdf.xml).get('name'))
+    name = robot_in(urdf.xml)
     groups = list(_controllers(robot, hardware, _driven(urdf.xml),
                                effective_inertias(simulation)))
     by_mode: dict[str, list[str]] = {}

@@ -21,7 +21,8 @@ from manip_sim.models.urdf_writer.link_shapes import (
     binary_stl, ELLIPSOID, MeshFile, stl_of, unit_sphere)
 from manip_sim.moveit import launch_files
 from manip_sim.moveit.collisions import disabled_pairs
-from manip_sim.moveit.ros_package import as_yaml, check_folder, Settings, write_files
+from manip_sim.moveit.ros_package import (
+    as_yaml, check_folder, robot_in, Settings, write_files)
 from manip_sim.moveit.srdf import find_groups, find_postures, Group, passive_joints, write_srdf
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot
@@ -214,7 +215,7 @@ def _read(urdf: Urdf) -> tuple[str, dict[str, float], dict[str, float]]:
               if (limit := joint.find('limit')) is not None}
     velocity, effort = ({name: float(limit.get(key, 0.0)) for name, limit in limits.items()}
                         for key in ('velocity', 'effort'))
-    return str(root.get('name')), velocity, effort
+    return robot_in(urdf.xml), velocity, effort
 
 
 def _meshes(model: mujoco.MjModel) -> dict[str, tuple[str, bytes]]:

@@ -11,6 +11,7 @@ import re
 import shutil
 import tempfile
 from typing import Any
+from xml.etree import ElementTree
 
 import yaml
 
@@ -19,6 +20,8 @@ from manip_sim.quoting import quoted
 
 Settings = dict[str, Any]
 _NAME = re.compile(r'[a-z][a-z0-9]*(_[a-z0-9]+)*')
+#: What means the same in names of files, Python, XML and Markdown.
+_ROBOT = re.compile(r'\w[\w .+-]*')
 
 _PACKAGE = """<?xml version="1.0"?>
 <package format="3">
@@ -91,6 +94,19 @@ def check_folder(folder: Path) -> None:
         raise ModelError(f'{folder} is a file, give the name of a folder')
     if folder.is_dir() and any(folder.iterdir()):
         raise ModelError(f'{folder} is not empty: give a new folder, or remove it first')
+
+
+def robot_in(urdf: str) -> str:
+    """
+    Return the name of the robot in a URDF, which becomes part of launch files.
+
+    :raises ModelError: if it has characters that would end a string there
+    """
+    name = str(ElementTree.fromstring(urdf).get('name'))
+    if not _ROBOT.fullmatch(name):
+        raise ModelError(f'{quoted(name)} cannot name a robot in a ROS package: it needs letters, '
+                         'digits, spaces, _, ., + and -; rename the file of the robot')
+    return name
 
 
 def as_yaml(contents: Mapping[str, Any]) -> dict[str, str]:

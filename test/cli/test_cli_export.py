@@ -126,6 +126,41 @@ def test_a_package_with_a_wrong_name_is_told(rejected, tmp_path):
                                                              tmp_path / 'My-Robot')
 
 
+def arm(file):
+    """Write an arm of six joints, whose name in packages is that of its file."""
+    link = ('<link name="l{0}"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" '
+            'ixy="0" ixz="0" iyz="0"/></inertial></link>')
+    joint = ('<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="l{1}"/>'
+             '<origin xyz="0 0 0.25"/><axis xyz="0 {2} {3}"/>'
+             '<limit lower="-2" upper="2" effort="50" velocity="2"/></joint>')
+    links = ''.join(link.format(i) for i in range(7))
+    joints = ''.join(joint.format(i, i + 1, i % 2, 1 - i % 2) for i in range(6))
+    file.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    return file
+
+
+@pytest.mark.parametrize('name', [
+    "x'), __import__('os').system('id'", 'x"""; import os', 'a\nb', 'a<b>&c', '$(id)', '-x'])
+@pytest.mark.parametrize('option', ['--moveit', '--ros2-control'])
+def test_the_name_of_a_file_never_becomes_code_of_a_launch_file(
+        name, option, rejected, tmp_path):
+    file = arm(tmp_path / f'{name}.urdf')
+    error = rejected('export', option, tmp_path / 'pkg', '--robot', file)
+    assert 'cannot name a robot in a ROS package' in error and '\n' not in error
+    assert [*tmp_path.iterdir()] == [file]
+
+
+def test_a_package_takes_a_name_with_spaces_and_dots(here, tmp_path):
+    file = arm(tmp_path / 'my arm-v1.2+b.urdf')
+    for option in ('--moveit', '--ros2-control'):
+        folder = tmp_path / f'pkg{option.replace("-", "_").replace("__", "_")}'
+        code, _, errors = here('export', option, folder, '--robot', file)
+        assert (code, errors) == (0, '')
+        for launch in folder.rglob('*.launch.py'):
+            compile(launch.read_text(), str(launch), 'exec')
+        assert ElementTree.parse(folder / 'package.xml').find('name').text == folder.name
+
+
 def test_a_file_can_be_read_by_whom_the_mask_lets(here, tmp_path):
     before = os.umask(0o027)
     try:
