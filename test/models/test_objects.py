@@ -311,7 +311,7 @@ def test_a_bad_list_is_rejected_in_one_line_with_file_object_and_key(written, te
 def test_a_written_that_cannot_be_read_is_told(tmp_path):
     with pytest.raises(ModelError, match=r'^no such YAML file: .*none\.yaml$'):
         load_objects(tmp_path / 'none.yaml')
-    with pytest.raises(ModelError, match=r' cannot be read: Is a directory$'):
+    with pytest.raises(ModelError, match=r' cannot be read: it is a folder$'):
         load_objects(tmp_path)
 
 
