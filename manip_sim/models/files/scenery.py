@@ -16,7 +16,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.found_places import free_name
-from manip_sim.models.spec_edits import delete_elements
+from manip_sim.models.spec_edits import attach, delete_elements
 from manip_sim.quoting import quoted_names
 
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
@@ -176,5 +176,5 @@ def _wrapped(spec: mujoco.MjSpec, name: str) -> Any:
     with warnings.catch_warnings():
         # MuJoCo 3.3 warns of the empty prefix; composing adds one later.
         warnings.simplefilter('ignore')
-        whole.attach(spec, prefix='', frame=whole.worldbody.add_body(name=name).add_frame())
+        attach(whole, spec, '', whole.worldbody.add_body(name=name).add_frame())
     return whole
