@@ -333,7 +333,7 @@ class JointController(ControlledJoints):
             if isinstance(command, CartesianCommand):
                 self.cartesian.begin_period(command, data)
             if (isinstance(command, JointSetpoint)
-                    and all(MODES[mode].ends for mode in set(command.modes))
+                    and all([MODES[mode].ends for mode in set(command.modes)])
                     and self._setpoints.at_rest(command.indices)):
                 self._finish(command, data, command.values)
         for part in self._timeouts.overdue(now_s):

@@ -126,8 +126,8 @@ def velocity_before_the_end(velocity: FloatArray, begin: FloatArray, below: Floa
     :param interval_s: [s]
     """
     change = limit * interval_s / 2.0
-    highest, lowest = (
+    highest, lowest = [
         np.sqrt(np.maximum(change**2 + 2.0 * limit * np.maximum(
             np.minimum(distance, 1e6) - towards * interval_s / 2.0, 0.0), 0.0)) - change
-        for distance, towards in ((above, begin), (below, -begin)))
+        for distance, towards in ((above, begin), (below, -begin))]
     return within(velocity, -lowest, highest)

@@ -387,7 +387,8 @@ class SimulatedRobot:
         :param ends_s: when its intervals end, since it begins, if setpoints move [s], shape (k, 1)
         """
         self._period_s = period_s
-        self._apply_late()
+        if self._late:
+            self._apply_late()
         for part in self.reflexes.armed:
             if part not in self.reflexes.tripped:
                 self._check_reflex(part)

@@ -329,7 +329,7 @@ class WaitingGoals:
 
     def brings(self, indices: IntArray) -> bool:
         """Return whether there is a goal for any of some coordinates."""
-        return any(np.isin(waiting.indices, indices).any() for waiting in self._goals)
+        return any([np.isin(waiting.indices, indices).any() for waiting in self._goals])
 
     def take_all(self) -> list[WaitingGoal]:
         """Return all goals, which wait no longer."""
