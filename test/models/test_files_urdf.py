@@ -120,7 +120,7 @@ def test_a_mimic_joint_is_tied_and_gets_no_servo(tmp_path):
 <link name="palm">{SOLID}</link>{fingers}</robot>"""))
     assert hand.actuators == ['gripper0_left_finger_joint']
     model = hand.compile()
-    np.testing.assert_allclose(model.eq_data[0, :5], [0.01, -1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(model.eq_data[:, :5], [[0.01, -1.0, 0.0, 0.0, 0.0]])
     data = mujoco.MjData(model)
     data.ctrl[0] = 0.05
     mujoco.mj_step(model, data, 1000)

@@ -263,10 +263,12 @@ def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element, file: Path)
     if velocity > 0.0:
         element.userdata = [velocity]
     if mimic is not None and spec.joint(mimic.get('joint', '')) is not None:
-        tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name,
-                                name2=mimic.get('joint'), objtype=mujoco.mjtObj.mjOBJ_JOINT)
-        tie.data[:5] = [number(mimic, 'offset', 0.0), number(mimic, 'multiplier', 1.0),
-                        0.0, 0.0, 0.0]
+        line = [number(mimic, 'offset', 0.0), number(mimic, 'multiplier', 1.0)]
+        # Newer releases of MuJoCo read mimics themselves.
+        if not any(tie.name1 == name for tie in spec.equalities):
+            tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name,
+                                    name2=mimic.get('joint'), objtype=mujoco.mjtObj.mjOBJ_JOINT)
+            tie.data[:5] = [*line, 0.0, 0.0, 0.0]
 
 
 def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
