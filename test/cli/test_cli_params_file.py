@@ -3,6 +3,7 @@
 
 """Worlds of several robots and objects, from the node's own files of parameters."""
 
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -147,3 +148,22 @@ def test_a_file_and_options_do_not_mix(rejected):
 
 def test_a_number_in_names_is_whole(rejected):
     assert "must be a whole number, got 'left'" in rejected('check', '--idn', 'left', code=2)
+
+
+def test_the_tag_of_ros2_control_has_the_modes_of_the_file(here, parameters_file, tmp_path):
+    file = parameters_file('robot: PandaOmron\ncontrol_mode: {arm: velocity}')
+    assert here('export', tmp_path / 'out.urdf', '--ros2-control', '--params-file', file)[0] == 0
+    joints = ElementTree.parse(tmp_path / 'out.urdf').findall('ros2_control/joint')
+    commands = {joint.get('name'): [c.get('name') for c in joint.findall('command_interface')]
+                for joint in joints}
+    assert commands['robot0_joint1'] == commands['robot0_joint7'] == ['velocity']
+    assert commands['gripper0_right_finger_joint1'] == ['position']
+
+
+def test_a_lidar_with_several_rings_has_a_cloud_and_one_with_one_a_scan(
+        described, parameters_file):
+    for rings, topic, kind in ((1, 'scan', 'LaserScan'), (2, 'points', 'PointCloud2')):
+        found = described('--params-file', parameters_file(
+            f"lidars: ['{{name: front, position: [0, 0, 1], rings: {rings}}}']"))
+        assert {row['name'].split('/')[-1]: row['type'].split('/')[-1]
+                for row in found['topics'] if row['name'].startswith('front/')} == {topic: kind}
