@@ -29,7 +29,7 @@ def room():
 def test_what_is_accepted_is_a_position_of_the_drawer_in_its_range(
         room, names, position, velocity, effort):
     try:
-        controls = room.checked(names, position, velocity, effort)
+        controls = room.commands['arena'].checked(names, position, velocity, effort)
     except (CommandError, UnknownNameError) as error:
         assert str(error)
         return
