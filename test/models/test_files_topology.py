@@ -230,8 +230,10 @@ def test_gravity_of_the_file_of_a_robot_is_left_behind_and_an_arena_sets_it(tmp_
 
 def test_several_roots_with_sizes_of_user_data_are_one_robot_without_a_warning(tmp_path):
     text = (FILES / 'two_hands.xml').read_text()
-    (tmp_path / 'arm.xml').write_text(text.replace('<worldbody>', """<size nuser_body="9"/><worldbody>
-    <body name="rack" pos="1 0 0.5"><joint name="rack" axis="1 0 0"/><geom size="0.1"/></body>"""))
+    rack = ('<body name="rack" pos="1 0 0.5"><joint name="rack" axis="1 0 0"/>'
+            '<geom size="0.1"/></body>')
+    (tmp_path / 'arm.xml').write_text(
+        text.replace('<worldbody>', f'<size nuser_body="9"/><worldbody>{rack}'))
     robot = load_robot(tmp_path / 'arm.xml')
     assert "new root body 'root' that holds 'rack', 'base'" in robot.inferred
     assert robot.compile().njnt == 7
