@@ -65,6 +65,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
     options, left = parser.parse_known_args(words)
+    if options.command == 'convert' and len(left) == 1 and not left[0].startswith('-'):
+        # Of several files before --to, argparse takes the last one for OUT, which comes after it.
+        options.files.append(options.out)
+        options.out = Path(left.pop())
     problem = _unknown(left, options) or _conflict(options)
     if problem:
         commands.choices[options.command].error(problem)

@@ -136,6 +136,14 @@ def test_hdf5_has_the_structure_of_robomimic(recording, episodes, tmp_path, caps
                 demo['obs/front_image'], np.stack([*frames.images('front')]))
 
 
+@pytest.mark.parametrize('last', ['--to', 'OUT'])
+def test_several_files_make_one_data_set(recording, tmp_path, capsys, last):
+    files, out = [str(recording)] * 3, str(tmp_path / 'set.hdf5')
+    words = [*files, '--to', 'hdf5', out] if last == 'OUT' else [*files, out, '--to', 'hdf5']
+    assert main(['convert', *words]) == 0
+    assert '(6 episodes, ' in capsys.readouterr().out
+
+
 def test_episodes_without_success_are_left_out_if_asked(recording, tmp_path, capsys):
     folder = tmp_path / 'set'
     assert main(['convert', str(recording), '--to', 'lerobot', '--only-success',

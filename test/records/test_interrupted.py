@@ -227,4 +227,5 @@ def test_an_interrupted_command_ends_without_a_traceback(recording, tmp_path):
         except subprocess.TimeoutExpired:
             command.send_signal(signal.SIGINT)
         assert 'Traceback' not in command.stderr.read()
+    assert command.returncode != 2  # The command line is right.
     assert not (tmp_path / 'out.hdf5').exists() or command.returncode == 0
