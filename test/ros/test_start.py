@@ -17,7 +17,7 @@ REJECTED = {
         f"parameter '{QOS}.reliability': unknown value 'bogus'", 'best_effort'),
     f'-p {QOS}.reliability:=1': (f"parameter '{QOS}.reliability': unknown value '1'",),
     f'-p {QOS}.history:=all': (f"parameter '{QOS}.history': unknown value 'all'", 'keep_all'),
-    f'-p {QOS}.depth:=-1': (f"parameter '{QOS}.depth' must be an integer from 1 to", "got '-1'"),
+    f'-p {QOS}.depth:=0': (f"parameter '{QOS}.depth' must be an integer from 1 to", "got '0'"),
     f'-p {QOS}.depth:=true': (f"parameter '{QOS}.depth' must be an integer from 1 to",),
     f'-p {QOS}.durability:=volatile': (
         f"unknown parameter '{QOS}.durability': did you mean '{QOS}.",),
