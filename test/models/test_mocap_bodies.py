@@ -119,7 +119,10 @@ def test_mocap_bodies_bring_what_they_show_and_no_more():
 
 
 def test_without_a_place_in_the_world_they_are_left_out(tmp_path):
-    assert compose(FILE, base='OmronMobileBase').compile().nmocap == 0
+    robot = load_robot(FILE)
+    assert compose(robot, base='OmronMobileBase').compile().nmocap == 0
+    assert [said for said in robot.inferred if 'mocap' in said] == [
+        "left out: mocap bodies 'target', 'goal:1', as the robot stands on a mobile base"]
     (tmp_path / 'stand.xml').write_text(
         '<mujoco><worldbody><body name="marker" mocap="true"><geom size="0.1"/></body>'
         '<body name="stand"><geom size="0.1"/></body></worldbody></mujoco>')

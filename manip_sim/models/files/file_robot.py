@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.bases import MobileBaseModel
+from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
 from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.robot_plan import RobotPlan
 from manip_sim.models.files.xacro_expansion import stem_of
@@ -57,12 +57,23 @@ class FileRobot(RobotModel, registered=False):
         for hand in hands:
             hand.bind(self, self._own_model)
 
+    def add_base(self, base: RobotBaseModel) -> None:
+        """
+        Put the robot on a base; a mobile one leaves the mocap bodies of the file out.
+
+        :param base: as for :meth:`RobotModel.add_base`
+        """
+        super().add_base(base)
+        mocap = self._plan.mocap
+        if mocap is not None and isinstance(base, MobileBaseModel):
+            kept = [said for said in self.inferred if said not in mocap.notes()]
+            self.inferred = [*kept, *(f'{said}, as the robot stands on a mobile base'
+                                      for said in mocap.left_out())]
+
     def attach_to(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
                   floor_xpos: ArrayLike | None = None) -> None:
         """
         Add a copy of the robot, of all that is mounted on it and of the file's mocap bodies.
-
-        On a mobile base, the mocap bodies are left out.
 
         :param spec: the spec to add to
         :param frame: the frame of that spec to attach the robot to
