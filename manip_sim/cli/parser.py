@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import contextlib
 import logging
 from pathlib import Path
 import shutil
@@ -37,6 +38,10 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f'manip_sim: {message}; see {self.prog} --help\n')
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        with contextlib.suppress(BrokenPipeError):  # As from Python 3.11 on.
+            super()._print_message(message, file)
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -174,7 +174,7 @@ def test_two_topics_of_one_hand_are_an_error(recording):
 def test_a_task_of_a_record_that_is_no_path_is_one_line(recording, tmp_path, capsys):
     path = rewrite(recording, tmp_path / 'a.mcap', about(task='\0../task.yaml'))
     assert main(['replay', str(path)]) == 1
-    check_one_line(capsys, path, 'embedded null byte')
+    check_one_line(capsys, path, 'embedded null ')
 
 
 def test_a_data_set_that_another_process_has_written_meanwhile_is_kept(
