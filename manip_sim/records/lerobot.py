@@ -267,9 +267,10 @@ class _ImageStatistics:
         share = self._histogram / self._histogram.sum(axis=1, keepdims=True)
         below = share.cumsum(axis=1)
         mean = share @ levels
-        found = {'min': [levels[np.flatnonzero(row)[0]] for row in share],
-                 'max': [levels[np.flatnonzero(row)[-1]] for row in share], 'mean': mean,
-                 'std': np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0))}
+        found: dict[str, Any] = {
+            'min': [levels[np.flatnonzero(row)[0]] for row in share],
+            'max': [levels[np.flatnonzero(row)[-1]] for row in share], 'mean': mean,
+            'std': np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0))}
         found.update((f'q{round(100 * q):02d}', [
             levels[min(int(np.searchsorted(row, q)), 255)] for row in below]) for q in _QUANTILES)
         return {**{name: np.reshape(value, (3, 1, 1)).tolist() for name, value in found.items()},
