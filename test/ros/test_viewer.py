@@ -75,13 +75,27 @@ def browser():
         browser.close()
 
 
+def is_drawn(page):
+    """Return whether the picture of a page has something dark: at least the robot's mount."""
+    pixels = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert('RGB')).astype(int)
+    brightness = pixels[200:, :460].max(axis=2)
+    return (255 - brightness > 0.45 * (255 - brightness.min())).sum() > 5000
+
+
 @pytest.fixture(scope='module')
 def page(browser, address):
     """Return the page when the robot is on it."""
     page = browser.new_page(viewport={'width': 800, 'height': 400})
     page.set_default_timeout(PATIENCE_MS)
     page.goto(address)
-    page.get_by_text('arm [rad]').wait_for()
+    for _ in range(3):
+        page.get_by_text('arm [rad]').wait_for()
+        end = time.monotonic() + START_S / 5.0
+        while not is_drawn(page) and time.monotonic() < end:
+            page.wait_for_timeout(500)
+        if is_drawn(page):
+            break
+        page.reload()  # Without a graphics card the browser may begin to draw and never go on.
     yield page
     page.close()
 
