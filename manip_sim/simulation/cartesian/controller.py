@@ -16,7 +16,9 @@ from manip_sim.algebra import product, transposed_product
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.quaternion import wxyz_to_xyzw
-from manip_sim.simulation.cartesian.commands import CartesianCommand, CartesianPose
+from manip_sim.simulation.cartesian.commands import (
+    CartesianCommand, CartesianPose, CartesianTwist)
+from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.inverse_kinematics import (
     approach, follow_twist, JointState, STILL, stop)
@@ -26,6 +28,7 @@ from manip_sim.simulation.cartesian.pose_stream import PoseStream
 from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target, target_of
+from manip_sim.simulation.cartesian.twist_stream import TwistStream
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose
@@ -155,13 +158,15 @@ class CartesianController:
         :param now_s: simulation time [s]
         """
         before, streamed = (self._targets.get(command.arm),) * 2
-        if before is not None and (before.twist is None or now_s > before.until_s + 1e-9):
+        if before is not None and (before.twists is None or now_s > before.until_s + 1e-9):
             before = None
         target = self._targets[command.arm] = target_of(
             command, self._hands[command.arm], self._physics.model, data, before,
             now_s + self.settings[command.arm].twist_timeout)
         if isinstance(command, CartesianPose):
             self._continue_stream(command, target, streamed, data)
+        elif isinstance(command, CartesianTwist):
+            self._continue_twists(command, target, before, data, now_s)
 
     def _continue_stream(self, command: CartesianPose, target: Target, before: Target | None,
                          data: mujoco.MjData) -> None:
@@ -173,19 +178,34 @@ class CartesianController:
         target.stream.set(*self._streams[command.arm])
         twist = np.zeros(6)
         if not target.stream.moving:
-            dofs = self._servos.dofs[command.indices]
-            gives = self._servos.gives_effort(command.indices)
-            velocity = np.where(gives, data.qvel[dofs],
-                                self._setpoints.velocity[command.indices])
-            moved = product(self._hands[command.arm].tip.jacobian(self._physics.model, data, dofs),
-                            velocity)
-            _, axes = target.anchor.pose(data)
-            twist = np.concatenate([transposed_product(axes, moved[:3]),
-                                    transposed_product(axes, moved[3:])])
-        settings = self.settings[command.arm]
-        target.stream.take(target.position, target.rotation, self.period_s, twist, np.array(
-            [settings.linear_velocity, settings.angular_velocity]), command.messages,
+            twist = self._present_twist(command, target.anchor, data)
+        target.stream.take(
+            target.position, target.rotation, self.period_s, twist,
+            self.settings[command.arm].limits, command.messages,
             command.sent_ns % _STAMPS_NS * 1e-9)
+
+    def _continue_twists(self, command: CartesianTwist, target: Target, before: Target | None,
+                         data: mujoco.MjData, now_s: float) -> None:
+        """Let a twist continue the stream of the target before, if it is one in those axes."""
+        continued = before.twists if before is not None and before.axes == target.axes else None
+        target.twists = continued or TwistStream()
+        target.twists.set(*self._streams[command.arm])
+        target.twists.take(
+            command.twist, self._present_twist(command, target.axes, data), now_s, self.period_s,
+            self.settings[command.arm].limits, command.messages,
+            command.sent_ns % _STAMPS_NS * 1e-9)
+
+    def _present_twist(self, command: CartesianCommand, frame: Frame, data: mujoco.MjData
+                       ) -> FloatArray:
+        """Return the velocity of a hand in the axes of a frame [m/s, rad/s], shape (6,)."""
+        dofs = self._servos.dofs[command.indices]
+        gives = self._servos.gives_effort(command.indices)
+        velocity = np.where(gives, data.qvel[dofs], self._setpoints.velocity[command.indices])
+        moved = product(self._hands[command.arm].tip.jacobian(self._physics.model, data, dofs),
+                        velocity)
+        _, axes = frame.pose(data)
+        return np.concatenate([transposed_product(axes, moved[:3]),
+                               transposed_product(axes, moved[3:])])
 
     # ------------------------------------------------------------------ in the control loop
 
@@ -221,8 +241,8 @@ class CartesianController:
         :param efforts: of all joints, changed in place [N m], shape (n,)
         """
         target = self._targets[command.arm]
-        if target.twist is not None and now_s >= target.until_s - 1e-9:
-            target.twist = None
+        if target.twists is not None and now_s >= target.until_s - 1e-9:
+            target.twists = None
             target.until_s = -math.inf
             command.handle.end(Status.ABORTED, 'no fresh twist came in time')
         if self._servos.any_gives_effort_of(command.indices):
@@ -250,9 +270,9 @@ class CartesianController:
         still, limit = True, None
         if target.until_s == -math.inf:
             velocity = stop(joints, interval_s)
-        elif target.twist is not None:
-            solution = follow_twist(jacobian,
-                                    target.twist_in_world(scratch), joints, interval_s)
+        elif target.twists is not None:
+            twist = target.in_world(target.twists.velocity(now_s + interval_s), scratch)
+            solution = follow_twist(jacobian, twist, joints, interval_s)
             self._see(command, 'the twist', solution.held, solution.singular, solution.slowed)
             target.stay_at(tip.pose(scratch), scratch)
             velocity = solution.velocity
@@ -278,7 +298,7 @@ class CartesianController:
             velocity, limit = solution.velocity, solution.acceleration_limit
         self._setpoints.ramp_to(indices, velocity, interval_s, limit)
         if max(np.abs(velocity).max(), np.abs(joints.velocity).max()) < _AT_REST and (
-                target.twist is None and still):
+                target.twists is None and still):
             self._setpoints.ramp_to(indices, np.zeros(len(indices)), interval_s)
             target.settled_in = self._place(command, target, data)
 
@@ -310,7 +330,7 @@ class CartesianController:
 
     def _effort(self, command: CartesianCommand, target: Target, data: mujoco.MjData, now_s: float,
                 duration_s: float) -> FloatArray:
-        twisted = target.twist is not None
+        twisted = target.twists is not None
         solution = self._operational.follow(
             self._hands[command.arm].tip, target, command.indices, data, now_s, duration_s,
             self.settings[command.arm])

@@ -126,9 +126,11 @@ class OperationalSpaceController:
         physics, arm = self._physics, self._arm(indices)
         position, velocity = physics.qpos[arm.qpos], physics.qvel[arm.dofs]
         twist, damping = STILL, settings.damping
-        if target.twist is not None:
-            twist = target.twist_in_world(data)
+        if target.twists is not None:
+            middle_s = now_s + duration_s / 2.0
+            twist = target.in_world(target.twists.velocity(middle_s), data)
             target.move(data, tip, twist, duration_s)
+            twist += target.in_world(target.twists.acceleration(now_s), data) / damping
         still = target.ends_stream(now_s)
         if still:
             goal = target.goal(data)

@@ -8,6 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 import math
 
+import numpy as np
+
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 
 
@@ -28,6 +31,11 @@ class CartesianSettings:
     linear_velocity: float = 1.0
     angular_velocity: float = 3.2
     twist_timeout: float = 0.1
+
+    @property
+    def limits(self) -> FloatArray:
+        """Limits of linear and angular velocity [m/s, rad/s], shape (2,)."""
+        return np.array([self.linear_velocity, self.angular_velocity])
 
     @property
     def damping(self) -> float:

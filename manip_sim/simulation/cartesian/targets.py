@@ -19,6 +19,7 @@ from manip_sim.simulation.cartesian.frames import (
     Frame, rotation_of_vector, rotation_vector, WORLD)
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
+from manip_sim.simulation.cartesian.twist_stream import TwistStream
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
@@ -35,8 +36,8 @@ class Target:
     :ivar position: of the goal in the anchor [m], shape (3,)
     :ivar rotation: of the goal in the anchor, shape (3, 3)
     :ivar axes: frame of the twist
-    :ivar twist: in those axes [m/s, rad/s], shape (6,), or None
-    :ivar until_s: simulation time when the twist ends [s]
+    :ivar twists: in those axes, of which the hand follows the last one, or None
+    :ivar until_s: simulation time when that ends [s]
     :ivar solve_s: simulation time of the next solution [s]
     :ivar settled_in: where the arm's mount was when the setpoints came to rest, or None
     :ivar rests: whether the hand is as near as it can come
@@ -48,7 +49,7 @@ class Target:
     position: FloatArray
     rotation: FloatArray
     axes: Frame
-    twist: FloatArray | None = None
+    twists: TwistStream | None = None
     until_s: float = math.inf
     solve_s: float = -math.inf
     settled_in: FloatArray | None = None
@@ -127,12 +128,10 @@ class Target:
         return ((origin + product(turned, position), product(turned, rotation)), twist,
                 acceleration)
 
-    def twist_in_world(self, data: mujoco.MjData) -> FloatArray:
-        """Return the twist in the axes of the world [m/s, rad/s], shape (6,)."""
-        if self.twist is None:
-            return np.zeros(6)
+    def in_world(self, twist: FloatArray, data: mujoco.MjData) -> FloatArray:
+        """Return a velocity, or an acceleration, of the twists in the world, shape (6,)."""
         _, axes = self.axes.pose(data)
-        return np.concatenate([product(axes, self.twist[:3]), product(axes, self.twist[3:])])
+        return np.concatenate([product(axes, twist[:3]), product(axes, twist[3:])])
 
     def move(self, data: mujoco.MjData, tip: Frame, twist: FloatArray, duration_s: float) -> None:
         """
@@ -189,7 +188,7 @@ def target_of(command: CartesianCommand, hand: Hand, model: mujoco.MjModel, data
     if before is not None:
         position, rotation = before.goal(data)
     target = Target.at(hand.origin, position, rotation, data)
-    target.axes, target.twist, target.until_s = command.frame, command.twist, until_s
+    target.axes, target.until_s = command.frame, until_s
     return target
 
 
