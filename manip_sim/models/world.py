@@ -41,6 +41,15 @@ def keyframe_names(parts: Iterable[MujocoXMLModel | ObjectModel]) -> list[str]:
                               for name in part.keyframes))
 
 
+def _checked_robots(robots: Sequence[RobotModel]) -> list[RobotModel]:
+    prefixes = [robot.naming_prefix for robot in robots]
+    if len({robot.name_in_world for robot in robots}) != len(prefixes):
+        apart = 'underscores at the end apart, ' * (len(set(prefixes)) == len(prefixes))
+        raise ModelError(f'robots in one world need different idn or prefix, {apart}got '
+                         + ', '.join(prefixes))
+    return list(robots)
+
+
 class World:
     """
     Robots in an arena.
@@ -80,15 +89,10 @@ class World:
                  lidars: Iterable[LidarLike] = (),
                  keyframe: str = '',
                  randomization: RandomizationLike | None = None) -> None:
-        self.robots = list(robots)
+        self.robots = _checked_robots(robots)
         self.arena = arena or EmptyArena()
         self.timestep_s = whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
-        prefixes = [robot.naming_prefix for robot in self.robots]
-        if len({robot.name_in_world for robot in self.robots}) != len(prefixes):
-            apart = 'underscores at the end apart, ' * (len(set(prefixes)) == len(prefixes))
-            raise ModelError(f'robots in one world need different idn or prefix, {apart}got '
-                             + ', '.join(prefixes))
         self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
         check_object_names(self.objects)
         self.cameras = [create_camera(camera) for camera in cameras]
@@ -219,6 +223,17 @@ class World:
         """
         other: World = copy.copy(self)
         other.objects = list(objects)
+        return other
+
+    def with_robots(self, robots: Sequence[RobotModel]) -> World:
+        """
+        Return a world that differs in its robots; arena, objects and cameras are shared.
+
+        :param robots: the robots of the new world
+        :raises ModelError: if two of them have the same name
+        """
+        other: World = copy.copy(self)
+        other.robots = _checked_robots(robots)
         return other
 
     def compile(self, visual: bool = True) -> mujoco.MjModel:

@@ -10,9 +10,9 @@ that arrays of later versions of MuJoCo are copied too.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache
-import itertools
 from typing import Any
 import weakref
 
@@ -31,6 +31,9 @@ _NAMED = {
 #: How many positions and velocities a joint that is not scalar has.
 _QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
 _DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
+#: What equalities connect whose ``eq_objtype`` does not say it.
+_ENDS = {int(mujoco.mjtEq.mjEQ_JOINT): int(mujoco.mjtObj.mjOBJ_JOINT),
+         int(mujoco.mjtEq.mjEQ_TENDON): int(mujoco.mjtObj.mjOBJ_TENDON)}
 #: Return where the rows of each element of a model begin, and how many there are.
 Spans = Callable[[Any], tuple[IntArray, IntArray]]
 #: Compiled from the element's own tree, but rounded differently if there is another tree.
@@ -46,8 +49,8 @@ class ElementMap:
     """
     The elements that two models have in common.
 
-    Elements of one kind are the same if they have the same name; those without a name are matched
-    in order, as the models differ only in elements that have names.
+    Elements of one kind are the same if they have the same name. Those without a name are matched
+    in order, by what they belong to: a body, or what a constraint connects.
 
     :param old: a ``mujoco.MjModel``
     :param new: another one
@@ -177,10 +180,29 @@ def carry_data(source: Any, target: Any, both: ElementMap) -> None:
 
 
 def _keys(model: mujoco.MjModel, kind: str) -> list[Any]:
-    """Return the name of each element of a kind, or its number among those without a name."""
+    """Return the name of each element of a kind, or its owner and its number among those of it."""
     addresses, names = getattr(model, f'name_{kind}adr').tolist(), model.names
-    unnamed = itertools.count()
-    return [names[address:names.index(b'\0', address)] or next(unnamed) for address in addresses]
+    unnamed: Counter[Any] = Counter()
+    keys = []
+    for index, address in enumerate(addresses):
+        key: Any = names[address:names.index(b'\0', address)]
+        if not key:
+            owner = _owner(model, kind, index)
+            key = owner, unnamed[owner]
+            unnamed[owner] += 1
+        keys.append(key)
+    return keys
+
+
+def _owner(model: mujoco.MjModel, kind: str, index: int) -> Any:
+    """Return what an element without a name belongs to, by name."""
+    if kind == 'eq':
+        kind_of_ends = _ENDS.get(int(model.eq_type[index]), int(model.eq_objtype[index]))
+        return int(model.eq_type[index]), *(
+            mujoco.mj_id2name(model, kind_of_ends, int(ids[index]))
+            for ids in (model.eq_obj1id, model.eq_obj2id))
+    bodies = getattr(model, f'{kind}_bodyid', None)
+    return None if bodies is None else model.body(int(bodies[index])).name
 
 
 def _spans_of_joints(array: str, widths: dict[int, int]) -> Spans:

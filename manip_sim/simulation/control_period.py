@@ -50,11 +50,12 @@ class ControlPeriods:
     :param robots: whose control acts
     :param free_roots: the weight of free robots
     :param timestep_s: length of a physics step [s]
+    :ivar robots: the same; other ones may be assigned between two periods
     """
 
     def __init__(self, steps: PhysicsSteps, robots: Sequence[SimulatedRobot],
                  free_roots: FreeRoots, timestep_s: float) -> None:
-        self._steps, self._robots = steps, tuple(robots)
+        self._steps, self.robots = steps, tuple(robots)
         self._free_roots, self._timestep_s = free_roots, timestep_s
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         #: When the intervals of a control period end, by its number of steps: the last one used.
@@ -63,7 +64,7 @@ class ControlPeriods:
     @property
     def rest(self) -> bool:
         """Whether control has nothing to do."""
-        return not self._free_roots.is_needed and all([robot.resting for robot in self._robots])
+        return not self._free_roots.is_needed and all([robot.resting for robot in self.robots])
 
     def intervals(self, steps: int) -> Iterator[Interval]:
         """
@@ -72,7 +73,7 @@ class ControlPeriods:
         :param steps: number of physics steps of the period
         """
         period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
-        for robot in self._robots:
+        for robot in self.robots:
             robot.begin_period(period_s, ends_s)
         physics = self._steps
         untouched = physics.begin() and self.rest and physics.stays_untouched
@@ -89,7 +90,7 @@ class ControlPeriods:
         self._steps.begin_run()
         left = steps
         while left:
-            awake = [robot for robot in self._robots if not robot.resting]
+            awake = [robot for robot in self.robots if not robot.resting]
             if left < steps and awake and all([robot.plans for robot in awake]):
                 yield Interval((), left * self._timestep_s,
                                partial(self._compute_plans, awake, left))

@@ -16,7 +16,7 @@ import functools
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.simulation.physics import Physics
 
 #: Integrators that treat the damping of actuators implicitly.
@@ -88,13 +88,20 @@ class ActuatorEfforts:
                        of_actuators[3 * nu:5 * nu:2], of_actuators[3 * nu + 1:5 * nu:2],
                        of_actuators[5 * nu:])
         self.restart()
-        # Degrees of freedom that have actuators come first in both models.
-        common = min(model.nv, len(before))
-        self.values[:common] = before[:common]
+        old, new = self._physics.kept_dofs
+        self.values[new] = before[old]
 
-    def restart(self) -> None:
-        """Return to an instant without a step before it; after ``mj_forward``."""
-        self._values = self._physics.data.qfrc_actuator.copy()
+    def restart(self, dofs: IntArray | None = None) -> None:
+        """
+        Return to an instant without a step before it; after ``mj_forward``.
+
+        :param dofs: of these degrees of freedom; None: of all
+        """
+        present = self._physics.data.qfrc_actuator
+        if dofs is None:
+            self._values = present.copy()
+        else:
+            self.values[dofs] = present[dofs]
 
     def record(self) -> None:
         """Remember the last step; between ``mj_step`` and the next ``mj_forward``."""

@@ -22,7 +22,7 @@ READINGS = ('pose', 'twist', 'wrench', 'external_wrench')
 
 class EndEffectorReader:
     """
-    A reader of one gripper, whose addresses are resolved once.
+    A reader of one gripper.
 
     :param physics: of the world
     :param gripper: a gripper of the model
@@ -30,14 +30,21 @@ class EndEffectorReader:
     """
 
     def __init__(self, physics: Physics, gripper: GripperModel) -> None:
-        self._physics, model = physics, physics.model
-        sensors = gripper.important_sensors
-        self._sensors = np.concatenate([
-            model.sensor(sensors[name]).adr[0] + np.arange(3)
-            for name in ('force_ee', 'torque_ee')])
-        self._ft_frame = int(model.sensor(sensors['force_ee']).objid[0])
-        self._grip_site = model.site(gripper.important_sites['grip_site']).id
+        self._physics = physics
+        sensors, sites = gripper.important_sensors, gripper.important_sites
+        self._names = sensors['force_ee'], sensors['torque_ee'], sites['grip_site']
+        physics.on_change(self._find)
         self.external = ExternalWrench(physics, self._ft_frame)
+
+    def _find(self) -> None:
+        model = self._physics.model
+        force, torque, grip_site = self._names
+        self._sensors = np.concatenate([
+            model.sensor(name).adr[0] + np.arange(3) for name in (force, torque)])
+        self._ft_frame = int(model.sensor(force).objid[0])
+        self._grip_site = model.site(grip_site).id
+        if hasattr(self, 'external'):
+            self.external.site = self._ft_frame
 
     @property
     def ft_frame(self) -> str:

@@ -34,6 +34,7 @@ class ExternalWrench:
 
     :param physics: of the world
     :param site: of the frame of the sensor
+    :ivar site: the same; its id in a new model has to be set before the model is looked at
     """
 
     #: Of the period that has passed; nothing in the next one depends on it.
@@ -41,7 +42,7 @@ class ExternalWrench:
 
     def __init__(self, physics: Physics, site: int) -> None:
         self._physics = physics
-        self._site = site
+        self.site = site
         #: Sum over the steps that are no longer in the rows.
         self._sum = _ZERO
         #: Forces on the bodies in each step, and the centre of mass of the tree, as bytes.
@@ -59,7 +60,7 @@ class ExternalWrench:
         model, data = self._physics.model, self._physics.data
         if self._mean is None:
             self._compute_mean()
-        body = int(model.site_bodyid[self._site])
+        body = int(model.site_bodyid[self.site])
         #: The tool: bodies are in depth-first order.
         self.bodies = slice(body, body + _subtree_size(model, body))
         self._forces = data.cfrc_ext[self.bodies]
@@ -181,8 +182,8 @@ class ExternalWrench:
             return np.zeros(6)
         force, torque = mean[:3], mean[3:]
         moment, wrench = np.empty(3), np.empty(6)
-        mujoco.mju_cross(moment, data.site_xpos[self._site], force)
-        to_world = data.site_xmat[self._site].reshape(3, 3)
+        mujoco.mju_cross(moment, data.site_xpos[self.site], force)
+        to_world = data.site_xmat[self.site].reshape(3, 3)
         # By MuJoCo, with the same bits on every processor.
         mujoco.mju_mulMatTVec(wrench[:3], to_world, force)
         mujoco.mju_mulMatTVec(wrench[3:], to_world, torque - moment)

@@ -53,14 +53,15 @@ class FreeRoots:
 
     :param physics: of the world
     :param roots: names of the root bodies of the robots
+    :ivar roots: the same; robots that come or go have to change it before the model is replaced
     """
 
     def __init__(self, physics: Physics, roots: Iterable[str]) -> None:
-        self._physics, self._roots = physics, tuple(roots)
+        self._physics, self.roots = physics, tuple(roots)
         physics.on_change(self._look_at_model)
 
     def _look_at_model(self) -> None:
-        model, roots = self._physics.model, self._roots
+        model, roots = self._physics.model, self.roots
         free_trees = {int(model.body_rootid[body]) for body in model.jnt_bodyid[
             model.jnt_type == _FREE]} & {int(model.body(root).id) for root in roots}
         joint = model.dof_jntid

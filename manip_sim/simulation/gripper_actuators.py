@@ -50,7 +50,6 @@ class GripperActuators:
         self._physics, model = physics, physics.model
         self._part = part
         self.ids: IntArray = part.actuator_ids
-        self.couplings = JointCouplings(model, [model.joint(j).id for j in part.joints])
         self._gain = model.actuator_gainprm[self.ids, 0].copy()
         self._bias = model.actuator_biasprm[self.ids, :2].copy()
         fixed = model.actuator_gaintype[self.ids] == int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -59,13 +58,18 @@ class GripperActuators:
         dynamics = model.actuator_dyntype[self.ids]
         self._integrates = self.is_servo & (dynamics == int(mujoco.mjtDyn.mjDYN_INTEGRATOR))
         self._settles = self._integrates | (self.is_servo & np.isin(dynamics, _FILTERS))
-        self._act = model.actuator_actadr[self.ids]
-        self.terms = [self._length_terms(i) for i in range(len(self.ids))]
+        physics.on_change(self._find_joints)
         self._check_shared()
         self.ranges = np.array([self._range(i) for i in range(len(self.ids))]).reshape(-1, 2)
         self.speeds = np.array([self._speed(i) for i in range(len(self.ids))])
         self.overtravel = np.array([self._overtravel(i) for i in range(len(self.ids))]
                                    ).reshape(-1, 2)
+
+    def _find_joints(self) -> None:
+        model = self._physics.model
+        self._act = model.actuator_actadr[self.ids]
+        self.couplings = JointCouplings(model, [model.joint(j).id for j in self._part.joints])
+        self.terms = [self._length_terms(i) for i in range(len(self.ids))]
 
     def name(self, index: int) -> str:
         """Return the name of an actuator."""

@@ -33,10 +33,14 @@ class GripperJoints:
         self._physics = physics
         self._part = part
         self._actuators = actuators
+        physics.on_change(self._find)
+        self.names: tuple[str, ...] = tuple(self._name(joint) for joint in self._ids)
+
+    def _find(self) -> None:
+        actuators = self._actuators
         self._ids = list(dict.fromkeys(
             joint for terms, servo in zip(actuators.terms, actuators.is_servo) if servo
             for joint, _ in terms))
-        self.names: tuple[str, ...] = tuple(self._name(joint) for joint in self._ids)
 
     def _name(self, joint: int) -> str:
         return str(self._physics.model.joint(joint).name)

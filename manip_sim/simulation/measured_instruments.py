@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 
 from manip_sim.arrays import FloatArray
@@ -25,25 +25,28 @@ class MeasuredInstruments:
     The instruments of a model, with the noise of their robots; the world's with the first one's.
 
     :param physics: of the world
-    :param robots: the robots, whose sensing measures; without one, all values are exact
+    :param robots: whose sensing measures, by name, as they are when the model is replaced; without
+        one, all values are exact
     :ivar sensors: values of all sensors of the model, by name
     """
 
-    def __init__(self, physics: Physics, robots: Sequence[SimulatedRobot]) -> None:
+    def __init__(self, physics: Physics, robots: Mapping[str, SimulatedRobot]) -> None:
         self._physics, self._robots = physics, robots
         self._noise: dict[str, float] = {}
         self.sensors = Sensors(physics, self.measured)
-        physics.on_change(self._look_at_model)
+        physics.on_change(self.look_at_model)
 
-    def _look_at_model(self) -> None:
+    def look_at_model(self) -> None:
+        """Find the instruments of the model, and the robots that they belong to."""
         self._sensing: dict[str, RobotSensing] = {}
-        if not self._robots:
+        robots = [*self._robots.values()]
+        if not robots:
             return
-        owners = {name: robot for robot in self._robots for name in robot.sensor_names}
-        for robot in self._robots:
+        owners = {name: robot for robot in robots for name in robot.sensor_names}
+        for robot in robots:
             robot.sensing.forget(_CHANNELS)
         for found in self.sensors.instruments:
-            owner = owners.get(found.sensors[0], self._robots[0])
+            owner = owners.get(found.sensors[0], robots[0])
             sensing = self._sensing[found.name] = owner.sensing
             sensing.add(_CHANNELS + found.name, partial(self._exact, found.name),
                         InstrumentChannel(found, file_noise(self._physics.model, found),
@@ -57,7 +60,7 @@ class MeasuredInstruments:
             the instrument
         """
         self._noise = dict(noise)
-        self._look_at_model()
+        self.look_at_model()
 
     def sensing_of(self, body: int) -> RobotSensing:
         """
@@ -69,8 +72,9 @@ class MeasuredInstruments:
         while body:
             names.add(model.body(body).name)
             body = int(model.body_parentid[body])
-        return next((robot for robot in self._robots if robot.robot_model.root_body in names),
-                    self._robots[0]).sensing
+        robots = [*self._robots.values()]
+        return next((robot for robot in robots if robot.robot_model.root_body in names),
+                    robots[0]).sensing
 
     def _exact(self, name: str) -> FloatArray:
         found = self.sensors.instrument(name)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -75,6 +76,20 @@ def find_parts(model: mujoco.MjModel, robot: RobotModel) -> dict[str, Part]:
             name = f'{arm}/gripper'
             parts[name] = _part(model, name, gripper.joints, gripper.actuators, gripper=gripper)
     return parts
+
+
+def find_places(model: mujoco.MjModel, parts: Iterable[Part]) -> None:
+    """
+    Find the addresses of parts in another model, in which they are the same.
+
+    :param model: the compiled ``mujoco.MjModel``
+    :param parts: whose arrays of addresses are changed in place
+    """
+    for part in parts:
+        ids = [model.joint(joint).id for joint in part.joints]
+        part.qpos_addresses[:] = model.jnt_qposadr[ids]
+        part.dof_addresses[:] = model.jnt_dofadr[ids]
+        part.actuator_ids[:] = [model.actuator(actuator).id for actuator in part.actuators]
 
 
 def _arms(model: mujoco.MjModel, robot: ManipulatorModel, joints: list[str], actuators: list[str]

@@ -5,20 +5,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import mujoco
+import numpy as np
 
-from manip_sim.simulation.spawning import carry_over, LiveWorld, start_live, WorldPlan
+from manip_sim.arrays import IntArray
+from manip_sim.simulation.spawning import carry_over, in_common, LiveWorld, start_live, WorldPlan
 
 
 class Physics:
     """
     What MuJoCo simulates; nothing else keeps a model, because another one may replace it.
 
-    Robots come first in every model, so their names, ids and addresses stay as they are. What
-    depends on the number of other elements, such as arrays of shape (nv,), and views of arrays are
-    made anew by what was registered with :meth:`on_change`.
+    Robots come first in every model, those from the start before others, so ids and addresses
+    change only if a robot before is deleted. They, what depends on the number of other elements,
+    such as arrays of shape (nv,), and views of arrays are made anew by what was registered with
+    :meth:`on_change`.
 
     :param plan: the world at its start
     :ivar plan: what :attr:`model` was compiled from
@@ -30,10 +34,13 @@ class Physics:
     :ivar ctrl: of ``ctrl``
     :ivar bias: of ``qfrc_bias``
     :ivar gravcomp: of ``qfrc_gravcomp``
+    :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
+        before it, and where they are now
     """
 
     def __init__(self, plan: WorldPlan) -> None:
         self._adapt: list[Callable[[], None]] = []
+        self.kept_dofs: tuple[IntArray, IntArray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
         self._take(start_live(plan))
 
     def _take(self, live: LiveWorld) -> None:
@@ -50,6 +57,19 @@ class Physics:
         self._adapt.append(adapt)
         adapt()
 
+    @contextmanager
+    def collected(self) -> Iterator[list[Callable[[], None]]]:
+        """Collect what :meth:`on_change` registers meanwhile; the caller has to call it."""
+        before, self._adapt = self._adapt, []
+        try:
+            yield self._adapt
+        finally:
+            self._adapt = before
+
     def change(self, plan: WorldPlan) -> None:
         """Replace the model by that of another plan, and carry the state and edits over."""
-        self._take(carry_over(LiveWorld(self.plan, self.model, self.data), plan))
+        live = LiveWorld(self.plan, self.model, self.data)
+        both = in_common(live, plan)
+        carried = carry_over(live, plan, both)
+        self.kept_dofs = both.rows('nv', live.data.qvel, carried.data.qvel)
+        self._take(carried)

@@ -42,7 +42,7 @@ class PhysicsSteps:
     :param clock: that counts the steps
     :param efforts: of the actuators, recorded at the end of each period
     :param tools: whose external wrenches are recorded
-    :param laws: what changes the model with the velocities, or None
+    :param laws: what changes the model with the velocities
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
     :ivar contacts_change: whether contacts came or went in the last period
@@ -50,18 +50,23 @@ class PhysicsSteps:
     """
 
     def __init__(self, physics: Physics, clock: Clock, efforts: ActuatorEfforts,
-                 tools: Sequence[ExternalWrench], laws: VelocityLaws | None = None) -> None:
+                 tools: Sequence[ExternalWrench], laws: Sequence[VelocityLaws] = ()) -> None:
         self._physics = physics
         self._clock = clock
         self._efforts = efforts
-        self.tools = tools
-        self._laws = laws
+        self.tools, self._laws = tuple(tools), tuple(laws)
         physics.on_change(self._look_at_model)
 
     def look_at_joints(self) -> None:
         """Take over the dry friction of the joints, which was changed in the model."""
-        if self._laws is not None:
-            self._laws.look_at_joints()
+        for laws in self._laws:
+            laws.look_at_joints()
+
+    def look_at_robots(self, tools: Sequence[ExternalWrench], laws: Sequence[VelocityLaws]
+                       ) -> None:
+        """Take over the tools and laws of the robots that there are now."""
+        self.tools, self._laws = tuple(tools), tuple(laws)
+        self._touch = TouchWatch(self._model, self._data, self.tools)
 
     def _look_at_model(self) -> None:
         model, data = self._physics.model, self._physics.data
@@ -88,8 +93,8 @@ class PhysicsSteps:
     def compute(self) -> None:
         """Compute all of the present instant."""
         mujoco.mj_getState(self._model, self._data, self.computed_from, PHYSICS)
-        if self._laws is not None:
-            self._laws.write(self._model, self._data)
+        for laws in self._laws:
+            laws.write(self._model, self._data)
         mujoco.mj_forward(self._model, self._data)
         self._computed = True
 
@@ -138,7 +143,7 @@ class PhysicsSteps:
     @property
     def stays_untouched(self) -> bool:
         """Whether nothing touches a tool, nor is likely to in the next period."""
-        if self.contacts_change or self._touch.pushed or self._laws is not None:
+        if self.contacts_change or self._touch.pushed or self._laws:
             return False
         # Contacts do not come or go where nothing has changed since such a period.
         stays = self.was_untouched and self._integrates and self._data.ncon == self._contacts
@@ -170,9 +175,9 @@ class PhysicsSteps:
 
     def run(self, steps: int) -> None:
         """Run some steps of a period, and record the forces on the tools in each."""
-        model, data, contacts, laws = self._model, self._data, self._contacts, self._laws
+        model, data, contacts = self._model, self._data, self._contacts
         for _ in range(steps):
-            if laws is not None:
+            for laws in self._laws:
                 laws.write(model, data)
             if self._resumes:
                 # What depends on positions and velocities alone has been computed already.

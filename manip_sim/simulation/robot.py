@@ -28,7 +28,7 @@ from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.modes import MODES, POSITION
-from manip_sim.simulation.parts import find_parts, Part
+from manip_sim.simulation.parts import find_parts, find_places, Part
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.reflexes import Reflexes
 from manip_sim.simulation.state import ControllerState, State
@@ -68,6 +68,7 @@ class SimulatedRobot:
         self.robot_model = robot
         self.parts: dict[str, Part] = find_parts(model, robot)
         atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
+        physics.on_change(self._find_places)
         self.end_effectors = {
             name.split('/')[0]: EndEffectorReader(physics, part.gripper)
             for name, part in self.parts.items() if part.gripper is not None}
@@ -82,11 +83,14 @@ class SimulatedRobot:
         self.parse = CommandParser(robot, self.joints, self.grippers)
         self.parse_cartesian = CartesianParser(
             robot, self.joints, find_frames(model, robot, self.end_effectors))
-        self._index_joints(atomic)
+        physics.on_change(self._find_frames)
         self._late = DelayedCommands()
         self._add_channels()
 
-    def _index_joints(self, atomic: list[Part]) -> None:
+    def _find_places(self) -> None:
+        """Find the addresses of the joints, which change when a robot before is deleted."""
+        find_places(self._physics.model, self.parts.values())
+        atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
         self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
         qpos, dofs = (np.concatenate([getattr(part, kind) for part in atomic])
                       for kind in ('qpos_addresses', 'dof_addresses'))
@@ -96,6 +100,10 @@ class SimulatedRobot:
         #: Addresses in ``qpos`` and ``qvel`` of the joints of each part, and of all joints.
         self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
             name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
+
+    def _find_frames(self) -> None:
+        self.parse_cartesian.look_at_model(self._physics.model)
+        self.joints.cartesian.look_at_model(self._physics.model)
 
     def _add_channels(self) -> None:
         self.sensing = RobotSensing(self.name, self._clock, self._timestep_s)

@@ -40,6 +40,7 @@ class SimulationState:
 
     :ivar versions: of manip_sim and MuJoCo
     :ivar model: signature of the compiled model
+    :ivar robots: names of the robots
     :ivar physics: what MuJoCo integrates, and its solvers start from
     :ivar computed_from: the same when the present forces were computed
     :ivar gains: what control has changed in the model, by field
@@ -56,6 +57,7 @@ class SimulationState:
 
     versions: str
     model: int
+    robots: tuple[str, ...]
     physics: bytes
     computed_from: bytes
     gains: Mapping[str, bytes]

@@ -78,11 +78,9 @@ class Servos:
         check_single(actuators, joints)
         check_kinds(model, actuators)
         self._physics = physics
-        ids = self._ids = np.array([model.actuator(a).id for a in actuators], dtype=np.int64)
-        joint_ids = np.array([model.joint(j).id for j in joints], dtype=np.int64)
-        self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
-        self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
-        self._activation = model.actuator_actadr[ids].astype(np.int64)
+        self._actuators, self._joints = tuple(actuators), tuple(joints)
+        self._find_places()
+        ids, joint_ids = self._ids, np.array([model.joint(j).id for j in joints], dtype=np.int64)
         self._gear: FloatArray = model.actuator_gear[ids, 0].copy()
         stiffness, damping = stiffness_and_damping(model, ids, self.dofs)
         self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
@@ -107,9 +105,7 @@ class Servos:
         self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._sources, self.reach = 0, self.lead
-        #: Where the joints are in ``qpos``, ``qvel``, ``act`` and ``ctrl``.
-        self._places = tuple(
-            as_slice(of) for of in (self.qpos, self.dofs, self._activation, ids))
+        physics.on_change(self._find_places)
         physics.on_change(self._make_room)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
         model.actuator_gaintype[ids] = int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -118,6 +114,17 @@ class Servos:
         self._all_compensated = bool(self._compensated.all())
         self._geared = bool((self._gear != 1.0).any())
         self._set_gains(np.arange(len(ids)))
+
+    def _find_places(self) -> None:
+        model = self._physics.model
+        ids = self._ids = np.array([model.actuator(a).id for a in self._actuators], dtype=np.int64)
+        joint_ids = np.array([model.joint(j).id for j in self._joints], dtype=np.int64)
+        self.qpos: IntArray = model.jnt_qposadr[joint_ids].astype(np.int64)
+        self.dofs: IntArray = model.jnt_dofadr[joint_ids].astype(np.int64)
+        self._activation = model.actuator_actadr[ids].astype(np.int64)
+        #: Where the joints are in ``qpos``, ``qvel``, ``act`` and ``ctrl``.
+        self._places = tuple(
+            as_slice(of) for of in (self.qpos, self.dofs, self._activation, ids))
 
     def look_at_joints(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""

@@ -13,30 +13,31 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import DivergenceError, ModelError
+from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
 from manip_sim.sensing.lidars import Lidars
-from manip_sim.simulation.activation import (
-    add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.control_period import ControlPeriods, Interval
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
-from manip_sim.simulation.free_base import compensate_free_robots, FreeRoots
+from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.physics_steps import PhysicsSteps
+from manip_sim.simulation.present_robots import PresentRobots
 from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.robot_spawning import (
+    actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
 from manip_sim.simulation.saved_state import (
     ControlState, gains, PHYSICS, set_gains, SimulationState)
 from manip_sim.simulation.spawning import plan_world, WorldPlan
 from manip_sim.simulation.start_check import check_start
 from manip_sim.simulation.surroundings import Surroundings
-from manip_sim.simulation.velocity_laws import VelocityLaws
 
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5
@@ -70,16 +71,9 @@ class Simulation:
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
-        spec = world.compose(visual, objects=False)
-        add_setpoint_activation(spec, [
-            *(name for robot in world.robots for name in robot.all_actuators),
-            *position_servos_without_dynamics(spec, world.gripper_actuators)])
-        if world.gravity_compensation:
-            compensate_free_robots(spec, world.robots)
-        self.physics = Physics(plan_world(spec, tuple(world.objects), world.name))
-        self.surroundings = Surroundings(self.physics, world.arena, [
-            *(name for robot in world.robots for name in robot.all_actuators),
-            *world.gripper_actuators])
+        self.physics = Physics(plan_world(
+            compose_base(world, visual), tuple(world.objects), world.name))
+        self.surroundings = Surroundings(self.physics, world.arena, actuators_of(world))
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.diverged: str | None = None
@@ -89,37 +83,35 @@ class Simulation:
         self._start = world.init_qpos()
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self._timestep_s = float(self.model.opt.timestep)
-        self._roots = [robot.root_body for robot in world.robots]
-        self._free_roots = FreeRoots(self.physics, self._roots)
+        self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
         self.seed = world.seed
         self.randomized = Randomized(None, self.physics, {})
         self._to_start()
         self.efforts = ActuatorEfforts(self.physics)
-        robots = [SimulatedRobot(self.physics, robot, self.efforts, self._clock)
-                  for robot in world.robots]
-        self.robots = {robot.name: robot for robot in robots}
-        laws = {joint: law for robot in world.robots
-                for joint, law in robot.velocity_laws.items()}
-        self._steps = PhysicsSteps(self.physics, self._clock, self.efforts, [
-            reader.external for robot in robots for reader in robot.end_effectors.values()],
-            VelocityLaws(self.physics, laws) if laws else None)
+        self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
+        self.robots = self._present.by_name
+        self._steps = PhysicsSteps(
+            self.physics, self._clock, self.efforts, self._present.tools, self._present.laws)
         self.pulls = Pulls(self.physics, self._clock)
-        self._periods = ControlPeriods(self._steps, robots, self._free_roots, self._timestep_s)
-        self.instruments = MeasuredInstruments(self.physics, robots)
+        self._periods = ControlPeriods(
+            self._steps, [*self.robots.values()], self._free_roots, self._timestep_s)
+        self.instruments = MeasuredInstruments(self.physics, self.robots)
         self.sensors = self.instruments.sensors
         self.physics.on_change(self._look_at_model)
         self.lidars = Lidars(
-            self.physics, world.lidars if robots else (),
+            self.physics, world.lidars if self.robots else (),
             lambda body: self.instruments.sensing_of(int(self.model.body(body).id)))
         self.randomized = Randomized(
-            world.randomization, self.physics, {robot.name: robot.sensing for robot in robots},
-            [name for name, law in laws.items() if np.isfinite(law.stribeck_velocity)])
+            world.randomization, self.physics,
+            {robot.name: robot.sensing for robot in self.robots.values()},
+            [name for robot in world.robots for name, law in robot.velocity_laws.items()
+             if np.isfinite(law.stribeck_velocity)])
         if self.randomized.draws:
             self._randomize(world.seed, None)
         self._settle_linkages()
         self._reset(world.seed)
         self.start_defects = check_start(
-            self.model, self.data, self._roots)
+            self.model, self.data, self._free_roots.roots)
 
     def _look_at_model(self) -> None:
         self.entities = Entities(self.model, {
@@ -139,6 +131,76 @@ class Simulation:
         self.physics.change(plan)
         if self.surroundings.hold_actuators(known):
             mujoco.mj_forward(self.model, self.data)
+
+    def spawn_robot(self, robot: RobotModel) -> SimulatedRobot:
+        """
+        Add a robot to the running world, at rest at its start; everything else stays as it is.
+
+        A reset keeps it and brings it to its start, as it does with spawned objects. It takes
+        part in saved states: they can be restored only while there are the same robots.
+
+        :param robot: with all that is mounted on it; it stands where ``set_base_xpos`` places
+            it, else where the arena places a robot
+        :raises ModelError: if a name is taken already, there are too many robots, or MuJoCo cannot
+            compile the world; then nothing changes
+        """
+        self.change_robots(plan_with_robot(self, robot))
+        return self.robots[robot.name_in_world]
+
+    def delete_robot(self, name: str) -> None:
+        """
+        Remove a robot that :meth:`spawn_robot` has added; its commands are aborted.
+
+        :param name: of the robot, such as a key of :attr:`robots`
+        :raises ModelError: if the robot was there at the start
+        :raises UnknownNameError: if there is no such robot
+        """
+        self.change_robots(plan_without_robot(self, name))
+
+    def change_robots(self, plan: RobotsPlan) -> None:
+        """
+        Change the robots; everything else stays as it is, commands included.
+
+        :param plan: made by ``plan_with_robot`` or ``plan_without_robot`` from the present state
+            of this simulation
+        """
+        there = {robot.name_in_world for robot in plan.world.robots}
+        for name in self.robots.keys() - there:
+            self._present.delete(name)
+        self._world = plan.world
+        self._free_roots.roots = tuple(robot.root_body for robot in plan.world.robots)
+        self.surroundings.of_parts = set(actuators_of(plan.world))
+        self._look_at_robots()
+        self.change_objects(plan.plan)
+        self._start = {joint: position for joint, position in
+                       {**self._start, **plan.start}.items() if joint in plan.joints}
+        for robot in plan.world.robots[len(self.robots):]:
+            self._present.begin(robot, plan.start, self.seed)
+            self._free_roots.apply()
+            self._look_at_robots()
+            self.instruments.look_at_model()
+            self._look_at_model()
+            self._steps.compute()
+            self._steps.compute_anew()
+
+    def _look_at_robots(self) -> None:
+        self._steps.look_at_robots(self._present.tools, self._present.laws)
+        self._periods.robots = tuple(self.robots.values())
+
+    @property
+    def world(self) -> World:
+        """The robots, the arena and the objects that there are now; a copy."""
+        return self._world.with_objects(self.plan.objects)
+
+    @property
+    def spawned_robots(self) -> list[str]:
+        """Names of the robots that came while the simulation ran."""
+        return self._present.spawned
+
+    @property
+    def start(self) -> dict[str, float]:
+        """Positions of joints at the next reset, by name [rad or m], a copy."""
+        return dict(self._start)
 
     @property
     def plan(self) -> WorldPlan:
@@ -376,7 +438,7 @@ class Simulation:
         Call it between control periods. Edits of :attr:`model` are not part of it.
         """
         return SimulationState(
-            versions=self._versions(), model=self.model.signature,
+            versions=self._versions(), model=self.model.signature, robots=tuple(self.robots),
             physics=self._steps.state().tobytes(),
             computed_from=self._steps.computed_from.tobytes(), gains=gains(self.model),
             control=self._control.save(), start=dict(self._start),
@@ -425,6 +487,9 @@ class Simulation:
         if state.versions != self._versions():
             raise ModelError(f'the state was saved by {state.versions}, this is '
                              + self._versions())
+        if state.robots != tuple(self.robots):
+            raise ModelError(f'the state was saved with the robots {", ".join(state.robots)}, now '
+                             f'there are {", ".join(self.robots)}')
         if (state.model != self.model.signature
                 or len(state.physics) != self._steps.computed_from.nbytes):
             raise ModelError('the state was saved in a simulation of another world, or with other '

@@ -145,7 +145,15 @@ def start_live(plan: WorldPlan) -> LiveWorld:
     return LiveWorld(plan, model, mujoco.MjData(model))
 
 
-def carry_over(live: LiveWorld, plan: WorldPlan) -> LiveWorld:
+def in_common(live: LiveWorld, plan: WorldPlan) -> ElementMap:
+    """Return the elements that a running world has in common with the world of a plan."""
+    both = plan.since
+    if both is None or not both.begins_with(live.plan.compiled):
+        both = ElementMap(live.plan.compiled, plan.compiled)
+    return both
+
+
+def carry_over(live: LiveWorld, plan: WorldPlan, both: ElementMap | None = None) -> LiveWorld:
     """
     Return the world of another plan in the state of a running one.
 
@@ -159,12 +167,11 @@ def carry_over(live: LiveWorld, plan: WorldPlan) -> LiveWorld:
     instead of island by island, and the results differ by rounding.
 
     :param live: not changed
-    :param plan: of the same arena and robots
+    :param plan: of the same arena
+    :param both: as :func:`in_common` returns it; None: found here
     """
     model = copy.copy(plan.compiled)
-    both = plan.since
-    if both is None or not both.begins_with(live.plan.compiled):
-        both = ElementMap(live.plan.compiled, model)
+    both = both or in_common(live, plan)
     carry_edits(live.plan.compiled, live.model, model, both)
     data = mujoco.MjData(model)
     carry_data(live.data, data, both)

@@ -35,6 +35,7 @@ class Surroundings:
     :param physics: of the world
     :param arena: the arena of the world
     :param of_parts: actuators of the robots' parts and grippers
+    :ivar of_parts: the same; robots that come or go have to change it before the model is replaced
     :ivar mocap_names: names of the mocap bodies
     :ivar joints: scalar joints of the arena
     :ivar actuators: of the arena, those that drive one of these joints each
@@ -50,7 +51,7 @@ class Surroundings:
         joint_of = {name: driven_joint(model, model.actuator(name).id)
                     for name in arena.actuators}
         self.actuators = tuple(name for name in arena.actuators if joint_of[name] in self.joints)
-        self._of_others = {*of_parts, *self.actuators}
+        self.of_parts = set(of_parts)
         self.commands = {
             ARENA: DirectControls(physics, ARENA, 'joint of the arena', self.joints,
                                   {joint_of[name] or '': name for name in self.actuators})}
@@ -64,7 +65,8 @@ class Surroundings:
         ids = [model.joint(name).id for name in self.joints]
         self._qpos, self._dofs = model.jnt_qposadr[ids], model.jnt_dofadr[ids]
         names = [str(model.actuator(actuator).name) for actuator in range(model.nu)]
-        self.other_actuators = tuple(name for name in names if name not in self._of_others)
+        of_others = {*self.of_parts, *self.actuators}
+        self.other_actuators = tuple(name for name in names if name not in of_others)
         self._others = np.array(
             [model.actuator(name).id for name in self.other_actuators], dtype=np.int64)
         self.commands[ACTUATORS] = DirectControls(

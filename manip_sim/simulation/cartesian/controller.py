@@ -88,6 +88,12 @@ class CartesianController:
         self._operational = OperationalSpaceController(physics, servos, self._posture)
         physics.on_change(self._make_room)
 
+    def look_at_model(self, model: mujoco.MjModel) -> None:
+        """Take over the ids of the frames of the hands in another model."""
+        for hand in self._hands.values():
+            hand.tip.look_at_model(model)
+            hand.origin.look_at_model(model)
+
     def look_at_joints(self) -> None:
         """Take over the damping of the joints, which was changed in the model."""
         self._operational.look_at_joints()

@@ -33,6 +33,16 @@ class Frame:
     body: int
     site: int | None = None
 
+    def look_at_model(self, model: mujoco.MjModel) -> None:
+        """Take over the ids in another model, in which the frame is the same."""
+        if self.site is None:
+            body = int(model.body(self.name).id)
+        else:
+            site = int(model.site(self.name).id)
+            object.__setattr__(self, 'site', site)
+            body = int(model.site_bodyid[site])
+        object.__setattr__(self, 'body', body)
+
     def pose(self, data: mujoco.MjData) -> tuple[FloatArray, FloatArray]:
         """
         Return position [m], shape (3,), and rotation matrix, shape (3, 3), in the world, copies.
@@ -73,6 +83,11 @@ class RobotFrames:
         for name in sites:
             site = int(model.site(name).id)
             self._frames[name] = Frame(name, int(model.site_bodyid[site]), site)
+
+    def look_at_model(self, model: mujoco.MjModel) -> None:
+        """Take over the ids of all frames in another model."""
+        for frame in self._frames.values():
+            frame.look_at_model(model)
 
     def find(self, name: str, what: str) -> Frame:
         """

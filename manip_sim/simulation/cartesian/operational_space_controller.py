@@ -96,6 +96,7 @@ class OperationalSpaceController:
 
     def _make_room(self) -> None:
         self._accelerations, self._forces = np.zeros((2, self._physics.model.nv))
+        self._arms.clear()  # Their joints may have other addresses.
 
     def look_at_joints(self) -> None:
         """Take over the damping of the joints, which was changed."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -36,6 +37,10 @@ class CartesianParser:
         self._robot = robot
         self._joints = joints
         self._frames = frames
+
+    def look_at_model(self, model: mujoco.MjModel) -> None:
+        """Take over the ids of the robot's frames in another model."""
+        self._frames.look_at_model(model)
 
     @property
     def _settings(self) -> Mapping[str, CartesianSettings]:
