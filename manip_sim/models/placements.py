@@ -19,6 +19,8 @@ from manip_sim.models.object_model import ObjectModel
 from manip_sim.quoting import quoted, shown
 from manip_sim.sensing.randomness import generator
 
+#: Greatest coordinate and distance [m].
+_MOST = 1e4
 #: How often the objects of an area are placed anew before it counts as too small.
 _TRIES = 2000
 _KEYS = ('objects', 'x', 'y', 'z', 'yaw', 'margin')
@@ -101,7 +103,7 @@ def _read(name: str, values: Any, where: str) -> Placement:
         span = values.get(key)
         if not isinstance(span, list) or len(span) != 2:
             raise ModelError(f"{where}: '{key}' must be [low, high] in m, got {shown(span)}")
-        low, high = (_number(number, key, where, -math.inf) for number in span)
+        low, high = (_number(number, key, where, -_MOST) for number in span)
         if low > high:
             raise ModelError(f"{where}: '{key}' must be [low, high] in m, got {shown(span)}")
         spans.append((low, high))
@@ -109,15 +111,15 @@ def _read(name: str, values: Any, where: str) -> Placement:
         raise ModelError(f"{where} needs 'z', the height of the surface in m")
     yaw = _number(values.get('yaw', math.pi), 'yaw', where, 0.0)
     return Placement(name, tuple(map(str, objects)), (spans[0][0], spans[1][0]),
-                     (spans[0][1], spans[1][1]), _number(values['z'], 'z', where, -math.inf),
+                     (spans[0][1], spans[1][1]), _number(values['z'], 'z', where, -_MOST),
                      min(yaw, math.pi), _number(values.get('margin', 0.0), 'margin', where, 0.0))
 
 
 def _number(value: Any, key: str, where: str, least: float) -> float:
-    if (isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value)
-            or value < least):
-        limit = ' from 0' if least == 0.0 else ''
-        raise ModelError(f"{where}: '{key}' needs finite numbers{limit}, got {shown(value)}")
+    if (isinstance(value, bool) or not isinstance(value, (int, float))
+            or not least <= value <= _MOST):
+        raise ModelError(f"{where}: '{key}' needs numbers from {least:g} to {_MOST:g}, got "
+                         f'{shown(value)}')
     return float(value)
 
 

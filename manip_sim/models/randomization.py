@@ -14,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Union
 
+import mujoco
 import numpy as np
 import yaml
 
@@ -315,8 +316,9 @@ class _Reader:
             row = number if isinstance(number, (list, tuple)) else [number]
             for value in row:
                 if (isinstance(value, bool) or not isinstance(value, (int, float))
-                        or not math.isfinite(value)):
-                    raise ModelError(f'{where}: {kind} needs finite numbers, got {shown(value)}')
+                        or not abs(value) <= mujoco.mjMAXVAL):
+                    raise ModelError(f'{where}: {kind} needs numbers within {mujoco.mjMAXVAL:g}, '
+                                     f'got {shown(value)}')
             if len(row) != 1 and (len(row) > limits.length or not row):
                 raise ModelError(f'{where}: {kind} needs a number or a list of up to '
                                  f'{limits.length}, got {shown(number)}')

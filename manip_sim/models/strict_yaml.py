@@ -19,13 +19,31 @@ _MAX_BYTES = 1_000_000
 
 
 class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
-    """PyYAML's safe loader without duplicate keys, and aliases, which make a small file huge."""
+    """
+    PyYAML's safe loader without duplicate keys, tags, large integers, and aliases.
+
+    Aliases make a small file huge. A tag on a value that it does not fit, and an integer of
+    thousands of digits, fail in many ways, also where they are only shown.
+    """
 
     def scan_anchor(self, kind: Any) -> Any:
         """Reject an anchor or alias."""
         token = super().scan_anchor(kind)
         raise yaml.YAMLError(f'anchors and aliases are not read, found {token.value!r} in '
                              f'line {token.start_mark.line + 1}')
+
+    def scan_tag(self) -> Any:
+        """Reject a tag."""
+        token = super().scan_tag()
+        raise yaml.YAMLError(f'tags are not read, found one in line {token.start_mark.line + 1}')
+
+    def construct_yaml_int(self, node: Any) -> int:
+        """Reject an integer that has more than 64 bits, as ROS does."""
+        value: int = super().construct_yaml_int(node)
+        if not -2**63 <= value < 2**63:
+            raise yaml.YAMLError('integers have at most 64 bits, found a larger one in line '
+                                 f'{node.start_mark.line + 1}')
+        return value
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         """Reject keys that are not strings or occur twice."""
@@ -42,6 +60,9 @@ class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]
         return super().construct_mapping(node, deep=deep)
 
 
+StrictLoader.add_constructor('tag:yaml.org,2002:int', StrictLoader.construct_yaml_int)
+
+
 def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictLoader
               ) -> dict[str, Any]:
     """
@@ -49,7 +70,7 @@ def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictL
 
     :param loader: decides the types of plain scalars
     :raises ModelError: if the file cannot be read, is larger than 1 MB, holds no mapping, or has
-        tags of objects, anchors, or keys that are not strings or occur twice
+        tags, anchors, integers of more than 64 bits, or keys that are not strings or occur twice
     """
     path = Path(file)
     try:
@@ -76,7 +97,7 @@ def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = St
         raise ModelError(f'{where} is larger than {_MAX_BYTES} bytes')
     try:
         values = yaml.load(content, Loader=loader)  # noqa: S506, a kind of SafeLoader
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         raise ModelError(f'{where} is invalid or unsafe YAML: {_on_one_line(error)}') from None
     if values is None:
         return {}

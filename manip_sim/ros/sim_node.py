@@ -54,7 +54,6 @@ from manip_sim.ros.task_publisher import TaskPublisher
 from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.commands import Command
 from manip_sim.simulation.surroundings import ARENA
 
 #: How many publications may wait, by stepping: states would become old in ``free``, else as many
@@ -327,8 +326,8 @@ class SimNode(Node):
         for follow in self._followers:
             follow(simulation)
 
-    def _report_failure(self, command: Command, error: Exception) -> None:
-        self.rejections.failure('commands', ', '.join(sorted(command.parts)), error)
+    def _report_failure(self, what: str, error: Exception) -> None:
+        self.rejections.failure('commands', what, error)
 
     def _introduce(self) -> None:
         log = self.get_logger()

@@ -130,8 +130,14 @@ class SurroundingsTopics(Publications):
         if not controls:  # They go on as before, which answers a state too.
             self._thread.at_next_period(f'{part}/', lambda: None, stamp_ns)
         for name, value in controls.items():
-            self._thread.at_next_period(
-                f'{part}/{name}', partial(found.command, {name: value}), stamp_ns)
+            self._thread.at_next_period(f'{part}/{name}', partial(
+                self._control, part, name, found.control(name)[0], value), stamp_ns)
+
+    def _control(self, part: str, name: str, quantity: str, value: float) -> None:
+        # Objects may have come or gone since the message came, and actuators with them.
+        found = self._surroundings.commands[part]
+        found.command(found.checked([name], **{
+            one: [value] * (one == quantity) for one in ('position', 'velocity', 'effort')}))
 
     def _check_frame(self, frame_id: str) -> None:
         if frame_id.removeprefix(self._prefix) not in ('', messages.WORLD):

@@ -44,8 +44,9 @@ class TaskPublisher:
 
     def restart(self, seed: int | None) -> None:
         """Begin the episode of a seed, or the same one again."""
-        self._seed = self._seed if seed is None else seed
-        start(self._task, self._simulation, self._seed)
+        own = self._seed if seed is None else seed
+        start(self._task, self._simulation, own)
+        self._seed = own
 
     def _end_period(self, simulation: Simulation) -> None:
         if simulation.time_ns == self._seen_ns:

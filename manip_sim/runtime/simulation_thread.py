@@ -41,7 +41,8 @@ class SimulationThread:
     :param real_time_factor: for ``realtime``
     :param lockstep_parts: by robot, the parts that must have had a command in ``lockstep``
     :param paused: whether to begin paused and wait for :meth:`pause` or :meth:`step`
-    :param report_failure: is called in this thread with a command that failed and the exception
+    :param report_failure: is called in this thread with what failed, such as the parts of a
+        command, and the exception
     :param inbox: what the thread waits for besides deadlines; may bring commands
     :param waits_for_arena: whether ``lockstep`` needs a command for joints of the arena, too
     :param flush: waits until others have seen what observers passed on; called at the end of each
@@ -53,7 +54,7 @@ class SimulationThread:
     def __init__(self, simulation: Simulation, steps: int, stepping: str = 'realtime',
                  real_time_factor: float = 1.0,
                  lockstep_parts: Mapping[str, Iterable[str]] | None = None, paused: bool = False,
-                 report_failure: Callable[[Command, Exception], None] | None = None,
+                 report_failure: Callable[[str, Exception], None] | None = None,
                  inbox: Inbox | None = None, flush: Callable[[], None] | None = None,
                  waits_for_arena: bool = False) -> None:
         self._simulation = simulation
@@ -211,7 +212,7 @@ class SimulationThread:
 
         :param key: a later function with the same key replaces one that waits; ``arena/<joint>``
             of a command for a joint of the arena
-        :param function: takes nothing; may change the simulation
+        :param function: takes nothing; may change the simulation; what it raises is reported
         :param stamp_ns: in lock-step, stamp of the state that it answers [ns]; 0: not given
         :raises CommandError: in lock-step, if that is not the present state
         """
@@ -227,8 +228,11 @@ class SimulationThread:
         if self._next:
             with self._lock:
                 waiting, self._next = self._next, {}
-            for function in waiting.values():
-                function()
+            for key, function in waiting.items():
+                try:
+                    function()
+                except Exception as error:  # What it was for may have gone since.
+                    self._report(key, error)
 
     def pause(self, paused: bool) -> None:
         """
@@ -273,11 +277,12 @@ class SimulationThread:
         Where an observer does this, the start is shown as soon as all observers have been called.
 
         :param restart_time: whether simulation time begins again, as at the start, or goes on
+        :raises ModelError: if the start cannot be drawn from a new seed; then nothing changes
         """
         def change() -> None:
+            self._restart(self._seed)
             self._commands.clear('the simulation was reset')
             self._next.clear()
-            self._restart(self._seed)
             self._seed = None
             if restart_time:
                 self._simulation.step_count = 0
@@ -428,8 +433,11 @@ class SimulationThread:
             self._simulation.robots[robot].apply(command, period_s=self.period_s)
         except Exception as error:
             command.handle.end(Status.ABORTED, str(error))
-            if self._report_failure is not None:
-                self._report_failure(command, error)
+            self._report(', '.join(sorted(command.parts)), error)
+
+    def _report(self, what: str, error: Exception) -> None:
+        if self._report_failure is not None:
+            self._report_failure(what, error)
 
     def _show(self, number: int = 0) -> None:
         if self._showing:

@@ -101,6 +101,9 @@ class DirectControls:
                 if model.actuator_ctrllimited[actuator]:
                     value = min(max(value, float(model.actuator_ctrlrange[actuator, 0])),
                                 float(model.actuator_ctrlrange[actuator, 1]))
+                if abs(value) > mujoco.mjMAXVAL:
+                    raise CommandError(f"{self._part}: {quantity} of '{name}' must be within "
+                                       f'{mujoco.mjMAXVAL:g}, got {value:g}')
                 yield name, value
 
     def command(self, controls: Mapping[str, float]) -> None:

@@ -219,10 +219,11 @@ class Randomized:
 
         :param seed: a whole number from 0
         """
-        nominal, self._seed = self._physics.plan.compiled, seed
+        nominal = self._physics.plan.compiled
         drawn = {key: self._drawn_value(key, rule, seed, nominal)
                  for key, rule in self._rules().items()}
         self.set({**self._placed(nominal, seed), **drawn})
+        self._seed = seed
 
     def _placed(self, nominal: mujoco.MjModel, seed: int) -> dict[str, Any]:
         """Return the poses of objects that are placed in areas; of those that still exist."""
@@ -260,10 +261,10 @@ class Randomized:
         for key in drawn:
             split(key)
         physics, before = self._physics, self.drawn
-        self.drawn = dict(drawn)
         nominal = physics.plan.compiled
         if _sizes_in(before) or _sizes_in(drawn):
             nominal = _copy_sizes(physics.plan, physics.model, _sizes_in(drawn))
+        self.drawn = dict(drawn)
         apply_to_model(physics.model, nominal, drawn, before)
         for key, value in drawn.items():
             group, name, _ = split(key)
@@ -362,10 +363,8 @@ def _copy_sizes(plan: Any, model: mujoco.MjModel, sizes: Mapping[str, Sequence[f
                 if geom is not None:
                     geom.size[:len(size)] = size
             sized = compile_spec(spec, 'the world with the sizes that were drawn')
-    model.geom_size[:] = sized.geom_size
-    for field in _OF_SIZES:
-        own, other = getattr(model, field), getattr(sized, field)
-        if own.shape != other.shape:
-            raise ModelError('the sizes that were drawn change the structure of the world')
-        own[:] = other
+    if any(getattr(model, field).shape != getattr(sized, field).shape for field in _OF_SIZES):
+        raise ModelError('the sizes that were drawn change the structure of the world')
+    for field in ('geom_size', *_OF_SIZES):
+        getattr(model, field)[:] = getattr(sized, field)
     return sized

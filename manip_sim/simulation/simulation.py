@@ -386,15 +386,15 @@ class Simulation:
             the world draws; None keeps all
         :param drawn: by name, in place of what ``randomization`` would draw, such as
             ``randomized.drawn`` of an earlier episode; None lets it draw
-        :raises ModelError: if the seed is no whole number from 0, or something cannot be drawn
+        :raises ModelError: if the seed is no whole number from 0, or something cannot be drawn;
+            then nothing changes
         """
         settles = seed is not None or self._changes_start
-        if settles:
-            own = self.seed if seed is None else seed
-            self._start = self._world.init_qpos(own, self._keyframe)
-            self.seed, self._changes_start = own, False
+        own = self.seed if seed is None else seed
+        start = self._world.init_qpos(own, self._keyframe) if settles else self._start
         if drawn is not None or (seed is not None and self.randomized.draws):
-            self._randomize(self.seed, drawn)
+            self._randomize(own, drawn)
+        self._start, self.seed, self._changes_start = start, own, False
         if settles:
             self._settle_linkages()
         self._reset(seed)

@@ -262,7 +262,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     (f'objects: [{GOOD}, mass: heavy}}]', "'mass' must be a number, got 'heavy'"),
     (f'objects: [{GOOD}, mass: 1e-3}}]', "'mass' must be a number, which YAML reads as a string: "
      "write 1.0e-3, got '1e-3'"),
-    (f'objects: [{GOOD}, mass: {"9" * 400}}}]', "'mass' must be finite, got 999"),
+    (f'objects: [{GOOD}, mass: {"9" * 400}}}]', 'integers have at most 64 bits'),
     (f'objects: [{GOOD}, mass: 1, density: 1}}]', "give 'mass' or 'density', not both"),
     (f'objects: [{GOOD}, density: 0.001}}]', 'weighs 1e-06 kg by its density, it must be 1e-05'),
     (f'objects: [{GOOD}, friction: [1, 2, 3, 4]}}]', "'friction' must have at most 3 of them"),
@@ -291,7 +291,7 @@ GOOD = '{name: brick, shape: box, size: [0.1, 0.1, 0.1]'
     ('objekts: []', "unknown key 'objekts': the only one here is 'objects'"),
     ('[1, 2]', 'must hold keys and values'),
     ('objects: [', 'is invalid or unsafe YAML'),
-    ('objects: !!python/object/apply:os.system [ls]', 'could not determine a constructor'),
+    ('objects: !!python/object/apply:os.system [ls]', 'tags are not read, found one in line 1'),
     ('objects: []\nobjects: []', "'objects' appears twice, again in line 2"),
     ('a: &a [1]\nobjects: *a', "anchors and aliases are not read, found 'a' in line 1"),
     ('objects: ' + 3000 * '[', 'is invalid or unsafe YAML'),

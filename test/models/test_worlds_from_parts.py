@@ -16,7 +16,7 @@ import pytest
 from scipy import stats
 
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
-from manip_sim.models import compose, create_object, load_arena
+from manip_sim.models import compose, create_object, load_arena, placements
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.placements import draw_places, Extent, Placement, read_placements
 from manip_sim.models.regular_files import FilesBelow
@@ -255,6 +255,18 @@ def test_objects_are_placed_from_the_seed_where_they_stand_without_overlap(kitch
     assert other.digest() == digest
 
 
+def test_a_reset_with_a_seed_that_leaves_no_room_changes_nothing(kitchen, monkeypatch):
+    kitchen.reset(seed=7)
+    kitchen.advance(50)
+    digest, drawn = kitchen.digest(), dict(kitchen.randomized.drawn)
+    here = kitchen.data.qpos.copy()
+    monkeypatch.setattr(placements, '_TRIES', 0)
+    with pytest.raises(ModelError, match='no room for'):
+        kitchen.reset(seed=8)
+    assert (kitchen.seed, kitchen.randomized.drawn, kitchen.digest()) == (7, drawn, digest)
+    assert np.array_equal(kitchen.data.qpos, here)
+
+
 def test_each_of_many_worlds_has_places_of_its_own(kitchen):
     worlds = Worlds(compose('Panda', arena=load_arena(KITCHEN / 'kitchen.yaml')), 2)
     worlds.reset([7, 8])
@@ -297,9 +309,11 @@ def area(**changes):
     ({'objects': []}, "'objects' must be a list of names, each once"),
     ({'objects': ['a', 'a']}, "'objects' must be a list of names, each once"),
     ({'x': [1, 0]}, r"'x' must be \[low, high\] in m, got \[1, 0\]"),
-    ({'y': [0, float('nan')]}, "'y' needs finite numbers"),
+    ({'y': [0, float('nan')]}, "'y' needs numbers from -10000 to 10000, got nan"),
+    ({'x': [0, 10**400]}, "'x' needs numbers from -10000 to 10000, got 1000"),
+    ({'z': 1e300}, r"'z' needs numbers from -10000 to 10000, got 1e\+300"),
     ({'z': None}, "needs 'z', the height of the surface"),
-    ({'margin': -1}, "'margin' needs finite numbers from 0, got -1"),
+    ({'margin': -1}, "'margin' needs numbers from 0 to 10000, got -1"),
     ({'yav': 1}, "unknown key 'yav': did you mean 'yaw'")])
 def test_areas_that_make_no_sense_are_rejected(changes, message):
     with pytest.raises(ModelError, match=f"^here: placement 'p'.*{message}"):

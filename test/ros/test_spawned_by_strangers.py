@@ -13,7 +13,7 @@ import threading
 from types import SimpleNamespace as Plain
 from xml.sax.saxutils import quoteattr
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Point, PoseStamped
 from harness import START_S
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import spawn_files
@@ -147,6 +148,42 @@ def test_an_arm_that_is_spawned_takes_commands_by_its_actuators(serve, client):
     client.spin_until(lambda: client.node.count_publishers('actuators/states') == 0)
     commands.publish(JointState(name=['stand_pan'], position=[0.6]))
     client.spin_until(lambda: node._surroundings.statistics['actuators'].rejected == 1)
+
+
+@pytest.mark.parametrize(('topic', 'message', 'counts', 'what'), [
+    ('manip_sim/pull', Marker(ns='stand_fore', points=[Point(x=0.4, z=1.0)] * 2), 'pull',
+     "unknown body 'stand_fore'"),
+    ('actuators/command', JointState(name=['stand_pan'], position=[0.6]), 'actuators',
+     "unknown actuator that is of no part 'stand_pan'")])
+def test_a_command_for_what_was_deleted_before_its_period_is_told_and_the_node_goes_on(
+        serve, client, topic, message, counts, what):
+    node = serve(arena='table', start_paused=True)
+    log = client.log()
+    spawning = TriggeredSpawning(node, Path(__file__).resolve().parents[1] / 'data/files')
+    spawning.request = request(uri='stand_arm.xml')
+    assert client.call(Trigger, 'manip_sim/spawn_entity').message == 'stand'
+    client.publish(topic, message)
+    client.spin_until(lambda: node._surroundings.statistics[counts].accepted == 1)
+    spawning.request = Plain(entity='stand')
+    client.call(Trigger, 'manip_sim/delete_entity')
+    assert client.call(SetBool, 'manip_sim/pause', SetBool.Request(data=False)).success
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: len(states) > 20)
+    client.spin_until(lambda: any(what in text for text in log))
+    assert node.rejections.failed['commands'] == 1
+
+
+@pytest.mark.parametrize('text', [
+    '{shape: !!bool maybe}', '{size: 0x' + 4990 * 'f' + '}', '{mass: !!int ""}',
+    '{name: "\\UFFFFFFFF"}', '{shape: !!timestamp never}', '{shape: !!set [a]}',
+    f'{{mass: {":".join(400 * "1")}.5}}', f'{{mass: 1{400 * "0"}}}'])
+def test_yaml_that_is_no_plain_data_is_answered(serve, client, text):
+    node = serve(arena='table')
+    spawning = TriggeredSpawning(node, Path())
+    spawning.request = request(text)
+    answer = client.call(Trigger, 'manip_sim/spawn_entity')
+    assert not answer.success
+    assert answer.message.startswith('resource_string is invalid or unsafe YAML: ')
 
 
 def test_a_process_that_ends_does_not_wait_for_the_background(monkeypatch):

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from manip_sim.errors import CommandError, SimulationEnded, UnknownNameError
+from manip_sim.errors import CommandError, ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models import World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import simulation_thread, SimulationThread
@@ -93,7 +93,7 @@ def test_a_command_that_fails_is_told_and_the_simulation_goes_on():
     simulation, told = Simulation(World([Panda()])), []
     thread = SimulationThread(
         simulation, steps=5, paused=True,
-        report_failure=lambda command, error: told.append((command, str(error))))
+        report_failure=lambda what, error: told.append((what, str(error))))
     command = simulation.robot.parse.action('arm', [0.0] * 7)
 
     def fail(*_, **__):
@@ -104,9 +104,47 @@ def test_a_command_that_fails_is_told_and_the_simulation_goes_on():
     thread.step()
     thread.step()
     thread.stop()
-    assert told == [(command, 'broken')]
+    assert told == [('arm', 'broken')]
     assert (handle.status, handle.reason) == (Status.ABORTED, 'broken')
     assert thread.error is None
+
+
+def test_a_function_of_a_period_that_fails_is_told_and_the_simulation_goes_on():
+    simulation, told, done = Simulation(World([Panda()])), [], []
+    thread = SimulationThread(
+        simulation, steps=5, paused=True,
+        report_failure=lambda what, error: told.append((what, str(error))))
+
+    def fail():
+        raise KeyError('gone')
+    thread.start()
+    begin = simulation.step_count
+    thread.at_next_period('pull/cube', fail)
+    thread.at_next_period('arena/door', lambda: done.append(simulation.step_count - begin))
+    thread.step()
+    thread.stop()
+    assert told == [('pull/cube', "'gone'")] and done == [0]
+    assert thread.error is None and simulation.step_count == begin + 5
+
+
+def test_a_reset_that_cannot_draw_its_start_changes_nothing():
+    thread = SimulationThread(Simulation(World([Panda()])), steps=5, paused=True)
+
+    def fail(seed):
+        raise ModelError(f'no room with {seed}')
+    thread.restart_by(fail)
+    thread.start()
+    thread.set_seed(3)
+    command = thread._simulation.robot.parse.action('arm', [0.1] * 7)
+    (handle,) = thread.submit([command])
+    done = []
+    thread.at_next_period('pull/cube', lambda: done.append(1))
+    with pytest.raises(ModelError, match='no room with 3'):
+        thread.reset()
+    assert handle.is_active
+    thread.step()
+    thread.stop()
+    assert done == [1] and handle.status is not Status.ABORTED
 
 
 @pytest.fixture

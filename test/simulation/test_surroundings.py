@@ -120,6 +120,16 @@ def test_a_servo_that_integrates_its_control_takes_a_velocity(wrist):
         actuators.checked(['robot0_spin'], [1.0], [], [])
 
 
+@pytest.mark.parametrize('value', [1.1e10, -1e300])
+def test_an_actuator_without_a_range_takes_no_number_that_mujoco_cannot_use(wrist, value):
+    actuators = wrist.surroundings.commands['actuators']
+    with pytest.raises(CommandError, match=r"'robot0_spin' must be within 1e\+10, got"):
+        actuators.checked(['robot0_spin'], [], [value], [])
+    wrist.data.actuator('robot0_spin').ctrl[0] = 1e10
+    wrist.advance(5)
+    assert wrist.diverged is None
+
+
 def test_a_saved_state_holds_the_commands_of_tendons(wrist):
     actuators = wrist.surroundings.commands['actuators']
     actuators.command(actuators.checked(['robot0_sum'], [1.0], [], []))
