@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import io
+import math
 import socket
 from typing import Any
 
@@ -17,6 +18,9 @@ from manip_sim.viewer.page.access import Access, guarding
 _LAST_PORT = 65535
 #: Colour of buttons and sliders.
 _BRAND = (40, 110, 180)
+#: Colour of the light from below, strength of that from above, and the turn that makes it so.
+_GROUND, _SKY = (150, 145, 140), 2.5
+_Y_TO_Z = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 def open_server(host: str, port: int, access: Access) -> Any:
@@ -37,8 +41,20 @@ def open_server(host: str, port: int, access: Access) -> Any:
     if port and server.get_port() != port:
         close_server(server)
         raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
-    server.scene.configure_environment_map('warehouse', environment_intensity=0.7)
+    _light(server.scene)
     return server
+
+
+def _light(scene: Any) -> None:
+    """
+    Light the scene from above and, less, from below, beside the lights that viser has.
+
+    A browser fades the scene in when it has loaded the environment map that viser has by default.
+    With viser 1.1 it stops halfway for good if another map comes meanwhile, which happens where
+    it draws slowly; without a map there is nothing to wait for.
+    """
+    scene.configure_environment_map(None)
+    scene.add_light_hemisphere('/sky', ground_color=_GROUND, intensity=_SKY, wxyz=_Y_TO_Z)
 
 
 class _Event(asyncio.Event):
