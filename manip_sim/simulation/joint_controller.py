@@ -28,6 +28,7 @@ from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.point_streams import PointStreams
 from manip_sim.simulation.profiles import Plan
 
 C = TypeVar('C', bound=Command)
@@ -65,6 +66,7 @@ class JointController(ControlledJoints):
         self._everything = np.arange(len(self.names))
         self.commands = Ledger(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
+        self._points = PointStreams(len(self.names))
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
         #: For a plan of the setpoints: how fast the servos follow it, and whether that is slow.
@@ -220,6 +222,7 @@ class JointController(ControlledJoints):
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
         self._timeouts.clear()
+        self._points = PointStreams(len(everything))
         self.cartesian.reset(data)
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)
@@ -439,6 +442,11 @@ class JointController(ControlledJoints):
             if own.trajectory.end_s <= now_s - start_s:
                 self._come_to(own.as_setpoint(self.modes_of(own.indices)))
                 continue
+            if own.trajectory.is_point and self._points.take(
+                    own.indices, now_s, start_s + own.trajectory.end_s - now_s,
+                    self._setpoints.stream_interval_s(own.indices)):
+                self._go_on_to(own)
+                continue
             try:
                 own.trajectory.begin_at(self._setpoints.position[own.indices],
                                         self._setpoints.velocity[own.indices], now_s - start_s)
@@ -446,6 +454,13 @@ class JointController(ControlledJoints):
                 command.handle.end(Status.ABORTED, str(error))
                 continue
             self.commands.running.append(replace(own, start_s=start_s))
+
+    def _go_on_to(self, command: JointTrajectory) -> None:
+        """Let a point continue a stream of them."""
+        setpoint = command.as_setpoint(self.modes_of(command.indices))
+        self.go_to(setpoint.indices, setpoint.values, Arrival(
+            self.cartesian.period_s, command.messages, command.start_ns % _STAMPS_NS * 1e-9))
+        self.commands.running.append(setpoint)
 
     def _come_to(self, command: JointSetpoint) -> None:
         self._setpoints.come_back(command.indices, command.values)

@@ -130,6 +130,10 @@ class SetpointGenerator:
         for estimator in (self._estimator, self._ramp_estimator):
             estimator.clocks.set(indices, longest_s, hold_s)
 
+    def stream_interval_s(self, indices: IntArray) -> float:
+        """Return the longest interval between messages of a stream for all of some setpoints."""
+        return self._estimator.clocks.longest_s(indices)
+
     @property
     def lost(self) -> IntArray:
         """How many messages of streams seem to have been lost, shape (n,)."""

@@ -41,6 +41,11 @@ class Trajectory:
         count = self.positions.shape[1]
         self.begin_at(self.positions[0], np.zeros(count))
 
+    @property
+    def is_point(self) -> bool:
+        """Whether it has a single point."""
+        return len(self.times_s) == 1
+
     def begin_at(self, position: FloatArray, velocity: FloatArray, time_s: float = 0.0) -> None:
         """
         Set the start of the motion; points up to its time are dropped, except the last one.

@@ -1,0 +1,42 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find trajectories that are no motions of their own, but each the next point of a stream."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manip_sim.arrays import IntArray
+
+#: A point of a stream is due before so many intervals between the messages have passed.
+_DUE_INTERVALS = 2.5
+
+
+class PointStreams:
+    """
+    Which joints are sent one point after the other, each due at about the time of the next one.
+
+    Motions to such points would end at rest at each of them.
+
+    :param count: number of joints
+    """
+
+    def __init__(self, count: int) -> None:
+        self._came_s = np.full(count, -np.inf)
+        self._streams = np.zeros(count, dtype=bool)
+
+    def take(self, indices: IntArray, now_s: float, due_s: float, longest_s: float) -> bool:
+        """
+        Take in that a trajectory of one point begins, and return whether it continues a stream.
+
+        :param indices: of its joints
+        :param now_s: simulation time [s]
+        :param due_s: how long from now the point is due [s]
+        :param longest_s: longest interval between messages of a stream [s]
+        """
+        since_s = now_s - float(self._came_s[indices].min())
+        streams = since_s <= longest_s and (
+            bool(self._streams[indices].all()) or due_s <= _DUE_INTERVALS * since_s)
+        self._came_s[indices], self._streams[indices] = now_s, streams
+        return streams
