@@ -242,13 +242,13 @@ def _add_record(commands: Any) -> None:
 
 def _add_replay(commands: Any) -> None:
     parser = _command(
-        commands, 'replay', 'replay', 'repeat recorded episodes in a fresh simulation',
-        'Reports how many succeed. With --verify it compares the state of each control period '
-        'and the digests with those of the record, and reports in which period an episode first '
-        'differs.',
+        commands, 'replay', 'replay', 'repeat recorded episodes or nodes in a fresh simulation',
+        'Reports how many episodes succeed. With --verify it compares the state of each control '
+        'period and the digests with those of the record, and reports in which period it first '
+        'differs, or what cannot be repeated.',
         'example: manip_sim replay --verify run.mcap\n'
-        'With --verify the exit code is 0 only if all episodes are equal to the last bit and the '
-        'files are complete.')
+        'With --verify the exit code is 0 only if all episodes and nodes are equal to the last '
+        'bit and the files are complete.')
     _add_records(parser)
     parser.add_argument('--verify', action='store_true',
                         help='compare states and digests with those of the record')

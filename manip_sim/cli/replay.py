@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim replay``: repeat recorded episodes, and compare them with the record."""
+"""``manip_sim replay``: repeat episodes or a node, and compare them with their record."""
 
 from __future__ import annotations
 
@@ -10,38 +10,76 @@ from pathlib import Path
 
 from manip_sim.cli.progress import ProgressBar
 from manip_sim.errors import RecordError
+from manip_sim.quoting import counted
 from manip_sim.records.converting import records_in
+from manip_sim.records.journal import JournalReplay
 from manip_sim.records.recorded import Record
 from manip_sim.records.repeating import Repetition, Replay
 
 
 def run(options: argparse.Namespace) -> tuple[str, int]:
-    """Repeat the episodes; return what differs, how many do not, and the exit code."""
-    replay, lines = Replay(), []
-    total = equal = succeeded = recorded_success = 0
-    with ProgressBar('episodes') as progress:
-        for path in records_in(options.files):
-            record = Record(path)
+    """Repeat the records; return what differs, how many do not, and the exit code."""
+    repeated = _Repeated(options.verify)
+    for path in records_in(options.files):
+        record = Record(path)
+        if record.of_node:
+            repeated.node(record)
+        else:
+            repeated.episodes(record)
+        if record.cut_off:
+            repeated.cut_off = True
+            repeated.lines.append(f'{path}: the file ends early, and was read up to there')
+    return repeated.result()
+
+
+class _Repeated:
+    """What came of repeating records."""
+
+    def __init__(self, verify: bool) -> None:
+        self._verify = verify
+        self._replay = Replay()
+        self.lines: list[str] = []
+        self.cut_off = False
+        self._total = self._equal = self._episodes = 0
+        self._succeeded = self._recorded_success = 0
+
+    def episodes(self, record: Record) -> None:
+        """Repeat the episodes of a record."""
+        with ProgressBar('episodes') as progress:
             for recorded in record.episodes():
                 try:
-                    found = replay.repeat(recorded)
+                    found = self._replay.repeat(recorded)
                 except RecordError as error:
-                    raise RecordError(f'{path}: {error}') from error
-                total += 1
-                equal += found.difference is None
-                succeeded += found.success
-                recorded_success += recorded.success
-                lines += _lines(path, found, options.verify)
-                progress.show(total)
-            if record.cut_off:
-                lines.append(f'{path}: the file ends early, and was read up to there')
-    if not options.verify:
-        lines.append(f'{succeeded} of {total} succeed, {recorded_success} did when they were '
-                     'recorded')
-        return '\n'.join(lines), 0
-    cut_off = any(line.endswith('up to there') for line in lines)
-    lines.append(f'{equal} of {total} equal')
-    return '\n'.join(lines), int(equal < total or cut_off)
+                    raise RecordError(f'{record.path}: {error}') from error
+                self._total += 1
+                self._episodes += 1
+                self._equal += found.difference is None
+                self._succeeded += found.success
+                self._recorded_success += recorded.success
+                self.lines += _lines(record.path, found, self._verify)
+                progress.show(self._episodes)
+
+    def node(self, record: Record) -> None:
+        """Repeat the record of a node."""
+        replay = JournalReplay(record)
+        with ProgressBar('control periods') as progress:
+            replay.repeat(progress.show)
+        self._total += 1
+        self._equal += not replay.problems
+        if self._verify:
+            self.lines += [f'{record.path}: {problem}' for problem in replay.problems]
+        self.lines.append(f'{record.path}: {counted(replay.periods, "control period")} repeated, '
+                          f'with {counted(replay.changes, "change")} from outside')
+
+    def result(self) -> tuple[str, int]:
+        """Return what differs, how many do not, and the exit code."""
+        if self._verify:
+            return '\n'.join([*self.lines, f'{self._equal} of {self._total} equal']), int(
+                self._equal < self._total or self.cut_off)
+        if self._episodes or not self._total:
+            self.lines.append(f'{self._succeeded} of {self._episodes} succeed, '
+                              f'{self._recorded_success} did when they were recorded')
+        return '\n'.join(self.lines), 0
 
 
 def _lines(path: Path, found: Repetition, verify: bool) -> list[str]:

@@ -257,6 +257,9 @@ TOPICS = (
     _published('~/episode', 'std_msgs/String',
                'seed, what was drawn, versions and digest of the start of the episode as JSON, '
                'latched', rate='at the start and at each reset', depth=1, latched=True),
+    _published('~/journal', 'std_msgs/String',
+               'what changed the simulation, in order, as JSON: what records repeat',
+               rate='20 Hz of wall time', depth=1000),
     _published('~/mjcf', 'std_msgs/String', 'the composed model, latched', rate=_CHANGES,
                depth=1, latched=True),
     _published('~/mjcf_archive', 'std_msgs/UInt8MultiArray',

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 import json
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from manip_sim.records.gate import (
     MESSAGE_BYTES, unpacked)
 from manip_sim.records.recorder import ACTION, DIGEST, EPISODE, MODEL, NODE, RESULT, STATE
 
+T = TypeVar('T')
 #: What is kept of nodes.
 _SHOWN = {full_name(name) for name in (
     'geometry_msgs/PoseStamped', 'geometry_msgs/WrenchStamped', 'sensor_msgs/CompressedImage',
@@ -208,10 +209,26 @@ class Record:
         for found in self.contents():
             if not isinstance(found, RecordedEpisode):
                 raise RecordError(
-                    f'{self.path} is a record of the node {quoted(found.node)}, which cannot be '
-                    'repeated or converted, because it does not contain when commands took '
-                    'effect; sim_view --record shows it')
+                    f'{self.path} is a record of the node {quoted(found.node)}, which has no '
+                    'episodes; manip_sim replay repeats it, and sim_view --record shows it')
             yield found
+
+    @property
+    def of_node(self) -> bool:
+        """
+        Whether it is the record of a node.
+
+        :raises RecordError: if it cannot be read up to what it is of
+        """
+        return any(name == NODE for name, _ in self._read(self._kinds))
+
+    def journal(self) -> Iterator[str]:
+        """
+        Yield the messages of a node's journal, in the order of the file.
+
+        :raises RecordError: if the file is damaged
+        """
+        return self._read(self._journal)
 
     def contents(self) -> Iterator[RecordedEpisode | RecordedWorld]:
         """
@@ -219,9 +236,12 @@ class Record:
 
         :raises RecordError: if it is no such record, of another version, or damaged
         """
+        return self._read(self._contents)
+
+    def _read(self, parse: Callable[[BinaryIO], Iterator[T]]) -> Iterator[T]:
         try:
             with open(opened(self.path), 'rb') as file:
-                yield from self._contents(file)
+                yield from parse(file)
         except OSError as error:
             raise RecordError(f'{self.path}: {error.strerror or error}') from error
         except ImportError as error:
@@ -229,6 +249,30 @@ class Record:
                               "'manip_sim[records]'") from error
         except RecordError as error:
             raise RecordError(f'{self.path}: {error}') from error
+
+    def _kinds(self, file: BinaryIO) -> Iterator[tuple[str, Mapping[str, str]]]:
+        """Yield the first description of what the record is of."""
+        from mcap.records import Metadata
+        for item in self._items(file):
+            if isinstance(item, Metadata) and item.name in (EPISODE, NODE):
+                yield item.name, item.metadata
+                return
+
+    def _journal(self, file: BinaryIO) -> Iterator[str]:
+        from mcap.records import Channel, Message, Metadata, Schema
+        schemas: dict[int, str] = {}
+        topic, channels, decode = '', set[int](), _decoder('std_msgs/String')
+        for item in self._items(file):
+            if isinstance(item, Metadata) and item.name == NODE:
+                topic = f"{item.metadata.get('node', '')}/journal"
+            elif isinstance(item, Schema):
+                schemas[item.id] = check_name(item.name, 'type')
+            elif isinstance(item, Channel):
+                if check_topic(item.topic) == topic and schemas.get(
+                        item.schema_id) == full_name('std_msgs/String'):
+                    channels.add(item.id)
+            elif isinstance(item, Message) and item.channel_id in channels:
+                yield decode(item.data).data
 
     def _contents(self, file: BinaryIO) -> Iterator[RecordedEpisode | RecordedWorld]:
         from mcap.records import Attachment, Channel, Message, Metadata, Schema

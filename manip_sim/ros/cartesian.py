@@ -51,7 +51,7 @@ class CartesianSubscribers:
             self._change(parameter.name, parameter.value)
 
     def _change(self, name: str, value: float) -> None:
-        self._thread.call(lambda: self._robot.joints.cartesian.set(*self._settings[name], value))
+        self._thread.change('cartesian', self._robot.name, *self._settings[name], value)
 
     def _pose(self, arm: str, message: PoseStamped) -> Sequence[Command]:
         position, turn = message.pose.position, message.pose.orientation

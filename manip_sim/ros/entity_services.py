@@ -87,7 +87,8 @@ class EntityServices:
             if self._simulation.diverged is not None:
                 raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
                                 f'{self._simulation.diverged}; reset it first')
-            self._simulation.entities.place(self._simulation.data, name, pose, twist)
+            self._thread.change('place', name, pose and _listed(pose.position, pose.quat_xyzw),
+                                twist and _listed(twist.linear, twist.angular))
         self._thread.call(place)
 
 
@@ -99,6 +100,10 @@ def _filled(message: Any, values: Any) -> Any:
 
 def _numbers(message: Any) -> list[float]:
     return [getattr(message, field) for field in message.get_fields_and_field_types()]
+
+
+def _listed(*vectors: Any) -> list[list[float]]:
+    return [vector.tolist() for vector in vectors]
 
 
 def _parts(request: Any) -> tuple[Pose | None, Twist | None]:

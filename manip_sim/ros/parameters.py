@@ -146,6 +146,13 @@ class Parameters:
         """Return whether the user has set a timeout, or it follows the control mode."""
         return name in self._set_timeouts
 
+    @property
+    def values(self) -> dict[str, Any]:
+        """The present values of all that was declared, by name, as YAML or JSON has them."""
+        found = {name: self.value(name) for name in self._specs}
+        return {name: value if isinstance(value, (str, bool, int, float)) else list(value)
+                for name, value in found.items()}
+
     def value(self, name: str) -> Any:
         """Return the present value of a declared parameter."""
         return self._node.get_parameter(name).value

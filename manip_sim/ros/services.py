@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -13,7 +14,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from manip_sim.errors import ManipSimError
 from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import Simulation
 
 
 class SimulationServices:
@@ -24,23 +24,23 @@ class SimulationServices:
     ``~/save_state`` and ``~/restore_state``.
 
     :param node: the node
-    :param simulation: what is controlled
-    :param thread: runs it
+    :param thread: runs the simulation that is controlled
     :param take_commands: takes the commands that have come, which count before ``~/pause`` and
         ``~/step``
     """
 
-    def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
+    def __init__(self, node: Node, thread: SimulationThread,
                  take_commands: Callable[[], None]) -> None:
         self._thread = thread
         self._take_commands = take_commands
-        self._simulation = simulation
         node.create_service(SetBool, '~/pause', self._pause)
         for name, function, done in (
                 ('~/step', self._step, 'advanced by one control period'),
                 ('~/reset', thread.reset, 'back at the start'),
-                ('~/reset_reflex', self._reset_reflex, 'all parts take commands again'),
-                ('~/tare_wrench', self._tare, 'external wrenches read zero now'),
+                ('~/reset_reflex', partial(thread.change, 'reset_reflexes'),
+                 'all parts take commands again'),
+                ('~/tare_wrench', partial(thread.change, 'tare'),
+                 'external wrenches read zero now'),
                 ('~/save_state', thread.save, ''), ('~/restore_state', thread.restore, '')):
             node.create_service(Trigger, name, self._trigger(function, done))
 
@@ -53,18 +53,6 @@ class SimulationServices:
     def _step(self) -> None:
         self._take_commands()
         self._thread.step()
-
-    def _tare(self) -> None:
-        def tare() -> None:
-            for robot in self._simulation.robots.values():
-                robot.tare_wrench()
-        self._thread.call(tare)
-
-    def _reset_reflex(self) -> None:
-        def reset() -> None:
-            for robot in self._simulation.robots.values():
-                robot.reset_reflexes()
-        self._thread.call(reset)
 
     def _trigger(self, function: Callable[[], str | None], done: str) -> Callable[[Any, Any], Any]:
         return lambda _, response: _answer(response, function, done)

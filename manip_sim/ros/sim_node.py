@@ -36,6 +36,7 @@ from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.episode_publisher import EpisodePublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
+from manip_sim.ros.journal_publisher import JournalPublisher
 from manip_sim.ros.lidars import offer_lidars
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.log import RejectionLog
@@ -126,6 +127,7 @@ class SimNode(Node):
             task=composition.task is not None, surroundings=self.simulation.surroundings,
             lidars={lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
         restart: Callable[[int | None], None] = self.simulation.reset
+        self._task = None
         if composition.task is not None:
             self._task = TaskPublisher(
                 self, composition.task, self.simulation, self.thread, value('seed'))
@@ -141,12 +143,14 @@ class SimNode(Node):
         self._followers.append(self.cameras.follow)
         offer_lidars(self, world.lidars, self.simulation, self._robots, self.thread, frame_prefix)
         self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
-        SimulationServices(self, self.simulation, self.thread, self._take_commands)
+        SimulationServices(self, self.thread, self._take_commands)
         offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
                                     spawn_files(value('spawn_roots')))
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras,
                     self._surroundings.statistics)
         self._publish_truth()
+        self._journal = JournalPublisher(
+            self, self.thread, self.rejections, self._declared, self._task)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._world = world
@@ -159,7 +163,7 @@ class SimNode(Node):
         self._uses: dict[str, Callable[[Any], None]] = {
             'real_time_factor': self.thread.set_real_time_factor,
             'pause_at': self.thread.pause_at, 'seed': self.thread.set_seed,
-            'keyframe': partial(setattr, self.simulation, 'keyframe')}
+            'keyframe': partial(self.thread.change, 'keyframe')}
         for scope, robot in self._robots.items():
             self._control(scope, robot)
             publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
@@ -204,22 +208,22 @@ class SimNode(Node):
         value = self._declared.value
         for name, part in robot.parts.items():
             if part.gripper is None and part.actuators and part.atomic == (name,):
-                robot.set_control_mode(name, value(scope.parameter(f'control_mode.{name}')))
-                self._set_timeout(scope, robot, name)
-                for group, change in _stream_changes(robot).items():
-                    change(name, value(scope.parameter(f'{group}.{name}')))
+                for group in ('control_mode', 'command_timeout', 'stream_interval', 'stream_hold'):
+                    self._change_part(
+                        scope, group, name, value(scope.parameter(f'{group}.{name}')))
         for arm in robot.end_effectors:
             name = scope.parameter(f'wrench_cutoff.{arm}')
-            self._uses[name] = partial(robot.set_wrench_cutoff, arm)
+            self._uses[name] = partial(self.thread.change, 'wrench_cutoff', robot.name, arm)
             self._uses[name](value(name))
         for quantity in QUANTITIES:
             name = scope.parameter(quantity)
-            self._uses[name] = partial(robot.sensing.set, quantity)
+            self._uses[name] = partial(self.thread.change, 'sensing', robot.name, quantity)
             if value(name):
                 self._uses[name](value(name))
         for spec in reflex_parameters(scope, commanded_parts(robot.parts), [*robot.end_effectors]):
             name, quantity = spec.name.split('.')[-2:]
-            self._uses[spec.name] = partial(robot.set_reflex, name, quantity)
+            self._uses[spec.name] = partial(
+                self.thread.change, 'reflex', robot.name, name, quantity)
             if value(spec.name):
                 self._uses[spec.name](value(spec.name))
 
@@ -311,16 +315,17 @@ class SimNode(Node):
     def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
         robot = self._robots[scope]
         if group == 'control_mode':
-            self.thread.call(lambda: robot.set_control_mode(part, value))
-        elif group in _stream_changes(robot):
-            self.thread.call(lambda: _stream_changes(robot)[group](part, value))
+            self.thread.change('mode', robot.name, part, value)
+        elif group == 'command_timeout':
+            self._set_timeout(scope, robot, part)
         else:
-            self.thread.call(lambda: self._set_timeout(scope, robot, part))
+            self.thread.change(group, robot.name, part, value)
 
     def _set_timeout(self, scope: Scope, robot: SimulatedRobot, part: str) -> None:
         name = scope.parameter(f'command_timeout.{part}')
         # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
-        robot.set_command_timeout(part, self._declared.value(name), self._declared.is_set(name))
+        self.thread.change('timeout', robot.name, part, self._declared.value(name),
+                           self._declared.is_set(name))
 
     def _objects_changed(self, simulation: Simulation) -> None:
         for follow in self._followers:
@@ -389,11 +394,7 @@ class SimNode(Node):
         if self._command_thread is not None:
             self._command_thread.stop()
         self.thread.stop()
+        self._journal.close()
         if self.publishing is not None:
             self.publishing.stop()
         self.cameras.stop()
-
-
-def _stream_changes(robot: SimulatedRobot) -> dict[str, Callable[[str, float], None]]:
-    """Return what sets the parameters of streams of a part, by their first word."""
-    return {'stream_interval': robot.set_stream_interval, 'stream_hold': robot.set_stream_hold}

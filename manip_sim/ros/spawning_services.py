@@ -125,7 +125,7 @@ class SpawningServices:
                 raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
                                 f'{self._simulation.diverged}; reset it first')
             self._simulation.change_objects(plan)
-        self._thread.call(change)
+        self._thread.call(change, 'an object came or went')
         self._changed(self._simulation)
 
 

@@ -128,16 +128,11 @@ class SurroundingsTopics(Publications):
             message.name, message.position, message.velocity, message.effort)
         stamp_ns = messages.nanoseconds_of(message.header.stamp)
         if not controls:  # They go on as before, which answers a state too.
-            self._thread.at_next_period(f'{part}/', lambda: None, stamp_ns)
+            self._thread.at_next_period(f'{part}/', 'answer', stamp_ns=stamp_ns)
         for name, value in controls.items():
-            self._thread.at_next_period(f'{part}/{name}', partial(
-                self._control, part, name, found.control(name)[0], value), stamp_ns)
-
-    def _control(self, part: str, name: str, quantity: str, value: float) -> None:
-        # Objects may have come or gone since the message came, and actuators with them.
-        found = self._surroundings.commands[part]
-        found.command(found.checked([name], **{
-            one: [value] * (one == quantity) for one in ('position', 'velocity', 'effort')}))
+            self._thread.at_next_period(
+                f'{part}/{name}', 'direct_command', part, name, found.control(name)[0], value,
+                stamp_ns=stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
         if frame_id.removeprefix(self._prefix) not in ('', messages.WORLD):
@@ -149,14 +144,14 @@ class SurroundingsTopics(Publications):
         position, orientation = message.pose.position, message.pose.orientation
         pose = Pose.checked([position.x, position.y, position.z], [
             orientation.x, orientation.y, orientation.z, orientation.w])
-        self._thread.at_next_period(f'objects/{name}', partial(
-            self._surroundings.set_target, name, pose.position, pose.quat_xyzw))
+        self._thread.at_next_period(f'objects/{name}', 'target', name, pose.position.tolist(),
+                                    pose.quat_xyzw.tolist())
 
     def _pull(self, _: str, message: Marker) -> None:
         pulls, key = self._pulls, f'pull/{message.ns}'
         if message.action == Marker.DELETE:
             pulls.check_body(message.ns)
-            self._thread.at_next_period(key, partial(pulls.end, message.ns))
+            self._thread.at_next_period(key, 'end_pull', message.ns)
             return
         self._check_frame(message.header.frame_id)
         if message.action != Marker.ADD or message.type != Marker.ARROW or (
@@ -167,4 +162,4 @@ class SurroundingsTopics(Publications):
         point, target = ([end.x, end.y, end.z] for end in message.points)
         pulls.check(message.ns, point, target)
         self._thread.at_next_period(
-            key, partial(pulls.pull, message.ns, point, target, message.id))
+            key, 'pull', message.ns, point, target, message.id)

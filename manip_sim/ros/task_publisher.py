@@ -30,13 +30,14 @@ class TaskPublisher:
     :param simulation: of its world
     :param thread: runs it; has not been started
     :param seed: of the first start
+    :ivar seed: of the present start
     """
 
     def __init__(self, node: Any, task: Task, simulation: Simulation, thread: SimulationThread,
                  seed: int) -> None:
         self._publisher = create_publisher(node, BY_NAME['~/task'])
         self._task, self._simulation, self._thread = task, simulation, thread
-        self._seed = seed
+        self.seed = seed
         self._seen_ns = -1
         self.restart(None)
         # What the task changes at the end of a period is in the states that are published.
@@ -44,9 +45,9 @@ class TaskPublisher:
 
     def restart(self, seed: int | None) -> None:
         """Begin the episode of a seed, or the same one again."""
-        own = self._seed if seed is None else seed
+        own = self.seed if seed is None else seed
         start(self._task, self._simulation, own)
-        self._seed = own
+        self.seed = own
 
     def _end_period(self, simulation: Simulation) -> None:
         if simulation.time_ns == self._seen_ns:
@@ -56,7 +57,7 @@ class TaskPublisher:
             self._task.end_period(simulation)
         self._publisher.publish(String(data=json.dumps({
             'task': self._task.name, 'robot': self._task.robot.name,
-            'instruction': self._task.instruction, 'seed': self._seed,
+            'instruction': self._task.instruction, 'seed': self.seed,
             'stamp_ns': simulation.time_ns, 'success': self._task.success(simulation),
             'reward': self._task.reward(simulation),
             'goal': self._task.goal(simulation).tolist()})))

@@ -11,7 +11,7 @@ import threading
 from manip_sim.errors import SimulationEnded
 from manip_sim.runtime.simulation_thread import SimulationThread
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.goals import Goal
+from manip_sim.simulation.goals import Ending, Goal
 
 
 class GoalTracker:
@@ -87,4 +87,7 @@ class GoalTracker:
             if ended:
                 self._goals = tuple(goal for goal in self._goals if goal.outcome is None)
         for goal in ended:
+            if goal.outcome is not None and goal.outcome.ending is not Ending.SUCCEEDED:
+                self._thread.journal.withdrawn(
+                    goal.robot.name, goal.command, goal.outcome.reason)
             self._ended(goal)

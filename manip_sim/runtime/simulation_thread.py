@@ -9,17 +9,18 @@ from collections.abc import Callable, Iterable, Mapping
 import contextlib
 import threading
 import time
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.inbox import Inbox
+from manip_sim.runtime.journal import Journal
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
 from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
-from manip_sim.simulation.saved_state import SimulationState
+from manip_sim.simulation.operations import Operations
 from manip_sim.simulation.surroundings import ARENA
 
 T = TypeVar('T')
@@ -47,6 +48,7 @@ class SimulationThread:
     :param waits_for_arena: whether ``lockstep`` needs a command for joints of the arena, too
     :param flush: waits until others have seen what observers passed on; called at the end of each
         :meth:`call` of another thread, in that thread
+    :ivar journal: of what changes the simulation
     :ivar at_start: whether nothing has moved since the start or the last reset
     :ivar error: what ended the thread, or None
     """
@@ -76,12 +78,12 @@ class SimulationThread:
         self._repeat_at = 0.0
         #: Whether observers are being called, and whether one has changed the state meanwhile.
         self._showing = self._show_again = False
-        self._next: dict[str, Callable[[], None]] = {}
+        self._next: dict[str, tuple[Any, ...]] = {}
         self._waits_for_arena = waits_for_arena
         #: For the next reset; None: the start stays.
         self._seed: int | None = None
-        self._restart: Callable[[int | None], None] = simulation.reset
-        self._saved: SimulationState | None = None
+        self._operations = Operations(simulation, steps)
+        self.journal = Journal(simulation)
         #: When to pause [ns]; 0: never.
         self._pause_at_ns = 0
         #: How many control periods may be run at once if nothing but physics happens in them.
@@ -183,18 +185,48 @@ class SimulationThread:
             self._inbox.wake()
         return handles
 
-    def call(self, function: Callable[[], T]) -> T:
+    def change(self, operation: str, *arguments: Any) -> Any:
+        """
+        Run an operation in the simulation's thread as :meth:`call`; records can repeat it.
+
+        :param operation: name of one of :class:`Operations`
+        :param arguments: what JSON can hold
+        :returns: what the operation returns
+        :raises ManipSimError: if it cannot be done
+        :raises SimulationEnded: as :meth:`call`
+        """
+        return self.call(lambda: self._operate(operation, *arguments))
+
+    def _operate(self, operation: str, *arguments: Any) -> Any:
+        failed = True
+        try:
+            result = self._operations.run(operation, *arguments)
+            failed = False
+            return result
+        finally:
+            self.journal.operation(operation, arguments, failed)
+
+    def call(self, function: Callable[[], T], unknown: str = '') -> T:
         """
         Run a function in the simulation's thread, between two control periods.
 
         Before the thread has been started, and in the thread itself, such as in an observer, the
         function runs at once.
 
-        :param function: takes nothing; may change the simulation
+        :param function: takes nothing; may change the simulation by :meth:`change`
+        :param unknown: what else it changes in the simulation, which no record can repeat
         :returns: what the function returns
         :raises Exception: what the function raises
         :raises SimulationEnded: if the simulation has ended, or ends before it runs the function
         """
+        if unknown:
+            changing = function
+
+            def function() -> T:
+                try:
+                    return changing()
+                finally:
+                    self.journal.unknown(unknown)
         if threading.current_thread() is self._thread:
             return function()
         with self._lock:
@@ -206,19 +238,20 @@ class SimulationThread:
             if self._flush is not None:
                 self._flush()
 
-    def at_next_period(self, key: str, function: Callable[[], None], stamp_ns: int = 0) -> None:
+    def at_next_period(self, key: str, operation: str, *arguments: Any, stamp_ns: int = 0) -> None:
         """
-        Let the simulation's thread run a function before its next control period; do not wait.
+        Let the simulation's thread run an operation before its next control period; do not wait.
 
-        :param key: a later function with the same key replaces one that waits; ``arena/<joint>``
+        :param key: a later operation with the same key replaces one that waits; ``arena/<joint>``
             of a command for a joint of the arena
-        :param function: takes nothing; may change the simulation; what it raises is reported
+        :param operation: name of one of :class:`Operations`; what it raises is reported
+        :param arguments: what JSON can hold
         :param stamp_ns: in lock-step, stamp of the state that it answers [ns]; 0: not given
         :raises CommandError: in lock-step, if that is not the present state
         """
         self._commands.check_stamp(stamp_ns)
         with self._lock:
-            self._next[key] = function
+            self._next[key] = operation, *arguments
 
     @property
     def _misses_arena(self) -> bool:
@@ -228,9 +261,9 @@ class SimulationThread:
         if self._next:
             with self._lock:
                 waiting, self._next = self._next, {}
-            for key, function in waiting.items():
+            for key, operation in waiting.items():
                 try:
-                    function()
+                    self._operate(*operation)
                 except Exception as error:  # What it was for may have gone since.
                     self._report(key, error)
 
@@ -280,19 +313,15 @@ class SimulationThread:
         :raises ModelError: if the start cannot be drawn from a new seed; then nothing changes
         """
         def change() -> None:
-            self._restart(self._seed)
+            self._operate('reset', self._seed, restart_time)
             self._commands.clear('the simulation was reset')
             self._next.clear()
             self._seed = None
-            if restart_time:
-                self._simulation.step_count = 0
             self.at_start = True
             self._show_new()
         self.call(change)
 
     def _show_new(self) -> None:
-        # A new state needs a new stamp, and zero means no stamp.
-        self._simulation.step_count += self._steps
         self._pacer.restart(time.monotonic())
         self._show()
 
@@ -302,7 +331,7 @@ class SimulationThread:
 
         :param restart: takes the seed of the start, or None to keep the start
         """
-        self._restart = restart
+        self._operations.restart = restart
 
     def set_seed(self, seed: int) -> None:
         """
@@ -318,10 +347,8 @@ class SimulationThread:
 
         :returns: its digest
         """
-        def change() -> str:
-            self._saved = self._simulation.save()
-            return self._simulation.digest()
-        return self.call(change)
+        digest: str = self.change('save')
+        return digest
 
     def restore(self) -> str:
         """
@@ -334,15 +361,10 @@ class SimulationThread:
         :raises ModelError: if objects have come or gone since
         """
         def change() -> str:
-            if self._saved is None:
-                raise CommandError('no state has been saved')
-            count = self._simulation.step_count
-            self._simulation.restore(self._saved)
-            self._simulation.step_count = count
+            digest: str = self._operate('restore')
             self._commands.clear('a saved state was restored')
             self._next.clear()
             self.at_start = False
-            digest = self._simulation.digest()
             self._show_new()
             return digest
         return self.call(change)
@@ -408,10 +430,12 @@ class SimulationThread:
     def _period(self, most: int = 1) -> None:
         """Run a control period, or up to ``most`` while idle and without observers."""
         self._run_next()
-        for name, command in self._commands.take():
-            # It may have been withdrawn meanwhile.
-            if command.handle.is_active:
-                self._apply(name, command)
+        # They may have been withdrawn meanwhile.
+        taken = [(name, command) for name, command in self._commands.take()
+                 if command.handle.is_active]
+        self.journal.commands(taken)
+        for name, command in taken:
+            self._apply(name, command)
         pauses = self._pause_at_ns > self._simulation.time_ns
         with contextlib.suppress(DivergenceError):  # Observers see ``diverged``.
             if most > 1 and not pauses and self._observers.absent and self._simulation.idle:
@@ -419,6 +443,7 @@ class SimulationThread:
             else:
                 most = 1
                 self._simulation.advance(self._steps)
+        self.journal.period()
         self.at_start = False
         if pauses and self._simulation.time_ns >= self._pause_at_ns:
             self._paused = True

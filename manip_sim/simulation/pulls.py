@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.quoting import quoted
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.numbers import finite_numbers
@@ -86,6 +87,22 @@ class Pulls:
     def __bool__(self) -> bool:
         """Return whether something is pulled."""
         return bool(self._pulls)
+
+    def state(self) -> dict[str, _Pull]:
+        """Return the springs by body, for :meth:`set_state`."""
+        return dict(self._pulls)
+
+    def set_state(self, state: Mapping[str, _Pull]) -> None:
+        """
+        Let springs of another simulation of the same world pull.
+
+        :raises ModelError: if they are none, or their bodies are not here
+        """
+        for body, pull in state.items():
+            if body not in self._moving or not isinstance(pull, _Pull) or (
+                    np.shape(pull.point) != (3,) or np.shape(pull.target) != (3,)):
+                raise ModelError(f'{quoted(body)} cannot be pulled like that')
+        self._pulls = dict(state)
 
     def check_body(self, body: str) -> None:
         """

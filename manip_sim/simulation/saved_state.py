@@ -25,6 +25,8 @@ from manip_sim.simulation.commands import Command, CommandHandle
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 #: What control changes in a model: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
+#: Attributes of all that has a state, and of grippers.
+Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
 _OWN = 'manip_sim.simulation.'
 #: What has no identity, and cannot change.
 _VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)
@@ -141,16 +143,34 @@ class ControlState:
                     if not is_frozen(found):
                         self._stateful.append(found)
 
+    def content(self) -> Content:
+        """Return the attributes of all that has a state, and those of grippers; no copies."""
+        return [vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]
+
+    @property
+    def fixed(self) -> list[object]:
+        """What a state refers to by its index, the same in every simulation of a world."""
+        return self._fixed
+
+    @property
+    def index_of(self) -> Mapping[int, int]:
+        """The index of what is fixed, by its ``id``."""
+        return self._index_of
+
     def save(self) -> bytes:
         """Return the state, pickled."""
         file = io.BytesIO()
-        _StatePickler(file, self._index_of).dump(
-            ([vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]))
+        _StatePickler(file, self._index_of).dump(self.content())
         return file.getvalue()
 
-    def restore(self, state: bytes) -> None:
-        """Restore what :meth:`save` has returned, here or in another process."""
-        controls, grippers = _StateUnpickler(io.BytesIO(state), self._fixed).load()
+    def loaded(self, state: bytes) -> Content:
+        """Return the content of what :meth:`save` has returned, here or in another process."""
+        found: Content = _StateUnpickler(io.BytesIO(state), self._fixed).load()
+        return found
+
+    def replace(self, content: Content) -> None:
+        """Restore a content, which nobody else may use then."""
+        controls, grippers = content
         for found, values in zip(self._stateful, controls):
             vars(found).clear()
             vars(found).update(values)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import hashlib
 import pickle
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -34,7 +35,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
 from manip_sim.simulation.saved_state import (
-    ControlState, gains, PHYSICS, set_gains, SimulationState)
+    Content, ControlState, gains, PHYSICS, set_gains, SimulationState)
 from manip_sim.simulation.spawning import plan_world, WorldPlan
 from manip_sim.simulation.start_check import check_start
 from manip_sim.simulation.surroundings import Surroundings
@@ -374,6 +375,16 @@ class Simulation:
         self._keyframe = self._world.checked_keyframe(name)
         self._changes_start = True
 
+    @property
+    def start_settings(self) -> tuple[str, bool]:
+        """The keyframe, and whether the next reset uses another one than the last."""
+        return self._keyframe, self._changes_start
+
+    @start_settings.setter
+    def start_settings(self, settings: tuple[str, bool]) -> None:
+        keyframe, changes = settings
+        self._keyframe, self._changes_start = self._world.checked_keyframe(keyframe), changes
+
     def reset(self, seed: int | None = None, drawn: Drawn | None = None) -> None:
         """
         Reset everything to the start and abort all commands; time goes on.
@@ -458,6 +469,16 @@ class Simulation:
             version of manip_sim or MuJoCo; then nothing changes
         """
         self.check_restorable(state)
+        self.continue_from(state, self._control.loaded(state.control), pickle.loads(state.sensing))
+
+    def continue_from(self, state: SimulationState, control: Content, sensing: Any) -> None:
+        """
+        Continue from a state whose pickled parts are given as objects.
+
+        :param state: one that :meth:`check_restorable` accepts
+        :param control: what its ``control`` stands for
+        :param sensing: what its ``sensing`` stands for
+        """
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
         self.pulls.end()
@@ -471,9 +492,14 @@ class Simulation:
         # Commands may have changed controls since the present forces were computed.
         self._steps.compute_from(np.frombuffer(state.computed_from))
         mujoco.mj_setState(self.model, self.data, np.frombuffer(state.physics), PHYSICS)
-        self._control.restore(state.control)
-        for robot, sensing in zip(self.robots.values(), pickle.loads(state.sensing)):
-            robot.sensing.restore(sensing)
+        self._control.replace(control)
+        for robot, measured in zip(self.robots.values(), sensing):
+            robot.sensing.restore(measured)
+
+    @property
+    def control(self) -> ControlState:
+        """The state of control, of the present model."""
+        return self._control
 
     def check_restorable(self, state: SimulationState) -> None:
         """

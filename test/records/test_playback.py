@@ -235,13 +235,15 @@ def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):
     record.close()
     with pytest.raises(RecordError, match='of /cell/manip_sim cannot be shown: it has no model'):
         entries_in([path])
-    for verb in (['replay', str(path)], ['convert', str(path), '--to', 'hdf5', f'{path}.hdf5']):
+    for verb, reason in (
+            (['replay', str(path)], 'is the record of a node without the beginning of its '
+             'journal, so it cannot be repeated: record ~/journal too'),
+            (['convert', str(path), '--to', 'hdf5', f'{path}.hdf5'],
+             "is a record of the node '/cell/manip_sim', which has no episodes; manip_sim replay "
+             'repeats it, and sim_view --record shows it')):
         assert manip_sim(verb) == 1
         error = capsys.readouterr().err
-        assert error.count('\n') == 1 and (
-            "is a record of the node '/cell/manip_sim', which cannot be repeated or converted, "
-            'because it does not contain when commands took effect; sim_view --record shows it'
-            ) in error
+        assert error.count('\n') == 1 and reason in error
     record = NodeRecord(tmp_path / 'no_joints.mcap', archive)
     record.write('/objects/cube/pose', 'geometry_msgs/PoseStamped', 1.0, pose={
         'position': dict.fromkeys('xyz', 0.0), 'orientation': dict.fromkeys('xyzw', 0.5)})

@@ -109,7 +109,7 @@ def test_a_command_that_fails_is_told_and_the_simulation_goes_on():
     assert thread.error is None
 
 
-def test_a_function_of_a_period_that_fails_is_told_and_the_simulation_goes_on():
+def test_an_operation_of_a_period_that_fails_is_told_and_the_simulation_goes_on():
     simulation, told, done = Simulation(World([Panda()])), [], []
     thread = SimulationThread(
         simulation, steps=5, paused=True,
@@ -117,10 +117,12 @@ def test_a_function_of_a_period_that_fails_is_told_and_the_simulation_goes_on():
 
     def fail():
         raise KeyError('gone')
+    thread._operations._named = {
+        'fail': fail, 'note': lambda: done.append(simulation.step_count - begin)}
     thread.start()
     begin = simulation.step_count
-    thread.at_next_period('pull/cube', fail)
-    thread.at_next_period('arena/door', lambda: done.append(simulation.step_count - begin))
+    thread.at_next_period('pull/cube', 'fail')
+    thread.at_next_period('arena/door', 'note')
     thread.step()
     thread.stop()
     assert told == [('pull/cube', "'gone'")] and done == [0]
@@ -138,7 +140,8 @@ def test_a_reset_that_cannot_draw_its_start_changes_nothing():
     command = thread._simulation.robot.parse.action('arm', [0.1] * 7)
     (handle,) = thread.submit([command])
     done = []
-    thread.at_next_period('pull/cube', lambda: done.append(1))
+    thread._operations._named = {**thread._operations._named, 'note': lambda: done.append(1)}
+    thread.at_next_period('pull/cube', 'note')
     with pytest.raises(ModelError, match='no room with 3'):
         thread.reset()
     assert handle.is_active

@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The whole state of a simulation as JSON, from which another process continues to the bit."""
+
+from __future__ import annotations
+
+from base64 import b64decode, b64encode
+from dataclasses import replace
+import json
+from typing import Any
+import zlib
+
+from manip_sim.errors import ModelError
+from manip_sim.quoting import one_line
+from manip_sim.simulation.commands import CommandHandle
+from manip_sim.simulation.plain import check_like, Decoder, Encoder
+from manip_sim.simulation.saved_state import gains
+from manip_sim.simulation.simulation import Simulation
+
+_BYTES = ('physics', 'computed_from')
+_NUMBERS = ('versions', 'model', 'step_count', 'control_steps', 'contacts_change', 'diverged',
+            'seed')
+
+
+def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHandle]]:
+    """
+    Return the present state as JSON, and the handles of commands in it.
+
+    :raises ModelError: if a user's class has a state that cannot be written
+    """
+    state = simulation.save()
+    encoders = [Encoder(simulation.control.index_of) for _ in range(3)]
+    control = [encoder.encode(part) for encoder, part in zip(encoders, _live(simulation))]
+    found = {name: getattr(state, name) for name in _NUMBERS}
+    found.update({name: b64encode(getattr(state, name)).decode() for name in _BYTES})
+    found.update(gains={name: b64encode(content).decode()
+                        for name, content in state.gains.items()},
+                 start=dict(state.start), drawn=dict(state.drawn), control=control,
+                 kinds=_kinds(simulation), keyframe=simulation.start_settings)
+    return found, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
+
+
+def _live(simulation: Simulation) -> list[Any]:
+    return [list(simulation.control.content()), [
+        robot.sensing.save() for robot in simulation.robots.values()], simulation.pulls.state()]
+
+
+def _kinds(simulation: Simulation) -> list[str]:
+    """Return the types of all that states refer to, which must be the same where they are read."""
+    return [type(found).__qualname__ for found in simulation.control.fixed]
+
+
+def restore_plain(simulation: Simulation, content: Any) -> list[CommandHandle]:
+    """
+    Continue from a state.
+
+    :param simulation: of an equal world
+    :param content: what :func:`plain_state` has returned, or anything
+    :returns: the handles of the commands in it, in the same order
+    :raises ModelError: if it cannot be restored here; the simulation must not be used then
+    """
+    try:
+        return _restore(simulation, content)
+    except ModelError:
+        raise
+    except Exception as error:  # It may be anything.
+        raise ModelError(f'the state cannot be used: {type(error).__name__} '
+                         f'{one_line(str(error), 200)}') from error
+
+
+def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
+    if content['kinds'] != _kinds(simulation):
+        raise ModelError('control consists of other parts here, as with modes or grippers of '
+                         'another package')
+    (controls, grippers), sensing, pulls = (
+        Decoder(simulation.control.fixed).decode(part) for part in content['control'])
+    for new, now in ((controls, simulation.control.content()[0]),
+                     (grippers, simulation.control.content()[1]),
+                     (sensing, [robot.sensing.save() for robot in simulation.robots.values()])):
+        if len(new) != len(now):
+            raise ModelError('control consists of other parts here')
+        for values, present in zip(new, now):
+            check_like(values, present)
+    own = gains(simulation.model)
+    found = {name: b64decode(text, validate=True) for name, text in content['gains'].items()}
+    if {name: len(value) for name, value in found.items()} != {
+            name: len(value) for name, value in own.items()}:
+        raise ModelError('gains of another model')
+    numbers: dict[str, Any] = {name: content[name] for name in _NUMBERS}
+    state = replace(
+        simulation.save(), gains=found,
+        start={str(name): float(value) for name, value in content['start'].items()},
+        drawn=content['drawn'], **numbers,
+        physics=b64decode(content['physics'], validate=True),
+        computed_from=b64decode(content['computed_from'], validate=True))
+    if len(state.computed_from) != len(state.physics):
+        raise ModelError('physics of another model')
+    simulation.check_restorable(state)
+    simulation.continue_from(state, (controls, grippers), sensing)
+    simulation.pulls.set_state(pulls)
+    simulation.start_settings = content['keyframe']
+    again, handles = plain_state(simulation)
+    if json.dumps(again) != json.dumps(content):
+        differing = next(name for name in again if json.dumps(again[name]) != json.dumps(
+            content.get(name)))
+        raise ModelError(f'the state cannot be restored, {differing} differs')
+    return handles
+
+
+def check_sum(simulation: Simulation) -> int:
+    """Return a check sum of the present positions and velocities."""
+    data = simulation.data
+    return zlib.crc32(data.qvel, zlib.crc32(data.qpos))

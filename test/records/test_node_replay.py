@@ -1,0 +1,312 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Records of nodes are repeated to the bit, and whatever was changed in one is found."""
+
+import json
+
+from hostile_records import encoded, rewrite
+from mcap.records import Message
+from mcap_ros2._dynamic import generate_dynamic
+import numpy as np
+import pytest
+
+from manip_sim.cli.main import main
+from manip_sim.interface.composition import compose_world
+from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.models.robots import robot_names
+from manip_sim.records.definitions import definition, full_name
+from manip_sim.records.record_file import RecordFile
+from manip_sim.records.recorder import NODE
+from manip_sim.runtime import SimulationThread
+from manip_sim.runtime.goal_tracker import GoalTracker
+from manip_sim.simulation import Simulation
+from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
+
+TEXT, TOPIC = 'std_msgs/String', '/manip_sim/journal'
+
+
+class Session:
+    """A simulation that is stepped as a node steps it, and recorded."""
+
+    def __init__(self, path, **given):
+        self.given = given
+        composition = compose_world(GivenParameters(given))
+        self.simulation = Simulation(composition.world)
+        self.thread = SimulationThread(self.simulation, composition.steps, paused=True)
+        self.goals = GoalTracker(self.thread, lambda goal: None)
+        self.thread.start()
+        self._file = RecordFile(path)
+        self._file.describe(NODE, {'node': '/manip_sim'})
+        self._channel = self._file.channel(TOPIC, full_name(TEXT), definition(TEXT))
+        self._number = 0
+
+    def write(self, entries):
+        """Write entries as the node publishes them."""
+        self._file.write(self._channel, self.simulation.time_ns, encoded(TEXT, data=json.dumps(
+            {'number': self._number, 'entries': entries})))
+        self._number += 1
+
+    def begin(self):
+        """Begin, or begin again, as for a new subscriber."""
+        about = {'parameters': self.given, 'task_seed': None}
+        self.thread.call(lambda: self.thread.journal.begin(about, self.write))
+
+    def step(self, count):
+        """Advance by some control periods; each is a message."""
+        for _ in range(count):
+            self.thread.step()
+            self.thread.call(self.thread.journal.flush)
+
+    def act(self, periods, robot=None):
+        """Let all parts follow sines."""
+        robot = robot or self.simulation.robot
+        for k in range(periods):
+            for name, part in robot.parts.items():
+                if part.actuators and part.atomic == (name,):
+                    count = (robot.robot_model.grippers[name.split('/')[0]].dof
+                             if part.gripper is not None else len(part.actuators))
+                    self.thread.submit([robot.parse.action(
+                        name, 0.3 * np.sin(0.1 * k + np.arange(count)))], robot=robot.name)
+            self.step(1)
+
+    def close(self):
+        """Complete the file."""
+        self.thread.stop()
+        self.thread.journal.end()
+        self._file.close()
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Return a function that starts a session, whose record is ``record.mcap``."""
+    open_ones = []
+
+    def start(**given):
+        open_ones.append(Session(tmp_path / 'record.mcap', **given))
+        return open_ones[-1]
+    yield start
+    for one in open_ones:
+        one.thread.stop()
+
+
+@pytest.fixture
+def verify(capsys, tmp_path):
+    """Return a function that verifies a record, and returns the exit code and the lines."""
+    def run(path=tmp_path / 'record.mcap'):
+        code = main(['replay', str(path), '--verify'])
+        out, errors = capsys.readouterr()
+        return code, (out + errors).replace(f'{path}: ', '').splitlines()
+    return run
+
+
+@pytest.mark.parametrize('robot', robot_names())
+def test_the_commands_of_every_robot_are_repeated(robot, session, verify):
+    node = session(robot=robot, arena='table')
+    node.act(10)
+    node.begin()  # While everything moves.
+    node.act(110)
+    node.close()
+    code, lines = verify()
+    assert lines[-1] == '1 of 1 equal' and code == 0
+    assert lines[0].startswith('110 control periods repeated, with ')
+
+
+def trajectory(node, seconds=0.5):
+    """Return a goal for the arm."""
+    robot = node.simulation.robot
+    names = robot.robot_model.arm_joints
+    place = [[node.simulation.data.joint(name).qpos[0] - 0.1 for name in names]]
+    return TrajectoryGoal(robot, 'arm', TrajectoryRequest(names, [seconds], place),
+                          node.simulation.time_ns)
+
+
+def test_goals_operations_and_restored_states_are_repeated(session, verify):
+    node = session(robot='Panda', arena='table')
+    thread, simulation, name = node.thread, node.simulation, node.simulation.robot.name
+    early = trajectory(node)
+    node.goals.start(early)
+    node.step(5)
+    node.begin()
+    node.step(5)
+    assert node.goals.cancel(early)
+    node.step(5)
+    for goal, periods in ((trajectory(node, 0.3), 10), (GripperGoal(
+            simulation.robot, 'right/gripper', GripperRequest(0.0)), 3)):
+        node.goals.start(goal)
+        node.step(periods)
+        assert node.goals.cancel(goal)
+    assert thread.change('tare') is None
+    for operation in (
+            ('mode', name, 'arm', 'velocity'), ('timeout', name, 'arm', 0.1, True),
+            ('sensing', name, 'latency.command', 0.02), ('sensing', name, 'latency.state', 0.01),
+            ('sensing', name, 'noise.joint_position', 0.001), ('wrench_cutoff', name, 'right', 9.),
+            ('reflex', name, 'arm', 'velocity', 0.9), ('stream_hold', name, 'arm', 0.1),
+            ('place', 'cube', [[0.5, 0.1, 1.0], [0.0, 0.0, 0.0, 1.0]], None)):
+        thread.change(*operation)
+        node.act(5)
+    thread.change('mode', name, 'arm', 'position')
+    thread.save()
+    thread.at_next_period('pull', 'pull', 'cube', [0.5, 0.1, 1.0], [0.5, 0.0, 1.2], 1)
+    node.act(10)
+    thread.restore()
+    node.act(10)
+    thread.set_seed(7)
+    thread.reset()
+    node.act(10)
+    node.goals.start(trajectory(node))
+    node.step(60)
+    assert not node.goals.goals
+    node.close()
+    code, lines = verify()
+    assert (code, lines[-1]) == (0, '1 of 1 equal')
+    assert lines[0].startswith('158 control periods repeated, with ')
+
+
+def changed(tmp_path, change):
+    """Write a record in which a function has changed the messages of the journal, or dropped."""
+    decode = generate_dynamic(full_name(TEXT), definition(TEXT))[full_name(TEXT)]
+
+    def of(item, topic):
+        if not isinstance(item, Message):
+            return item
+        found = change(json.loads(decode(item.data).data))
+        return [] if found is None else Message(
+            item.channel_id, item.log_time, encoded(TEXT, data=json.dumps(found)),
+            item.publish_time, item.sequence)
+    return rewrite(tmp_path / 'record.mcap', tmp_path / 'changed.mcap', of)
+
+
+@pytest.fixture
+def recorded(session):
+    """Record thirty periods."""
+    node = session(robot='UR5e')
+    node.begin()
+    node.act(15)
+    node.thread.reset()
+    node.act(15)
+    node.close()
+    return node
+
+
+def test_a_dropped_command_is_found_where_it_took_effect(recorded, verify, tmp_path):
+    left = []
+
+    def drop(message):
+        left.extend(entry for entry in message['entries'] if entry[0] == 'commands')
+        message['entries'] = [entry for entry in message['entries']
+                              if entry[0] != 'commands' or len(left) != 7]
+        return message
+    code, lines = verify(changed(tmp_path, drop))
+    assert code == 1 and lines[-1] == '0 of 1 equal'
+    assert lines[0].startswith('the state differs, after 6 control periods, at 0.')
+
+
+def test_a_digit_of_a_state_is_found(recorded, verify, tmp_path):
+    def turn(message):
+        for entry in message['entries']:
+            if entry[0] == 'start':
+                entry[2]['control_steps'] += 1
+        return message
+    code, lines = verify(changed(tmp_path, turn))
+    assert code == 1 and lines[-1] == '0 of 1 equal'
+
+
+@pytest.mark.parametrize('value', ['', 'digest'])
+def test_another_digest_is_found(value, session, verify, tmp_path):
+    node = session(robot='UR5e')
+    node.begin()
+    node.step(100)
+    node.close()
+
+    def turn(message):
+        for entry in message['entries']:
+            if entry[0] == value:
+                entry[1] = entry[1][:-1] + ('0' if entry[1][-1] != '0' else '1')
+        return message
+    code, lines = verify(changed(tmp_path, turn))
+    assert code == (value == 'digest')
+    assert (lines[0] == 'the digest differs, after 100 control periods, at 1.010000 s') == code
+
+
+def test_lost_messages_are_told_and_the_next_start_goes_on(session, verify, tmp_path):
+    node = session(robot='UR5e')
+    node.begin()
+    node.act(5)
+    node.begin()
+    node.act(5)
+    node.close()
+    path = changed(tmp_path, lambda message: None if message['number'] == 3 else message)
+    assert verify(path) == (1, [
+        'messages of the journal are missing: number 4 follows 2, after 2 control periods, at '
+        '0.030000 s', '7 control periods repeated, with 7 changes from outside', '0 of 1 equal'])
+
+
+def test_what_cannot_be_repeated_is_told(session, verify):
+    node = session(robot='UR5e')
+    node.thread.save()
+    node.begin()
+    node.step(2)
+    node.thread.restore()
+    assert node.thread.journal.incomplete
+    node.step(3)
+    node.begin()
+    node.step(4)
+    node.close()
+    code, lines = verify()
+    assert code == 1
+    assert lines[0].startswith('a state was restored that was saved before, which cannot be '
+                               'repeated, after 2 control periods')
+    assert lines[1].startswith('6 control periods repeated')
+
+
+def test_files_of_others_are_not_read(session, verify, tmp_path):
+    node = session(robot='UR5e')
+    node.given['objects'] = ['{name: it, shape: mesh, file: secret.obj, mass: 1.0}']
+    node.begin()
+    node.close()
+    code, lines = verify()
+    assert code == 1
+    assert lines[0] == ("the journal cannot be repeated here: the parameter 'objects' names a "
+                        'file or folder, and a record does not contain those')
+
+
+def test_other_versions_are_told(recorded, verify, tmp_path):
+    def turn(message):
+        for entry in message['entries']:
+            if entry[0] == 'start':
+                entry[2]['versions'] = 'manip_sim 0.0.9 with MuJoCo 3.0.0'
+        return message
+    code, lines = verify(changed(tmp_path, turn))
+    assert code == 1 and lines[0].startswith(
+        'the journal cannot be repeated here: the state was saved by manip_sim 0.0.9 with MuJoCo '
+        '3.0.0, this is ')
+
+
+def scrambled(value, random):
+    """Return JSON in which something was replaced."""
+    odd = (None, True, -1, 2**62, 1e308, float('nan'), '', 'x' * 99, [], {}, ['#', 0], ['@', 3],
+           ['o', 'manip_sim.simulation.commands:CommandHandle', {}], ['v', '<f8', [9], 0, 0, [8]],
+           ['a', '<f8', [2**40], '', 'C'])
+    if isinstance(value, (list, dict)) and value and random.random() < 0.97:
+        keys = list(value) if isinstance(value, dict) else range(len(value))
+        key = keys[int(random.integers(len(keys)))]
+        value[key] = scrambled(value[key], random)
+        return value
+    return odd[int(random.integers(len(odd)))]
+
+
+@pytest.mark.parametrize('seed', range(60))
+def test_scrambled_journals_end_in_lines_and_without_a_traceback(
+        seed, recorded, verify, tmp_path):
+    random = np.random.default_rng(seed)
+    which = int(random.integers(8))
+
+    def scramble(message):
+        if message['number'] == which or seed % 2 and message['number'] == 0:
+            return scrambled(message, random)
+        return message
+    code, lines = verify(changed(tmp_path, scramble))
+    assert code in (0, 1) and len(lines) <= 6
+    assert not any('Traceback' in line or len(line) > 700 for line in lines)
