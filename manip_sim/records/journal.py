@@ -30,7 +30,7 @@ from manip_sim.simulation.plain_state import check_sum, restore_plain
 from manip_sim.tasks import start
 
 #: Parameters with files that are not in the catalogue.
-_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'model_path')
+_FILES = ('robot', 'gripper', 'base', 'arena', 'objects', 'task', 'randomization', 'model_path')
 
 
 class _Stop(Exception):

@@ -59,13 +59,15 @@ class Encoder:
             return ['n', value.dtype.str, _text(value.tobytes())]
         if isinstance(value, enum.Enum):
             return ['e', _name(type(value)), value.name]
-        if isinstance(value, bytes):
+        if type(value) is bytes:
             return ['b', _text(value)]
         if isinstance(value, slice):
             return ['c', *map(self.encode, (value.start, value.stop, value.step))]
-        if isinstance(value, tuple):
+        if type(value) is tuple:
             return ['t', *map(self.encode, value)]
-        if isinstance(value, frozenset):
+        if isinstance(value, tuple) and hasattr(value, '_fields'):
+            return ['T', _name(type(value)), *map(self.encode, value)]
+        if type(value) is frozenset:
             return ['f', *sorted(map(self.encode, value), key=repr)]
         if id(value) in self._number_of:
             return ['#', self._number_of[id(value)]]
@@ -76,13 +78,13 @@ class Encoder:
     def _with_identity(self, value: Any) -> Any:
         if isinstance(value, np.ndarray):
             return self._array(value)
-        if isinstance(value, list):
+        if type(value) is list:
             return ['l', *map(self.encode, value)]
-        if isinstance(value, dict):
+        if type(value) is dict:
             return ['d', *([self.encode(k), self.encode(v)] for k, v in value.items())]
-        if isinstance(value, set):
+        if type(value) is set:
             return ['s', *sorted(map(self.encode, value), key=repr)]
-        if isinstance(value, deque):
+        if type(value) is deque:
             return ['q', value.maxlen, *map(self.encode, value)]
         if _is_data(type(value)):
             return ['o', _name(type(value)),
@@ -117,7 +119,7 @@ class Decoder:
         self._readers: dict[str, Callable[..., Any]] = {
             '@': self._reference, '#': self._again, 'n': _number, 'e': _member, 'b': _bytes,
             'c': lambda *found: slice(*map(self._read, found)),
-            't': lambda *found: tuple(map(self._read, found)),
+            't': lambda *found: tuple(map(self._read, found)), 'T': self._named_tuple,
             'f': lambda *found: frozenset(map(self._read, found)),
             'l': self._list, 'd': self._dict, 's': self._set, 'q': self._queue,
             'a': self._array, 'v': self._view, 'o': self._object}
@@ -160,6 +162,12 @@ class Decoder:
     def _meet(self, value: Any) -> Any:
         self.met.append(value)
         return value
+
+    def _named_tuple(self, name: str, *found: Any) -> Any:
+        cls = _found(name)
+        if not issubclass(cls, tuple) or len(found) != len(getattr(cls, '_fields', ())):
+            raise ModelError(f'{quoted(name)} is no tuple with that many names')
+        return tuple.__new__(cls, map(self._read, found))
 
     def _list(self, *found: Any) -> Any:
         value = self._meet([])
@@ -246,7 +254,7 @@ def check_like(new: Any, old: Any) -> None:
 
 def _is_data(cls: type) -> bool:
     return cls.__module__.startswith(_ROOMS) and not issubclass(
-        cls, (enum.Enum, BaseException))
+        cls, (enum.Enum, BaseException, tuple, list, dict, set, frozenset, deque))
 
 
 def _name(cls: type) -> str:

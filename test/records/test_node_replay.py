@@ -310,3 +310,25 @@ def test_scrambled_journals_end_in_lines_and_without_a_traceback(
     code, lines = verify(changed(tmp_path, scramble))
     assert code in (0, 1) and len(lines) <= 6
     assert not any('Traceback' in line or len(line) > 700 for line in lines)
+
+
+@pytest.mark.parametrize('given', [
+    {'robots': ['left', 'right'], 'left.robot': 'UR5e', 'right.robot': 'Panda'},
+    {'robot': 'PandaOmron', 'seed': 3, 'initialization_noise.magnitude': 0.02}
+    ], ids=['two robots', 'drawn start'])
+def test_drawn_starts_and_several_robots_are_repeated(given, session, verify):
+    node = session(**given)
+    node.thread.set_seed(11)
+    node.thread.reset()
+    for robot in node.simulation.robots.values():
+        node.act(5, robot)
+    node.begin()
+    for robot in node.simulation.robots.values():
+        node.act(20, robot)
+    node.thread.set_seed(12)
+    node.thread.reset()
+    for robot in node.simulation.robots.values():
+        node.act(100, robot)
+    node.close()
+    code, lines = verify()
+    assert (code, lines[-1]) == (0, '1 of 1 equal'), lines
