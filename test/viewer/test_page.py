@@ -157,6 +157,10 @@ def test_diagnostics_are_told_in_words_with_trouble_first():
                           '2 failed callbacks', 'simulation')
     assert third == Line('admittance mode; 120 commands, 12.0 per second, the last 0.3 s ago; '
                          '2 rejected', 'left/arm')
+    cameras = ShownStatus(0, 'cameras', '', {'birdview.rate': '29.9', 'birdview.late': '3'})
+    others = [ShownStatus(0, name, 'fine', {'a': '1', 'b': '2'}) for name in ('brakes', 'disk')]
+    assert in_words([cameras, *others]) == [Line('birdview 29.9 images per second', 'cameras'), *(
+        Line('fine; a 1, b 2', status.name) for status in others)]
     assert in_words([]) == [Line('No diagnostics yet.')]
     assert command_fields([SIMULATION, ARM]) == {'left/arm': 'velocity'}
 
@@ -381,3 +385,37 @@ def test_panels_have_the_order_of_the_parts_and_all_but_the_first_ones_are_folde
         (robot.space, part.name) for robot in robots for part in robot.parts]
     assert [one[3] for one in made] == [float(n) for n in range(6)]
     assert [one[2] for one in made] == [n >= _UNFOLDED for n in range(6)]
+
+
+def test_what_cannot_be_done_is_shown_in_each_browser_on_one_line(server, monkeypatch):
+    told = []
+    browsers = {number: SimpleNamespace(add_notification=lambda title, text, of=number, **_: (
+        told.append((of, title, text)))) for number in (3, 7)}
+    page = Page(server, Ignored(), lambda *_: None)
+    monkeypatch.setattr(server, 'get_clients', lambda: browsers)
+    page.show_trouble('two\nlines')
+    assert told == [(number, 'Command failed', r'two\nlines') for number in (3, 7)]
+
+
+def test_a_base_is_driven_by_its_velocity_and_has_sliders_in_another_mode(server):
+    joint = ShownJoint('j', 'j', False, {
+        field: (-1.0, 1.0) for field in ('position', 'velocity', 'effort')})
+    page = Page(server, Ignored(), lambda *_: None)
+    page.show_robots([Robot('/', '', tuple(
+        ShownPart(name, (joint,)) for name in ('arm', 'base', 'zip')), (), (0.5, 0.5, 1.0))], [])
+
+    def panels(field, now_s):
+        page.show_diagnostics([ShownStatus(0, part, '', {'command_interface': mode}) for part, mode
+                               in (('arm', 'velocity'), ('base', field), ('zip', 'velocity'))])
+        page.update(now_s, Latest(), False)
+        return [page._drives.get('/'), *(page._joints.get(('/', part))
+                                         for part in ('arm', 'base', 'zip'))]
+    drive, arm, base, other = panels('velocity', 1.0)
+    assert drive is not None and base is None and None not in (arm, other)
+    assert panels('velocity', 2.0) == [drive, arm, None, other]
+    gone, same, base, _ = panels('position', 3.0)
+    assert gone is None and same is arm and base.field == 'position'
+    assert panels('position', 4.0) == [None, arm, base, other]
+    again, _, gone, _ = panels('velocity', 5.0)
+    assert again not in (None, drive) and gone is None
+    assert drive.folder._impl.removed and base.folder._impl.removed

@@ -382,6 +382,7 @@ def test_plots_leave_room_for_the_numbers_beside_them_alone(rig):
     panel.show(0.0, latest())
     plot = rig.gui.found['position [rad]']
     assert sum(plot.padding[1::2]) + plot.axes[1]['size'] <= 64
+    assert plot.scales['x']['range'] == (-10.0, 0.0)
     later = latest()
     later.joints['/left/'] = JointStates(
         ['robot0_a', 'robot0_b'], np.array([0.5, 0.7]), np.zeros(2), np.zeros(2), 1.0)
@@ -409,6 +410,7 @@ def test_a_slider_shows_the_nearest_of_its_steps_within_its_range(rig, measured)
     assert abs(slider.value - nearest) <= 0.5 * slider.step + 1e-9
     steps = (slider.value - slider.min) / slider.step
     assert steps == pytest.approx(round(steps), abs=1e-6)
+    assert len(str(slider.value)) <= len('-0.1234')  # The browser shows it whole.
 
 
 @given(st.floats(-1e3, 1e3), st.floats(0.0, 1e3))

@@ -115,6 +115,15 @@ def test_an_arrow_goes_from_the_point_that_is_held_to_the_mouse(page):
     assert 'pull' not in page._overlays._arrows
 
 
+def test_a_body_that_goes_as_its_drag_begins_has_no_arrow(page):
+    tick(page, True)
+    drag(page, 'cube', 'start')
+    page.show_model(compose('Panda').compile(), Latest())
+    page.update(1.0, Latest(), False)
+    assert page._pulling._drag is not None
+    assert 'pull' not in page._overlays._arrows
+
+
 def test_nothing_is_pulled_without_the_tick_or_in_a_past_picture_or_to_nowhere(page, sent):
     drag(page, 'cube', 'start')
     assert not any(handle._impl.drag_cb for _, handle in page._scene._moving)

@@ -14,8 +14,8 @@ from manip_sim.viewer.page.page_commands import Events, Following, PageCommands
 from manip_sim.viewer.page.plain_text import plain
 from manip_sim.viewer.page.robots import Robot, ShownJoint, ShownPart
 
-#: Steps of a slider, and the least of them [rad or m ...].
-_STEPS, _RESOLUTION = 500, 1e-4
+#: Steps of a slider, the least of them [rad or m ...], and its decimal digits.
+_STEPS, _RESOLUTION, _DIGITS = 500, 1e-4, 4
 #: A joint that is slower is still [steps of the slider per second].
 _STILL = 2.0
 #: Time after which velocities and efforts other than zero are sent again [s]; the timeouts of the
@@ -25,9 +25,9 @@ _REPEAT_S = 0.1
 
 def rounded_inward(low: float, high: float) -> tuple[float, float]:
     """Return a range of few digits inside another: what a slider sends is within the limits."""
-    inner = math.ceil(low / _RESOLUTION) * _RESOLUTION, math.floor(
-        high / _RESOLUTION) * _RESOLUTION
-    return (round(inner[0], 4), round(inner[1], 4)) if inner[0] < inner[1] else (low, high)
+    inner = (round(math.ceil(low / _RESOLUTION) * _RESOLUTION, _DIGITS),
+             round(math.floor(high / _RESOLUTION) * _RESOLUTION, _DIGITS))
+    return inner if inner[0] < inner[1] else (low, high)
 
 
 class JointPanel:
@@ -83,7 +83,7 @@ class JointPanel:
         unit = joint.unit(self.field)
         slider = gui.add_slider(
             f'{joint.label} [{unit}]' if self._unit_shown else joint.label, min=low, max=high,
-            step=max(_RESOLUTION, round((high - low) / _STEPS, 4)),
+            step=max(_RESOLUTION, round((high - low) / _STEPS, _DIGITS)),
             initial_value=min(max(0.0, low), high),
             marks=((low, f'{low:.3g}'), (high, f'{high:.3g}')),
             hint=f'{self.field} of {plain(joint.name)} [{unit}]')
@@ -133,7 +133,8 @@ class JointPanel:
             if not self._following[name].follows(now_s, moving):
                 continue
             steps = round((positions[name] - slider.min) / slider.step)
-            value = min(max(slider.min + steps * slider.step, slider.min), slider.max)
+            value = round(slider.min + steps * slider.step, _DIGITS)
+            value = min(max(value, slider.min), slider.max)
             if abs(value - slider.value) > 0.5 * slider.step:
                 slider.value = value
 
