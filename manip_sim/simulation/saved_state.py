@@ -55,6 +55,7 @@ class SimulationState:
     :ivar sensing: of each robot, noise and what was measured and has not arrived, pickled
     :ivar drawn: what was drawn for the episode, by name
     :ivar seed: that the episode was drawn from
+    :ivar layout: of what :attr:`control` refers to
     """
 
     versions: str
@@ -72,6 +73,7 @@ class SimulationState:
     sensing: bytes
     drawn: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+    layout: str = ''
 
 
 def gains(model: mujoco.MjModel) -> dict[str, bytes]:
@@ -156,6 +158,11 @@ class ControlState:
     def index_of(self) -> Mapping[int, int]:
         """The index of what is fixed, by its ``id``."""
         return self._index_of
+
+    @property
+    def layout(self) -> str:
+        """What a state refers to; another one where objects came or went during commands."""
+        return ' '.join(type(found).__qualname__ for found in self._fixed)
 
     def save(self) -> bytes:
         """Return the state, pickled."""

@@ -456,7 +456,7 @@ class Simulation:
             step_count=self._clock.step_count, control_steps=self._clock.control_steps,
             contacts_change=self._steps.contacts_change, diverged=self.diverged,
             sensing=pickle.dumps([robot.sensing.save() for robot in self.robots.values()]),
-            drawn=self.randomized.drawn, seed=self.seed)
+            drawn=self.randomized.drawn, seed=self.seed, layout=self._control.layout)
 
     def restore(self, state: SimulationState) -> None:
         """
@@ -520,6 +520,8 @@ class Simulation:
                 or len(state.physics) != self._steps.computed_from.nbytes):
             raise ModelError('the state was saved in a simulation of another world, or with other '
                              'objects in it')
+        if state.layout != self._control.layout:
+            raise ModelError('objects have come or gone since the state was saved')
 
     def digest(self) -> str:
         """

@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import DivergenceError, ModelError
-from manip_sim.models import compose
+from manip_sim.models import compose, create_object
 from manip_sim.models.robots import ROBOTS
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Status
+from manip_sim.simulation.spawning import plan_with, plan_without
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}
 #: What may happen in a run.
@@ -251,3 +252,39 @@ def test_what_follows_from_data_changed_by_hand_is_saved_after_forward(panda):
     panda.reset()
     panda.restore(state)
     np.testing.assert_array_equal(data.site('gripper0_right_grip_site').xpos, place)
+
+
+def test_a_state_of_before_objects_came_and_went_during_a_command_is_refused():
+    simulation = Simulation(compose('Panda', arena='table'))
+    ball = {'name': 'ball', 'shape': 'sphere', 'size': 0.1, 'position': [0.0, 0.5, 1.0]}
+
+    def spawn():
+        simulation.change_objects(plan_with(simulation.plan, create_object(ball)))
+
+    def delete():
+        simulation.change_objects(plan_without(simulation.plan, 'ball'))
+
+    def move():
+        robot = simulation.robot
+        robot.apply(robot.parse.action('arm', [0.2] * 7), period_s=0.01)
+        simulation.advance(5)
+
+    spawn()
+    still = simulation.save()
+    delete()
+    move()
+    spawn()
+    moving, digest = simulation.save(), simulation.digest()
+    # Refused before anything changes: what they refer to is not in the same places.
+    with pytest.raises(ModelError, match='^objects have come or gone since the state was saved$'):
+        simulation.restore(still)
+    assert simulation.digest() == digest
+    move()
+    simulation.restore(moving)
+    assert simulation.digest() == digest
+    simulation.reset()
+    delete()
+    spawn()
+    with pytest.raises(ModelError, match='^objects have come or gone since the state was saved$'):
+        simulation.restore(moving)
+    simulation.restore(still)
