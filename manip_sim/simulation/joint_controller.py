@@ -442,7 +442,7 @@ class JointController(ControlledJoints):
             if own.trajectory.end_s <= now_s - start_s:
                 self._come_to(own.as_setpoint(self.modes_of(own.indices)))
                 continue
-            if own.trajectory.is_point and self._points.take(
+            if own.trajectory.points_after(now_s - start_s) <= 2 and self._points.take(
                     own.indices, now_s, start_s + own.trajectory.end_s - now_s,
                     self._setpoints.stream_interval_s(own.indices)):
                 self._go_on_to(own)

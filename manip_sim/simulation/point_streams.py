@@ -15,9 +15,9 @@ _DUE_INTERVALS = 2.5
 
 class PointStreams:
     """
-    Which joints are sent one point after the other, each due at about the time of the next one.
+    Which joints are sent one point after the other, each due about when the next one comes.
 
-    Motions to such points would end at rest at each of them.
+    Motions to such points would end at rest at each of them. Servoing tools send the next two.
 
     :param count: number of joints
     """
@@ -28,11 +28,11 @@ class PointStreams:
 
     def take(self, indices: IntArray, now_s: float, due_s: float, longest_s: float) -> bool:
         """
-        Take in that a trajectory of one point begins, and return whether it continues a stream.
+        Take in that a trajectory of one or two points begins; tell whether it goes on a stream.
 
         :param indices: of its joints
         :param now_s: simulation time [s]
-        :param due_s: how long from now the point is due [s]
+        :param due_s: how long from now the last point is due [s]
         :param longest_s: longest interval between messages of a stream [s]
         """
         since_s = now_s - float(self._came_s[indices].min())

@@ -41,10 +41,9 @@ class Trajectory:
         count = self.positions.shape[1]
         self.begin_at(self.positions[0], np.zeros(count))
 
-    @property
-    def is_point(self) -> bool:
-        """Whether it has a single point."""
-        return len(self.times_s) == 1
+    def points_after(self, time_s: float) -> int:
+        """Return how many points are later than a time [s]."""
+        return len(self.times_s) - int(np.searchsorted(self.times_s, time_s, side='right'))
 
     def begin_at(self, position: FloatArray, velocity: FloatArray, time_s: float = 0.0) -> None:
         """

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Trajectories of one point that come regularly, as servoing tools send them, are a stream."""
+"""Trajectories of one or two points that come regularly, as from servoing tools, are a stream."""
 
 import numpy as np
 import pytest
@@ -29,15 +29,15 @@ class Sender:
         return float(self.simulation.data.joint(self.joint).qpos[0])
 
     def send(self, sent_s, due_s, velocities, stamped=False):
-        time_s, size = sent_s + due_s, SIZE * min(1.0, sent_s)
-        goal = self.begin + size * np.sin(RATE * time_s)
+        times, size = sent_s + np.array(due_s), SIZE * min(1.0, sent_s)
+        goals = self.begin + size * np.sin(RATE * times)
         command = self.robot.parse.trajectory(
-            'arm', [self.joint], [due_s], [[goal]],
-            [[size * RATE * np.cos(RATE * time_s)]] if velocities else None, None,
+            'arm', [self.joint], due_s, goals[:, None],
+            size * RATE * np.cos(RATE * times)[:, None] if velocities else None, None,
             round(sent_s * 1e9) if stamped else 0, self.simulation.time_ns)
         self.robot.apply(command, period_s=PERIOD_S)
         self.handles.append(command.handle)
-        return goal
+        return goals[-1]
 
     def run(self, seconds):
         data = self.simulation.data.joint(self.joint)
@@ -72,13 +72,14 @@ def jitter(sd_s, count=997):
 
 @pytest.mark.parametrize('stamped', [False, True])
 @pytest.mark.parametrize('velocities', [False, True])
-@pytest.mark.parametrize(('rate', 'due'), [(100, 1.0), (100, 2.0), (50, 1.0), (30, 1.0)])
+@pytest.mark.parametrize(('rate', 'due'), [
+    (100, [1.0]), (100, [2.0]), (50, [1.0]), (30, [1.0]), (50, [0.0, 1.0]), (100, [1.0, 2.0])])
 def test_points_that_are_due_soon_need_hardly_more_than_the_motion_itself(
         rate, due, velocities, stamped):
     ideal = SIZE * RATE**2
     for delays in ((0.0,), jitter(0.002)):
         sender = Sender()
-        sender.stream(rate, due / rate, velocities, delays, stamped=stamped)
+        sender.stream(rate, np.array(due) / rate, velocities, delays, stamped=stamped)
         assert ideal < sender.hardest * 1.01
         assert sender.hardest < (1.1 if len(delays) == 1 else 1.5) * ideal
         assert np.abs(sender.efforts[700:]).max() < 4.5
@@ -86,7 +87,7 @@ def test_points_that_are_due_soon_need_hardly_more_than_the_motion_itself(
 
 def test_lost_points_are_bridged_within_the_acceleration_limit():
     sender = Sender()
-    sender.stream(100, 0.01, True, lost=set(range(150, 400, 31)))
+    sender.stream(100, [0.01], True, lost=set(range(150, 400, 31)))
     limit = sender.robot.joints._servos.acceleration_limit[0]
     assert sender.hardest < 1.05 * limit
     wanted = SIZE * np.sin(RATE * (np.arange(700, 2000) * PERIOD_S))
@@ -95,7 +96,7 @@ def test_lost_points_are_bridged_within_the_acceleration_limit():
 
 def test_a_stream_that_stops_ends_at_its_last_point_and_its_commands_are_done():
     sender = Sender()
-    last = sender.stream(100, 0.02, True)
+    last = sender.stream(100, [0.02], True)
     sender.run(1.0)
     assert sender.place == pytest.approx(last, abs=1e-4)
     assert [handle.status for handle in sender.handles[-2:]] == [Status.REPLACED, Status.DONE]
@@ -105,14 +106,14 @@ def test_a_stream_that_stops_ends_at_its_last_point_and_its_commands_are_done():
 
 def test_points_that_are_due_later_are_motions_that_end_in_time():
     sender = Sender()
-    sender.stream(20, 0.3, True)
+    sender.stream(20, [0.3], True)
     wanted = SIZE * np.sin(RATE * (np.arange(700, 2000) + 1) * PERIOD_S)
     assert np.abs(np.array(sender.places[700:]) - sender.begin - wanted).max() < 4e-3
 
 
 def test_a_single_point_after_a_pause_is_a_motion():
     sender = Sender()
-    sender.stream(100, 0.02, False, lasts_s=1.0)
+    sender.stream(100, [0.02], False, lasts_s=1.0)
     sender.run(0.5)
     command = sender.robot.parse.trajectory('arm', [sender.joint], [0.4], [[sender.place + 0.1]])
     before = sender.place
