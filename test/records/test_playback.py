@@ -19,6 +19,7 @@ from mcap_ros2._dynamic import serialize_dynamic  # noqa: E402
 
 from manip_sim.cli.main import main as manip_sim  # noqa: E402
 from manip_sim.errors import RecordError  # noqa: E402
+from manip_sim.models import compose  # noqa: E402
 from manip_sim.records.definitions import definition, full_name  # noqa: E402
 from manip_sim.records.frames import Frames  # noqa: E402
 from manip_sim.records.record_file import RecordFile  # noqa: E402
@@ -226,6 +227,23 @@ def test_a_record_of_a_node_is_shown_as_its_messages_say(show, episode, recordin
     assert angles(player) == [0.7, -2.3]  # The exact state, in place of the measured one.
     player._jump('Failure')
     assert player._choice.value.endswith('#1, seed 11: FAILED')
+
+
+def test_a_body_is_at_its_newest_pose_and_at_its_first_one_before(show, tmp_path):
+    record = NodeRecord(tmp_path / 'node.mcap', compose('Panda', arena='table').to_archive())
+    for second in range(5):
+        record.joints(float(second), 0.1, -2.0)
+        if second > 1:
+            record.write('/cell/objects/cube/pose', 'geometry_msgs/PoseStamped', second + 0.5,
+                         pose={'position': {'x': float(second), 'y': 0.0, 'z': 1.0},
+                               'orientation': {'x': 0.0, 'y': 0.0, 'z': 0.0, 'w': 1.0}})
+    record.close()
+    player = show(tmp_path / 'node.mcap')
+    seen = []
+    for instant in range(5):
+        player._timeline.go(instant)
+        seen.append(player._kinematics.data.body('cube').xpos[0])
+    assert seen == [2.0, 2.0, 2.0, 2.0, 3.0]
 
 
 def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):

@@ -304,6 +304,16 @@ def test_the_window_of_mujoco_ends_cleanly_too(node):
         end(screen)
 
 
+def test_the_window_of_mujoco_says_at_once_that_it_waits(monkeypatch):
+    monkeypatch.delenv('PYTHONUNBUFFERED', raising=False)
+    process = subprocess.Popen(
+        [*VIEWER, '--native', '--node', 'nobody'], text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, env={**os.environ, 'DISPLAY': ':0'})
+    assert process.stdout.readline() == 'sim_view: waiting for the node /nobody\n'
+    _, errors = end(process)
+    assert (process.returncode, errors) == (0, '')
+
+
 def run_viewer(*arguments, environment=None):
     return subprocess.run([*VIEWER, *arguments], capture_output=True, text=True, timeout=300.0,
                           env=environment, check=False)

@@ -343,6 +343,22 @@ def test_markers_are_wanted_while_one_of_their_boxes_is_ticked(server):
     assert seen == [False, True, True]
 
 
+def test_contacts_and_wrenches_are_drawn_while_their_boxes_are_ticked(server):
+    page = Page(server, None, lambda *_: None)
+    page.show_model(box(), Latest())
+    latest = Latest(contacts=np.ones((2, 3)), arrows={
+        what: np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+        for what in ('contact_forces', 'force', 'torque')})
+    contacts, wrenches, drawn = page._view._contacts, page._view._wrenches, []
+    for contacts.value, wrenches.value in ((True, True), (True, False), (False, True),
+                                           (False, False)):
+        page.update(1.0, latest, False)
+        drawn.append((page._overlays._points is not None, sorted(page._overlays._arrows)))
+    assert drawn == [
+        (True, ['contact_forces', 'force', 'torque']), (True, ['contact_forces']),
+        (False, ['force', 'torque']), (False, [])]
+
+
 def test_names_of_bodies_go_with_their_tick(server):
     page = Page(server, None, lambda *_: None)
     page.show_model(box(), Latest())
