@@ -16,8 +16,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-__all__ = ['endpoint_counts', 'InUse', 'parameter_overrides', 'publish_bytes', 'RCLError',
-           'UnknownROSArgsError', 'WaitSet']
+__all__ = ['endpoint_counts', 'forget_parameters', 'InUse', 'parameter_overrides',
+           'publish_bytes', 'RCLError', 'UnknownROSArgsError', 'WaitSet']
 
 
 class InUse:
@@ -61,6 +61,17 @@ def parameter_overrides(node: Node) -> dict[str, Parameter]:
     """Return the overrides of a node's parameters, declared or not; no copy, may be changed."""
     overrides: dict[str, Parameter] = node._parameter_overrides
     return overrides
+
+
+def forget_parameters(node: Node, begins: tuple[str, ...]) -> None:
+    """
+    Undeclare parameters, read-only ones too, which rclpy itself would not.
+
+    :param begins: of their names
+    """
+    for name in [name for name in node._parameters if name.startswith(begins)]:
+        del node._parameters[name]
+        node._descriptors.pop(name, None)
 
 
 class _SerializedMessage(ctypes.Structure):

@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 import mujoco
 
-from manip_sim.errors import ParameterError
+from manip_sim.errors import ModelError, ParameterError
 from manip_sim.interface.given_parameters import ParameterSource
 from manip_sim.interface.parameters import (
     actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
@@ -254,14 +254,25 @@ def _robot_names(given: Sequence[str]) -> list[str]:
     # An empty list of strings is a list with an empty string in ROS.
     names = [name for name in given if name]
     for name in names:
-        if not _NAME.fullmatch(name) or len(name) > 60 or name in _RESERVED:
-            raise ParameterError(
-                f"parameter 'robots': {quoted(name)} cannot be the name of a robot: it needs a "
-                'letter, then letters, digits and single underscores, and must not be one of '
-                + ', '.join(_RESERVED))
+        try:
+            check_robot_name(name)
+        except ModelError as error:
+            raise ParameterError(f"parameter 'robots': {error}") from error
     if len(set(names)) != len(names):
         raise ParameterError("parameter 'robots': the names must differ, got " + ', '.join(names))
     return names
+
+
+def check_robot_name(name: str) -> None:
+    """
+    Reject what cannot be the namespace of a robot, and the beginning of its names.
+
+    :raises ModelError: saying what it has to be
+    """
+    if not _NAME.fullmatch(name) or len(name) > 60 or name in _RESERVED:
+        raise ModelError(
+            f'{quoted(name)} cannot be the name of a robot: it needs a letter, then letters, '
+            'digits and single underscores, and must not be one of ' + ', '.join(_RESERVED))
 
 
 def _side_by_side(arena: Arena, robots: Sequence[RobotModel]) -> list[list[float]]:

@@ -45,16 +45,43 @@ class ActionServers:
 
     def __init__(self, node: Node, offered: Iterable[tuple[ActionMessages, CommandSubscribers]],
                  thread: SimulationThread, log: RejectionLog) -> None:
-        self._node = node
+        self._node, self._log = node, log
         self._ended: queue.SimpleQueue[Goal] = queue.SimpleQueue()
         self._guard = node.create_guard_condition(self._report_ends)
         self.tracker = GoalTracker(thread, self._has_ended)
         # The timer runs while there are goals.
         self._timer = node.create_timer(_FEEDBACK_S, self._send_feedback,
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._servers = [
-            GoalServer(node, messages, commands, self.tracker, log, self._timer.reset)
+        self._servers: list[GoalServer] = []
+        self.add(offered)
+
+    def add(self, offered: Iterable[tuple[ActionMessages, CommandSubscribers]]) -> None:
+        """
+        Add servers of a robot.
+
+        :param offered: as at construction
+        """
+        self._servers += [
+            GoalServer(self._node, messages, commands, self.tracker, self._log, self._timer.reset)
             for messages, commands in offered]
+
+    def close(self, robot: SimulatedRobot, reason: str) -> None:
+        """
+        Abort the goals of a robot, and accept no more.
+
+        :param reason: why, for the clients
+        """
+        for server in self._servers:
+            if server.robot is robot:
+                server.close()
+        self.tracker.abort_all(reason, robot.name)
+
+    def remove(self, robot: SimulatedRobot) -> None:
+        """Destroy the servers of a robot, after :meth:`close`."""
+        for server in self._servers:
+            if server.robot is robot:
+                server.destroy()
+        self._servers = [server for server in self._servers if server.robot is not robot]
 
     def _has_ended(self, goal: Goal) -> None:
         """Hand a goal over from the simulation's thread to the executor's."""
@@ -130,8 +157,18 @@ def offer_actions(node: Any, commands: Sequence[CommandSubscribers], thread: Sim
         node.notes.append(missing_note('control_msgs', 'actions'))
         return None
 
-    def now_ns() -> int:
-        return thread.progress.time_ns
-    return ActionServers(node, [(messages, of_robot) for of_robot in commands
-                                for messages in messages_of(types, of_robot.robot, now_ns)],
-                         thread, log)
+    return ActionServers(node, [offered for of_robot in commands
+                                for offered in offers_of(of_robot, thread)], thread, log)
+
+
+def offers_of(commands: CommandSubscribers, thread: SimulationThread
+              ) -> list[tuple[ActionMessages, CommandSubscribers]]:
+    """
+    Return the actions of a robot as :class:`ActionServers` takes them; none without control_msgs.
+
+    :param commands: of the robot
+    :param thread: runs the simulation
+    """
+    types = load_action_types()
+    return [] if types is None else [(messages, commands) for messages in messages_of(
+        types, commands.robot, lambda: thread.progress.time_ns)]

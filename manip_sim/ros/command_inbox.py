@@ -76,6 +76,12 @@ class CommandInbox(Inbox):
         self._subscriptions = {**self._subscriptions, subscription.handle: subscription}
         self.wake()
 
+    def remove(self, subscription: Any) -> None:
+        """Take the messages of a subscription no more; to be called before it is destroyed."""
+        self._subscriptions = {handle: other for handle, other in self._subscriptions.items()
+                               if other is not subscription}
+        self.wake()
+
     def wake(self) -> None:
         """End the present wait, or the next one if nobody waits; any thread may call this."""
         with contextlib.suppress(InvalidHandle):  # The node is being destroyed.

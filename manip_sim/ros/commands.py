@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.quoting import counted
@@ -58,7 +58,7 @@ class CommandSubscription:
 
     def __init__(self, node: Node, message_type: Any, topic: str, take: Callable[[bytes], None],
                  inbox: CommandInbox | None = None) -> None:
-        self._take = take
+        self._take, self._node, self._inbox = take, node, inbox
         self._taken: deque[tuple[int, int]] = deque(maxlen=4 * COMMAND_DEPTH)
         self._best_effort: Any = None
 
@@ -81,6 +81,15 @@ class CommandSubscription:
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=match_best_effort, use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def close(self) -> None:
+        """Take no messages any more; to be called in the thread that spins the node."""
+        self._take = lambda data: None
+        for subscription in (self._reliable, self._best_effort):
+            if subscription is not None:
+                if self._inbox is not None:
+                    self._inbox.remove(subscription)
+                self._node.destroy_subscription(subscription)
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:
         which = info['source_timestamp'], info['publication_sequence_number']
@@ -133,6 +142,7 @@ class CommandSubscribers:
         self._parse = robot.parse
         self._thread = thread
         self._log = log
+        self._subscriptions: list[CommandSubscription] = []
         self._entry_of = {name: part.atomic[0] if len(part.atomic) == 1 else name
                           for name, part in robot.parts.items()}
         self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
@@ -173,7 +183,7 @@ class CommandSubscribers:
                 self._thread.submit(commands, answers, robot)
                 if refusal is not None:
                     raise CommandError(refusal)
-            except CommandError as error:
+            except (CommandError, UnknownNameError) as error:
                 self.statistics[entry].rejected += 1
                 self._log.warn(topic, kind_of(error), f'rejected a message on {topic}: {error}')
                 return
@@ -183,7 +193,13 @@ class CommandSubscribers:
 
         # Reading a trajectory may take long and would delay other commands and the physics.
         inbox = None if message_type is JointTrajectory else self._inbox
-        CommandSubscription(self._node, message_type, topic, take, inbox)
+        self._subscriptions.append(
+            CommandSubscription(self._node, message_type, topic, take, inbox))
+
+    def close(self) -> None:
+        """Take no commands any more; to be called in the thread that spins the node."""
+        for subscription in self._subscriptions:
+            subscription.close()
 
     def count_rejected(self, part: str) -> None:
         """Count a message or goal for a part that is rejected."""

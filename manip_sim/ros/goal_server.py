@@ -35,12 +35,14 @@ class GoalServer:
     :param tracker: watches the goals
     :param log: logs what is rejected
     :param begun: is called when a goal has begun
+    :ivar robot: that the goals are for
     """
 
     def __init__(self, node: Node, messages: ActionMessages, commands: CommandSubscribers,
                  tracker: GoalTracker, log: RejectionLog, begun: Callable[[], None]) -> None:
         self._messages = messages
         self._commands = commands
+        self.robot = commands.robot
         self._tracker = tracker
         self._log = log
         self._begun = begun
@@ -49,12 +51,19 @@ class GoalServer:
         self._accepted: tuple[Any, Goal] | None = None
         self._running: dict[bytes, tuple[Goal, Any, Future]] = {}
         self._sent_ns: dict[bytes, int] = {}
+        self._closed = False
         self._server = ActionServer(
             node, messages.action_type, self._name, self._execute, goal_callback=self._accept,
             handle_accepted_callback=self._begin, cancel_callback=self._cancel,
             result_timeout=_RESULT_TIMEOUT_S)
 
+    def close(self) -> None:
+        """Accept no more goals."""
+        self._closed = True
+
     def _accept(self, request: Any) -> GoalResponse:
+        if self._closed:
+            return GoalResponse.REJECT
         try:
             goal = self._messages.goal_of(request)
         except GoalError as error:

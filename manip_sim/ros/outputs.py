@@ -177,6 +177,16 @@ class Publications:
         """Publish other topics from now on; any thread may call this."""
         self._all = topics
 
+    def close(self, node: Node) -> None:
+        """
+        Publish nothing any more, and destroy the publishers.
+
+        :param node: that created them
+        """
+        gone, self._all, self._subscribed = self._all, (), ()
+        for topic in gone:
+            topic.output.close(node)
+
     def look(self) -> bool:
         """Check which topics have subscribers, and return whether any has."""
         self._subscribed = tuple(topic for topic in self._all if topic.output.has_subscribers)

@@ -19,7 +19,7 @@ from manip_sim.interface.given_parameters import check_names
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.topics import Scope
-from manip_sim.rclpy_internals import parameter_overrides
+from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 from manip_sim.simulation.modes import MODES
 from manip_sim.simulation.parts import Part
 
@@ -63,6 +63,22 @@ class Parameters:
                 self._node.declare_parameter(spec.name, spec.default, _descriptor(spec))
             except (InvalidParameterTypeException, InvalidParameterValueException) as error:
                 raise ParameterError(f"parameter '{spec.name}': {error}") from error
+
+    def undeclare(self, scope: Scope) -> None:
+        """Remove all parameters of a robot, and those of the QoS of its topics."""
+        begin = scope.parameter('')
+        self._parts.pop(scope, None)
+        self._set_timeouts = {name for name in self._set_timeouts if not name.startswith(begin)}
+        self._specs = {name: spec for name, spec in self._specs.items()
+                       if not name.startswith(begin)}
+        topics = self._node.resolve_topic_name(scope.topic('joint_states')).removesuffix(
+            'joint_states')
+        forget_parameters(self._node, (begin, f'qos_overrides.{topics}'))
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all parameters but those of QoS."""
+        return [*self._specs]
 
     def check_names(self) -> None:
         """

@@ -18,7 +18,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.messages import stamp_of, WORLD
-from manip_sim.ros.optional_packages import import_optional, missing_note
+from manip_sim.ros.optional_packages import import_optional
 from manip_sim.ros.outputs import create_output
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.planning_scene import (
@@ -26,6 +26,8 @@ from manip_sim.simulation.planning_scene import (
 
 moveit_msgs: Any = import_optional('moveit_msgs.msg')
 
+#: Whether the package moveit_msgs is installed.
+PLANS = moveit_msgs is not None
 TOPICS = ('planning_scene_world', 'collision_object', 'attached_collision_object')
 #: How often it is looked for changes, of simulated time [Hz].
 RATE_HZ = 10.0
@@ -36,21 +38,6 @@ _MOST = 5
 _AGAIN = 10
 _KINDS = {BOX: SolidPrimitive.BOX, SPHERE: SolidPrimitive.SPHERE,
           CYLINDER: SolidPrimitive.CYLINDER}
-
-
-def offer_planning_scenes(node: Any, robots: Mapping[Scope, SimulatedRobot], log: RejectionLog
-                          ) -> list[PlanningScenePublisher]:
-    """
-    Create the publishers for each robot; note if ``moveit_msgs`` is missing.
-
-    :param robots: by their scope
-    :param log: counts and logs what could not be published
-    :returns: none without ``moveit_msgs``
-    """
-    if moveit_msgs is None:
-        node.notes.append(missing_note('moveit_msgs', 'planning scene for MoveIt'))
-        return []
-    return [PlanningScenePublisher(node, robot, scope, log) for scope, robot in robots.items()]
 
 
 class PlanningScenePublisher:
@@ -77,6 +64,11 @@ class PlanningScenePublisher:
         self._scene: PlanningScene | None = None
         #: In how many looks the whole world is published again.
         self._whole_in = -1
+
+    def close(self, node: Node) -> None:
+        """Destroy the publishers, after the last call of the others."""
+        for output in self._outputs:
+            output.close(node)
 
     def look(self) -> bool:
         """Return whether there are subscribers."""

@@ -189,7 +189,7 @@ _OTHER_TYPES = {'controllers': MESSAGE_TYPE}
 
 class ModelPublisher:
     """
-    Latched publishers of the composed model, which publish it again when objects come or go.
+    Latched publishers of the composed model; it comes again when robots or objects come or go.
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
@@ -212,8 +212,8 @@ class ModelPublisher:
         self._publish(self._world)
 
     def follow(self, simulation: Simulation) -> None:
-        """Publish the model with the objects that a simulation has now."""
-        self._publish(self._world.with_objects(simulation.plan.objects))
+        """Publish the model with the robots and objects that a simulation has now."""
+        self._publish(simulation.world)
 
     def _publish(self, world: World) -> None:
         xml, archive = world.to_xml_and_archive()

@@ -5,18 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 import json
 from types import MappingProxyType
 from typing import Any
 
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from manip_sim.interface.ros2_control import hardware_of
 from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.models import World
-from manip_sim.models.urdf_writer import urdfs_of
+from manip_sim.models.urdf_writer import Hardware, urdfs_of
 from manip_sim.ros.outputs import create_publisher
 from manip_sim.simulation import SimulatedRobot, Simulation
 
@@ -64,16 +65,23 @@ class DescriptionPublisher:
                  rates_hz: Mapping[str, float] = MappingProxyType({})) -> None:
         self._node = node
         self._world = world
-        self._robots = robots
-        row = BY_NAME['robot_description']
-        self._publishers = {
-            scope: create_publisher(node, replace(row, name=scope.topic(row.name)))
-            for scope in robots}
-        self._hardware = {}
-        if plugin:
-            self._hardware = {robot.name: hardware_of(
-                simulation, robot, scope, plugin, lockstep, node.resolve_topic_name,
-                node.get_fully_qualified_name(), rates_hz) for scope, robot in robots.items()}
+        self._simulation = simulation
+        self._plugin, self._lockstep, self._rates_hz = plugin, lockstep, rates_hz
+        self._robots: dict[Scope, SimulatedRobot] = {}
+        self._publishers: dict[Scope, Publisher] = {}
+        self._hardware: dict[str, Hardware] = {}
+        for scope, robot in robots.items():
+            self._add(scope, robot)
+
+    def _add(self, scope: Scope, robot: SimulatedRobot) -> None:
+        row, node = BY_NAME['robot_description'], self._node
+        self._robots[scope] = robot
+        self._publishers[scope] = create_publisher(
+            node, replace(row, name=scope.topic(row.name)))
+        if self._plugin:
+            self._hardware[robot.name] = hardware_of(
+                self._simulation, robot, scope, self._plugin, self._lockstep,
+                node.resolve_topic_name, node.get_fully_qualified_name(), self._rates_hz)
 
     def publish(self) -> None:
         """
@@ -81,9 +89,22 @@ class DescriptionPublisher:
 
         :raises ModelError: if the world does not compile
         """
-        urdfs = urdfs_of(self._world, self._hardware)
-        for scope, robot in self._robots.items():
-            urdf = urdfs[robot.name]
+        self._publish(self._world, self._robots)
+
+    def add(self, scope: Scope, robot: SimulatedRobot) -> None:
+        """Publish the description of a robot that has come."""
+        self._add(scope, robot)
+        self._publish(self._simulation.world, [scope])
+
+    def remove(self, scope: Scope) -> None:
+        """Publish the description of a robot no more."""
+        self._hardware.pop(self._robots.pop(scope).name, None)
+        self._node.destroy_publisher(self._publishers.pop(scope))
+
+    def _publish(self, world: World, scopes: Iterable[Scope]) -> None:
+        urdfs = urdfs_of(world, self._hardware)
+        for scope in scopes:
+            urdf = urdfs[self._robots[scope].name]
             self._publishers[scope].publish(String(data=urdf.xml))
             if urdf.notes:
                 name = f'{scope.name}: ' if scope.name else ''

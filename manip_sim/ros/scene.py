@@ -23,12 +23,14 @@ from manip_sim.quoting import quoted
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.markers import MarkerPublisher
 from manip_sim.ros.messages import WORLD
+from manip_sim.ros.optional_packages import missing_note
 from manip_sim.ros.outputs import create_output, Publication, Publications
-from manip_sim.ros.planning_scene_publisher import offer_planning_scenes, RATE_HZ
-from manip_sim.ros.transforms import offer_transforms
+from manip_sim.ros.planning_scene_publisher import PlanningScenePublisher, PLANS, RATE_HZ
+from manip_sim.ros.transforms import offer_transforms, TransformPublisher
 from manip_sim.runtime import SimulationThread
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.end_effectors import EndEffectorReader
 from manip_sim.simulation.frames import FrameTree
 from manip_sim.simulation.odometry import OdometryReader
 
@@ -111,51 +113,94 @@ def check_frame_prefix(prefix: str) -> str:
     return prefix
 
 
-def publish_scene(node: Any, value: Callable[[str], Any], robots: Mapping[Scope, SimulatedRobot],
-                  simulation: Simulation, thread: SimulationThread, log: RejectionLog
-                  ) -> list[Follower]:
+class SceneTopics:
     """
-    Publish odometry each period, and frames, markers and planning scenes at their rates.
+    Odometry of each period, and frames, markers and planning scenes at their rates.
 
+    :param node: the node
     :param value: returns the value of a parameter
     :param robots: by their scope
     :param simulation: what is seen
     :param thread: runs it
     :param log: counts and logs what could not be published
-    :returns: functions to be called when objects have come or gone
     """
-    prefix = value('frame_prefix')
-    readers = {}
-    for scope, robot in robots.items():
+
+    def __init__(self, node: Any, value: Callable[[str], Any],
+                 robots: Mapping[Scope, SimulatedRobot], simulation: Simulation,
+                 thread: SimulationThread, log: RejectionLog) -> None:
+        self._node, self._simulation, self._thread, self._log = node, simulation, thread, log
+        self._prefix = value('frame_prefix')
+        self._end_effectors: dict[str, EndEffectorReader] = {}
+        self._readers: dict[str, OdometryReader] = {}
+        self._odometry: dict[Scope, OdometryPublisher] = {}
+        self._scenes: dict[Scope, PlanningScenePublisher] = {}
+        every = _divider(node, value('publish_rate'), value('tf_rate'))
+        self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
+        if not PLANS:
+            node.notes.append(missing_note('moveit_msgs', 'planning scene for MoveIt'))
+        for scope, robot in robots.items():
+            self.add(scope, robot, value(scope.parameter('prefix')))
+        markers = MarkerPublisher(node, self._end_effectors, self._prefix + WORLD, log)
+        thread.observe(markers.publish, every, markers.look)
+        self._transforms: TransformPublisher | None = None
+        if value('publish_tf'):
+            self._transforms = offer_transforms(node, self._frames, self._prefix, log)
+        if self._transforms is not None:
+            self.follow(simulation)
+            thread.observe(self._transforms.publish, every, self._transforms.look)
+
+    def add(self, scope: Scope, robot: SimulatedRobot, prefix: str) -> None:
+        """
+        Publish what is seen of a robot, too; its frames come with :meth:`follow`.
+
+        :param prefix: what the frame of its odometry begins with
+        """
+        thread = self._thread
         if robot.twist_joints:
-            frame = value(scope.parameter('prefix')) + ODOM
-            readers[frame] = OdometryReader(simulation.model, robot.twist_joints)
-            odometry = OdometryPublisher(node, robot, simulation, readers[frame], scope, frame,
-                                         prefix)
-            node.publish_truth_by(scope, odometry.publish_truth)
+            frame = prefix + ODOM
+            reader = OdometryReader(self._simulation.model, robot.twist_joints)
+            self._readers[frame] = reader
+            odometry = self._odometry[scope] = OdometryPublisher(
+                self._node, robot, self._simulation, reader, scope, frame, self._prefix)
+            self._node.publish_truth_by(scope, odometry.publish_truth)
             thread.observe(odometry.publish, look=odometry.look)
-    every = _divider(node, value('publish_rate'), value('tf_rate'))
-    end_effectors = {scope.topic(arm): reader for scope, robot in robots.items()
-                     for arm, reader in robot.end_effectors.items()}
-    markers = MarkerPublisher(node, end_effectors, prefix + WORLD, log)
-    thread.observe(markers.publish, every, markers.look)
-    for scene in offer_planning_scenes(node, robots, log):
-        thread.observe(scene.publish, periods_per_message(value('publish_rate'), RATE_HZ),
-                       scene.look)
-    if not value('publish_tf'):
-        return []
-    sites = [site for reader in end_effectors.values()
-             for site in (reader.ft_frame, reader.grip_site)]
-    placed = [(frame, reader.origin) for frame, reader in readers.items()]
-    transforms = offer_transforms(
-        node, lambda simulation: FrameTree(simulation.model, dict.fromkeys(
-            [*sites, *instrument_sites(simulation.model), *simulation.lidars]), placed), prefix,
-        log)
-    if transforms is None:
-        return []
-    transforms.follow(simulation)
-    thread.observe(transforms.publish, every, transforms.look)
-    return [transforms.follow]
+        thread.call(partial(self._end_effectors.update, {
+            scope.topic(arm): reader for arm, reader in robot.end_effectors.items()}))
+        if PLANS:
+            scene = self._scenes[scope] = PlanningScenePublisher(
+                self._node, robot, scope, self._log)
+            thread.observe(scene.publish, self._scene_every, scene.look)
+
+    def remove(self, scope: Scope, prefix: str) -> None:
+        """
+        Publish nothing of a robot any more; to be called before it is deleted.
+
+        :param prefix: as for :meth:`add`
+        """
+        odometry, scene = self._odometry.pop(scope, None), self._scenes.pop(scope, None)
+        self._readers.pop(prefix + ODOM, None)
+
+        def forget() -> None:
+            for name in [*self._end_effectors]:
+                if name.startswith(scope.topic('')):
+                    del self._end_effectors[name]
+        self._thread.call(forget)
+        for publisher in (odometry, scene):
+            if publisher is not None:
+                self._thread.unobserve(publisher.publish)
+                publisher.close(self._node)
+
+    def _frames(self, simulation: Simulation) -> FrameTree:
+        sites = [site for reader in self._end_effectors.values()
+                 for site in (reader.ft_frame, reader.grip_site)]
+        return FrameTree(simulation.model, dict.fromkeys(
+            [*sites, *instrument_sites(simulation.model), *simulation.lidars]),
+            [(frame, reader.origin) for frame, reader in self._readers.items()])
+
+    def follow(self, simulation: Simulation) -> None:
+        """Publish the frames that a simulation has now."""
+        if self._transforms is not None:
+            self._transforms.follow(simulation)
 
 
 def _divider(node: Any, publish_rate: float, tf_rate: float) -> int:

@@ -20,7 +20,6 @@ from rclpy.publisher import Publisher
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, declare_cameras, declare_parts, spawn_files)
-from manip_sim.interface.parameters import commanded_parts, reflex_parameters
 from manip_sim.interface.ros2_control import STALLS
 from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import (
@@ -30,9 +29,7 @@ from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import ActionServers, offer_actions
 from manip_sim.ros.cameras import offer_cameras
-from manip_sim.ros.cartesian import CartesianSubscribers
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
-from manip_sim.ros.commands import CommandSubscribers
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.episode_publisher import EpisodePublisher
 from manip_sim.ros.instrument_publishers import InstrumentPublishers
@@ -43,17 +40,18 @@ from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
 from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
 from manip_sim.ros.parameters import Parameters
-from manip_sim.ros.publishers import ClockPublisher, ModelPublisher, StatePublishers
+from manip_sim.ros.publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.ros.robot_description import DescriptionPublisher, DynamicsPublisher
-from manip_sim.ros.scene import check_frame_prefix, publish_scene
+from manip_sim.ros.scene import check_frame_prefix, SceneTopics
 from manip_sim.ros.sensor_publishers import offer_sensors
+from manip_sim.ros.served_robot import ServedRobot
 from manip_sim.ros.services import SimulationServices
+from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.standard_services import offer_simulation_interfaces
 from manip_sim.ros.surroundings_topics import SurroundingsTopics
 from manip_sim.ros.task_publisher import TaskPublisher
 from manip_sim.runtime import SimulationThread
-from manip_sim.sensing.settings import QUANTITIES
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.surroundings import ARENA
 
@@ -71,7 +69,7 @@ class SimNode(Node):
     :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
     """
 
-    _actions: ActionServers | None = None
+    actions: ActionServers | None = None
     #: The rows of the table for this world but for objects; None while rclpy makes its own topics.
     table: list[Topic] | None = None
 
@@ -91,19 +89,19 @@ class SimNode(Node):
 
     def _build(self) -> None:
         check_qos_values(self)
-        self._declared = Parameters(self)
-        value = self._declared.value
+        self.declared = Parameters(self)
+        value = self.declared.value
         #: Notes for the user that are logged after the start.
         self.notes: list[str] = []
-        composition = compose_world(self._declared)
+        composition = compose_world(self.declared)
         world = composition.world
         self.simulation = Simulation(world)
-        self._robots = dict(zip(composition.scopes, self.simulation.robots.values()))
-        declare_parts(self._declared, [(scope, r.parts) for scope, r in self._robots.items()])
-        cameras = declare_cameras(self._declared, world, self.simulation.model)
-        self._declared.check_names()
-        for scope, robot in self._robots.items():
-            self._declared.couple(scope, robot.parts)
+        self.robots = dict(zip(composition.scopes, self.simulation.robots.values()))
+        declare_parts(self.declared, [(scope, r.parts) for scope, r in self.robots.items()])
+        cameras = declare_cameras(self.declared, world, self.simulation.model)
+        self.declared.check_names()
+        for scope, robot in self.robots.items():
+            self.declared.couple(scope, robot.parts)
         self._inbox = create_command_inbox(self, self.rejections)
         lockstep = value('stepping') == 'lockstep'
         self._command_thread = (None if self._inbox is None or lockstep
@@ -113,16 +111,16 @@ class SimNode(Node):
         self.thread = SimulationThread(
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot)
-             for scope, robot in self._robots.items()},
+             for scope, robot in self.robots.items()},
             value('start_paused'), self._report_failure, self._inbox if lockstep else None,
             self.publishing.flush if self.publishing is not None else None,
             lockstep and any(ARENA in value(scope.parameter('lockstep_parts'))
-                             for scope in self._robots))
+                             for scope in self.robots))
         self._check_lockstep()
         self.thread.pause_at(value('pause_at'))
         self.table = topics_of_world(
             [(scope, robot.parts, robot.joints.twist_indices is not None)
-             for scope, robot in self._robots.items()],
+             for scope, robot in self.robots.items()],
             cameras={name: images.depth for name, images in cameras.items()},
             task=composition.task is not None, surroundings=self.simulation.surroundings,
             lidars={lidar.name: lidar.rays.rings > 1 for lidar in world.lidars})
@@ -132,50 +130,54 @@ class SimNode(Node):
             self._task = TaskPublisher(
                 self, composition.task, self.simulation, self.thread, value('seed'))
             restart = self._task.restart
-        frame_prefix = check_frame_prefix(value('frame_prefix'))
-        self._serve_robots(frame_prefix)
-        offer_sensors(self, self._robots, self.simulation, self.thread, frame_prefix)
+        frame_prefix = self._frame_prefix = check_frame_prefix(value('frame_prefix'))
+        self._serve_robots()
+        offer_sensors(self, self.robots, self.simulation, self.thread, frame_prefix)
         self._show_world(world, frame_prefix)
         self._episode = EpisodePublisher(
-            self, self.simulation, self.thread, restart, self._dynamics.publish)
-        self.cameras = offer_cameras(self, cameras, self.simulation, self._robots, self.thread,
+            self, self.simulation, self.thread, restart, self.dynamics.publish)
+        self.cameras = offer_cameras(self, cameras, self.simulation, self.robots, self.thread,
                                      frame_prefix)
         self._followers.append(self.cameras.follow)
-        offer_lidars(self, world.lidars, self.simulation, self._robots, self.thread, frame_prefix)
-        self._actions = offer_actions(self, self.commands, self.thread, self.rejections)
+        offer_lidars(self, world.lidars, self.simulation, self.robots, self.thread, frame_prefix)
+        self.actions = offer_actions(self, self.commands, self.thread, self.rejections)
         SimulationServices(self, self.thread, self._take_commands)
-        offer_simulation_interfaces(self, self.simulation, self.thread, self._objects_changed,
-                                    spawn_files(value('spawn_roots')))
+        offer_simulation_interfaces(self, self.simulation, self.thread, self.world_changed,
+                                    spawn_files(value('spawn_roots')), SpawnedRobots(self))
         Diagnostics(self, self.simulation, self.thread, self.commands, self.cameras,
                     self._surroundings.statistics)
         self._publish_truth()
         self._journal = JournalPublisher(
-            self, self.thread, self.rejections, self._declared, self._task)
+            self, self.thread, self.rejections, self.declared, self._task)
         check_qos_names(self)
         self.add_post_set_parameters_callback(self._parameters_changed)
         self._world = world
 
-    def _serve_robots(self, frame_prefix: str) -> None:
-        self.commands = []
+    def _serve_robots(self) -> None:
         self._truths: list[tuple[Scope, Callable[[], None], bool]] = []
-        self._cartesian = []
-        #: What uses the value of a live parameter, by its name.
+        #: What uses the value of a live parameter of no robot, by its name.
         self._uses: dict[str, Callable[[Any], None]] = {
             'real_time_factor': self.thread.set_real_time_factor,
             'pause_at': self.thread.pause_at, 'seed': self.thread.set_seed,
             'keyframe': partial(self.thread.change, 'keyframe')}
-        for scope, robot in self._robots.items():
-            self._control(scope, robot)
-            publishers = StatePublishers(self, robot, scope, self.rejections, frame_prefix)
-            self.thread.observe(publishers.publish, look=publishers.look)
-            self.publish_truth_by(scope, publishers.publish_truth)
-            self.commands.append(CommandSubscribers(
-                self, robot, scope, self.thread, self.rejections, self._inbox))
-            self._cartesian.append(
-                CartesianSubscribers(self.commands[-1], self._declared, self.thread, frame_prefix))
+        self.served: dict[Scope, ServedRobot] = {}
+        for scope, robot in self.robots.items():
+            self.serve(scope, robot)
+        self.commands = [served.commands for served in self.served.values()]
+
+    def serve(self, scope: Scope, robot: SimulatedRobot) -> ServedRobot:
+        """
+        Publish the states of a robot and subscribe to its commands.
+
+        :param robot: whose parameters are declared
+        """
+        served = self.served[scope] = ServedRobot(
+            self, scope, robot, self.declared, self.thread, self._inbox, self._frame_prefix)
+        self.publish_truth_by(scope, served.states.publish_truth)
+        return served
 
     def _show_world(self, world: World, frame_prefix: str) -> None:
-        value = self._declared.value
+        value = self.declared.value
         self.objects = ObjectPublishers(self, self.rejections, frame_prefix)
         self.objects.follow(self.simulation)
         self.thread.observe(self.objects.publish, look=self.objects.look)
@@ -183,49 +185,26 @@ class SimNode(Node):
             self, self.simulation, self.thread, self.rejections, self._inbox, frame_prefix)
         self.thread.observe(self._surroundings.publish, look=self._surroundings.look)
         model = ModelPublisher(self, world)
-        instruments = InstrumentPublishers(
-            self, self._robots, self.rejections, frame_prefix, self.simulation)
-        for scope in self._robots:
+        instruments = self.instruments = InstrumentPublishers(
+            self, self.robots, self.rejections, frame_prefix, self.simulation)
+        for scope in self.robots:
             self.publish_truth_by(
                 scope, partial(instruments.publish_truth, scope, self.simulation))
         self.thread.observe(instruments.publish, look=instruments.look)
-        scene = publish_scene(
-            self, value, self._robots, self.simulation, self.thread, self.rejections)
+        self.scene = SceneTopics(
+            self, value, self.robots, self.simulation, self.thread, self.rejections)
         self._followers = [model.follow, self.objects.follow, instruments.follow,
-                           self._surroundings.follow, *scene]
+                           self._surroundings.follow, self.scene.follow]
         if value('publish_clock'):
             clock = ClockPublisher(self, self.rejections)
             self.thread.observe(clock.publish, look=clock.look)
-        self._dynamics = DynamicsPublisher(self, self.simulation, value('gravity_compensation'))
-        self._descriptions: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
-            model, DescriptionPublisher(
-                self, world, self.simulation, self._robots,
-                value('ros2_control_plugin') if value('ros2_control_tag') else '',
-                value('stepping') == 'lockstep', instruments.rates_hz),
-            self._dynamics]
-
-    def _control(self, scope: Scope, robot: SimulatedRobot) -> None:
-        value = self._declared.value
-        for name, part in robot.parts.items():
-            if part.gripper is None and part.actuators and part.atomic == (name,):
-                for group in ('control_mode', 'command_timeout', 'stream_interval', 'stream_hold'):
-                    self._change_part(
-                        scope, group, name, value(scope.parameter(f'{group}.{name}')))
-        for arm in robot.end_effectors:
-            name = scope.parameter(f'wrench_cutoff.{arm}')
-            self._uses[name] = partial(self.thread.change, 'wrench_cutoff', robot.name, arm)
-            self._uses[name](value(name))
-        for quantity in QUANTITIES:
-            name = scope.parameter(quantity)
-            self._uses[name] = partial(self.thread.change, 'sensing', robot.name, quantity)
-            if value(name):
-                self._uses[name](value(name))
-        for spec in reflex_parameters(scope, commanded_parts(robot.parts), [*robot.end_effectors]):
-            name, quantity = spec.name.split('.')[-2:]
-            self._uses[spec.name] = partial(
-                self.thread.change, 'reflex', robot.name, name, quantity)
-            if value(spec.name):
-                self._uses[spec.name](value(spec.name))
+        self.dynamics = DynamicsPublisher(self, self.simulation, value('gravity_compensation'))
+        self.descriptions = DescriptionPublisher(
+            self, world, self.simulation, self.robots,
+            value('ros2_control_plugin') if value('ros2_control_tag') else '',
+            value('stepping') == 'lockstep', instruments.rates_hz)
+        self._at_start: list[ModelPublisher | DescriptionPublisher | DynamicsPublisher] = [
+            model, self.descriptions, self.dynamics]
 
     def publish_truth_by(self, scope: Scope, tell: Callable[[], None], images: bool = False
                          ) -> None:
@@ -238,14 +217,19 @@ class SimNode(Node):
         """
         self._truths.append((scope, tell, images))
 
+    def forget_truths(self, scope: Scope) -> None:
+        """Forget what :meth:`publish_truth_by` was told about a robot, which is deleted."""
+        self._truths = [entry for entry in self._truths if entry[0] != scope]
+
     def _publish_truth(self) -> None:
         ready = []
         for entry in self._truths:
-            settings = self._robots[entry[0]].sensing.settings
+            settings = self.robots[entry[0]].sensing.settings
             if settings.measures_images if entry[2] else settings.measures:
                 ready.append(entry)
+        # A new publisher declares parameters, which calls this again.
+        self._truths = [entry for entry in self._truths if entry not in ready]
         for entry in ready:
-            self._truths.remove(entry)
             entry[1]()
         if ready:
             self.thread.look_again()
@@ -253,7 +237,7 @@ class SimNode(Node):
     def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
         # In ROS parameters, a list with one empty string stands for an empty list of strings.
         name = scope.parameter('lockstep_parts')
-        parts: list[str] = [part for part in self._declared.value(name) if part]
+        parts: list[str] = [part for part in self.declared.value(name) if part]
         if parts == ['arm'] and 'arm' not in robot.parts:
             return list(robot.parts)
         if ARENA in parts and self.simulation.surroundings.actuators:
@@ -265,9 +249,9 @@ class SimNode(Node):
         return parts
 
     def _check_lockstep(self) -> None:
-        names = [scope.parameter('lockstep_parts') for scope in self._robots]
-        if self._declared.value('stepping') == 'lockstep' and not any(
-                part for name in names for part in self._declared.value(name)):
+        names = [scope.parameter('lockstep_parts') for scope in self.robots]
+        if self.declared.value('stepping') == 'lockstep' and not any(
+                part for name in names for part in self.declared.value(name)):
             raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
 
     def _parameters_changed(self, parameters: list[Parameter]) -> None:
@@ -276,12 +260,9 @@ class SimNode(Node):
             for parameter in parameters:
                 if parameter.name in self._uses:
                     self.thread.call(partial(self._uses[parameter.name], parameter.value))
-                    self._publish_truth()
-                for cartesian in self._cartesian:
-                    cartesian.parameter_changed(parameter)
-                found = self._declared.of_part(parameter.name)
-                if found is not None:
-                    self._change_part(*found, parameter.value)
+                for served in self.served.values():
+                    served.parameter_changed(parameter)
+                self._publish_truth()
 
     def create_publisher(self, message_type: Any, topic: str, *arguments: Any, **keywords: Any
                          ) -> Publisher:
@@ -307,27 +288,13 @@ class SimNode(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as rclpy does, but say more about those that cannot be set."""
-        reason = self._declared.rejection(parameter_list)
+        reason = self.declared.rejection(parameter_list)
         if reason is not None:
             return SetParametersResult(successful=False, reason=reason)
         return super().set_parameters_atomically(parameter_list)
 
-    def _change_part(self, scope: Scope, group: str, part: str, value: Any) -> None:
-        robot = self._robots[scope]
-        if group == 'control_mode':
-            self.thread.change('mode', robot.name, part, value)
-        elif group == 'command_timeout':
-            self._set_timeout(scope, robot, part)
-        else:
-            self.thread.change(group, robot.name, part, value)
-
-    def _set_timeout(self, scope: Scope, robot: SimulatedRobot, part: str) -> None:
-        name = scope.parameter(f'command_timeout.{part}')
-        # A Cartesian target comes to rest by itself: only a timeout that was set ends it.
-        self.thread.change('timeout', robot.name, part, self._declared.value(name),
-                           self._declared.is_set(name))
-
-    def _objects_changed(self, simulation: Simulation) -> None:
+    def world_changed(self, simulation: Simulation) -> None:
+        """Let all that depends on the robots and objects of the world follow it."""
         for follow in self._followers:
             follow(simulation)
 
@@ -336,8 +303,8 @@ class SimNode(Node):
 
     def _introduce(self) -> None:
         log = self.get_logger()
-        value = self._declared.value
-        log.info(introduction(self._robots, self.simulation, value, self.thread.paused))
+        value = self.declared.value
+        log.info(introduction(self.robots, self.simulation, value, self.thread.paused))
         for note in (*inferred(self._world), *self.notes):
             log.info(note)
         for defect in self.simulation.start_defects:
@@ -360,14 +327,14 @@ class SimNode(Node):
         if self._command_thread is not None:
             self._command_thread.start()
         # The first state should not wait for these, which take longer.
-        for publisher in self._descriptions:
+        for publisher in self._at_start:
             publisher.publish()
         self._introduce()
 
     def destroy_node(self) -> None:
         """Destroy the node, and before it its action servers, which rclpy would not destroy."""
-        if self._actions is not None:
-            self._actions.destroy()
+        if self.actions is not None:
+            self.actions.destroy()
         super().destroy_node()
 
     def _take_commands(self) -> None:
@@ -386,8 +353,8 @@ class SimNode(Node):
 
     def end_goals(self) -> None:
         """Abort the goals of actions and inform their clients, while the executor still spins."""
-        if self._actions is not None:
-            self._actions.end()
+        if self.actions is not None:
+            self.actions.end()
 
     def stop(self) -> None:
         """End the simulation; afterwards the node can be destroyed."""

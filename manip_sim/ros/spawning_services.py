@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``SpawnEntity`` and ``DeleteEntity`` of the package ``simulation_interfaces``."""
+"""``SpawnEntity`` and ``DeleteEntity`` of ``simulation_interfaces``: objects and robots."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ from manip_sim.models.strict_yaml import parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import WORLD
-from manip_sim.ros.rejection import answering, Rejection, result_filled
+from manip_sim.ros.rejection import Rejection, result_filled
+from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.poses import Pose
+from manip_sim.simulation.robot_spawning import RobotsPlan
 from manip_sim.simulation.spawning import plan_with, plan_without, WorldPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
@@ -44,9 +46,9 @@ _MAX_QUICK, _MAX_YAML = 5_000, 50_000
 
 class SpawningServices:
     """
-    The services that add and delete objects while the simulation runs.
+    The services that add and delete objects and robots while the simulation runs.
 
-    A new object that may take long is read, tried and compiled in the background; the
+    A new object or robot that may take long is read, tried and compiled in the background; the
     simulation's thread takes the new world over between two control periods, with everything else
     as it was.
 
@@ -56,11 +58,14 @@ class SpawningServices:
     :param changed: is called after objects have come or gone
     :param files: those that a request may name
     :param types: of the services, as ``simulation_interfaces.srv`` has them
+    :param robots: lets robots come and go
     """
 
     def __init__(self, node: Node, simulation: Simulation, thread: SimulationThread,
-                 changed: Callable[[Simulation], None], files: FilesBelow, types: Any) -> None:
+                 changed: Callable[[Simulation], None], files: FilesBelow, types: Any,
+                 robots: SpawnedRobots) -> None:
         self._node = node
+        self._robots = robots
         self._simulation = simulation
         self._thread = thread
         self._changed = changed
@@ -69,7 +74,7 @@ class SpawningServices:
         group = MutuallyExclusiveCallbackGroup()
         for service_type, name, answer in (
                 (types.SpawnEntity, 'spawn_entity', self._spawn),
-                (types.DeleteEntity, 'delete_entity', answering(self._delete))):
+                (types.DeleteEntity, 'delete_entity', self._delete)):
             node.create_service(service_type, f'~/{name}', answer, callback_group=group)
 
     async def _spawn(self, request: Any, response: Any) -> Any:
@@ -78,22 +83,39 @@ class SpawningServices:
         return response
 
     async def _add(self, request: Any) -> str:
-        if request.entity_namespace.strip('/'):
-            raise Rejection(SpawnCode.NAMESPACE_INVALID,
-                            'an object is published below objects/ and has no namespace')
-        pose = _pose(request.initial_pose)
+        namespace, pose = request.entity_namespace.strip('/'), _pose(request.initial_pose)
         with _parsing():
             is_quick, create = _prepared(request, self._files)
 
-        def make() -> tuple[str, WorldPlan]:
+        def make() -> tuple[str, WorldPlan | RobotsPlan]:
             with _parsing():
                 item = create()
-                item.name = self._free_name(request.name or item.name, request.allow_renaming)
-                item.place(pose.position, xyzw_to_wxyz(pose.quat_xyzw))
-                return item.name, plan_with(self._simulation.plan, item)
+                return (self._plan_robot(item, request, namespace, pose)
+                        if isinstance(item, RequestedRobot) else
+                        self._plan_object(item, request, namespace, pose))
         name, plan = make() if is_quick else await in_background(self._node, make)
-        self._take_over(plan)
+        if isinstance(plan, RobotsPlan):
+            self._robots.come(name, plan)
+        else:
+            self._take_over(plan)
         return name
+
+    def _plan_object(self, item: ObjectModel, request: Any, namespace: str, pose: Pose
+                     ) -> tuple[str, WorldPlan]:
+        if namespace:
+            raise Rejection(SpawnCode.NAMESPACE_INVALID,
+                            'an object is published below objects/ and has no namespace')
+        item.name = self._free_name(request.name or item.name, request.allow_renaming)
+        item.place(pose.position, xyzw_to_wxyz(pose.quat_xyzw))
+        return item.name, plan_with(self._simulation.plan, item)
+
+    def _plan_robot(self, item: RequestedRobot, request: Any, namespace: str, pose: Pose
+                    ) -> tuple[str, RobotsPlan]:
+        name = self._robots.free_name(request.name or item.name, request.allow_renaming)
+        if namespace not in ('', name):
+            raise Rejection(SpawnCode.NAMESPACE_INVALID, f'the namespace of a robot is its name, '
+                            f'{quoted(name)}: leave entity_namespace empty')
+        return name, self._robots.plan(item.create(name, pose))
 
     def _free_name(self, wanted: str, may_rename: bool) -> str:
         taken = self._simulation.entities.names
@@ -112,11 +134,20 @@ class SpawningServices:
             raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
         return wanted
 
-    def _delete(self, request: Any, response: Any) -> None:
-        name, plan = request.entity, self._simulation.plan
+    async def _delete(self, request: Any, response: Any) -> Any:
+        with result_filled(response.result):
+            await self._remove(request.entity)
+        return response
+
+    async def _remove(self, name: str) -> None:
+        plan = self._simulation.plan
+        if name in self._robots.names:
+            await self._robots.go(name)
+            return
         if name in self._simulation.entities.names and name not in plan.object_names:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                            f"'{name}' belongs to a robot or the arena and cannot be deleted")
+                            f"'{name}' belongs to the arena or a robot that was there at the "
+                            'start, and cannot be deleted')
         self._take_over(plan_without(plan, name))
 
     def _take_over(self, plan: WorldPlan) -> None:
@@ -137,8 +168,12 @@ def _parsing() -> Iterator[None]:
         raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
 
 
-def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], ObjectModel]]:
-    """Return whether an object is quickly made for sure, and return what makes it."""
+#: What a request may bring.
+_Item = ObjectModel | RequestedRobot
+
+
+def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item]]:
+    """Return whether it is quickly made for sure, and return what makes it."""
     if request.uri:
         path = _path(request.uri)
         return False, lambda: _from_file(path, files)
@@ -151,17 +186,22 @@ def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], Objec
     return _from_text(text)
 
 
-def _from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
+def _from_text(text: OneText) -> tuple[bool, Callable[[], _Item]]:
     if not text.content.startswith(b'<'):
         values = parse_yaml(text.read(text.file, 'YAML', _MAX_YAML), str(text.file))
+        if RequestedRobot.KEY in values:
+            return False, lambda: RequestedRobot(values, str(text.file))
         return True, lambda: create_object({'name': _UNNAMED, **values}, text)
     model = hold_model(text.file, text)
     return model.is_light, lambda: _named_by_itself(object_from_model(model, _UNNAMED))
 
 
-def _from_file(path: str, files: FilesBelow) -> ObjectModel:
+def _from_file(path: str, files: FilesBelow) -> _Item:
     file = files.first(files.places(path))
     if file.suffix in _YAML:
+        values = parse_yaml(files.read(file, 'YAML file', _MAX_YAML), str(file))
+        if RequestedRobot.KEY in values:
+            return RequestedRobot(values, str(file))
         return create_object(file, files)
     return _named_by_itself(object_from_model(hold_model(file, files), _UNNAMED))
 

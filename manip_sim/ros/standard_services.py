@@ -16,6 +16,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.ros.entity_services import EntityServices
 from manip_sim.ros.optional_packages import import_optional, missing_note
 from manip_sim.ros.rejection import answering, Rejection, result_filled
+from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import FORMATS, SpawningServices
 from manip_sim.ros.standard_codes import Feature, ResultCode, ScopeCode, SetStateCode, StateCode
 from manip_sim.runtime import SimulationThread
@@ -44,8 +45,8 @@ class _YieldToExecutor:
 
 
 def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: SimulationThread,
-                                objects_changed: Callable[[Simulation], None], files: FilesBelow
-                                ) -> None:
+                                objects_changed: Callable[[Simulation], None], files: FilesBelow,
+                                robots: SpawnedRobots) -> None:
     """
     Offer the services of the standard under ``~/``; note if their package is missing.
 
@@ -54,13 +55,14 @@ def offer_simulation_interfaces(node: Any, simulation: Simulation, thread: Simul
     :param thread: runs it
     :param objects_changed: is called after objects have come or gone
     :param files: those that a request may name
+    :param robots: lets robots come and go
     """
     if not AVAILABLE:
         node.notes.append(missing_note('simulation_interfaces', 'standard simulation services'))
         return
     SimulationInterfaces(node, simulation, thread, SERVICE_TYPES)
     EntityServices(node, simulation, thread, SERVICE_TYPES)
-    SpawningServices(node, simulation, thread, objects_changed, files, SERVICE_TYPES)
+    SpawningServices(node, simulation, thread, objects_changed, files, SERVICE_TYPES, robots)
 
 
 class SimulationInterfaces:

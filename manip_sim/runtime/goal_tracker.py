@@ -61,11 +61,16 @@ class GoalTracker:
         except SimulationEnded:
             return False
 
-    def abort_all(self, reason: str) -> None:
-        """Abort all goals."""
+    def abort_all(self, reason: str, robot: str | None = None) -> None:
+        """
+        Abort all goals.
+
+        :param robot: only those of this robot, given by its name; None: of all
+        """
         def abort() -> None:
             for goal in self._goals:
-                goal.abort(reason)
+                if robot in (None, goal.robot.name):
+                    goal.abort(reason)
             self._sweep()
         self._thread.call(abort)
 

@@ -44,6 +44,11 @@ class Observers:
         self._all = (*self._all, _Entry(observer, every, look))
         self.look_again()
 
+    def remove(self, observer: Observer) -> None:
+        """Call an observer no more; to be called where :meth:`show` is."""
+        self._all = tuple(entry for entry in self._all if entry.observer != observer)
+        self._present = tuple(entry for entry in self._present if entry.observer != observer)
+
     def look_again(self) -> None:
         """Check at the next state which observers have to be called; any thread may call this."""
         self._look_at = 0.0

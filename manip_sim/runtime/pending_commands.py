@@ -43,6 +43,18 @@ class PendingCommands:
         #: Stamp of the state that commands may answer [ns]; None until the next one is shown.
         self._present_ns: int | None = None
 
+    def look_at_robots(self) -> None:
+        """
+        Follow robots that have come or gone; lock-step does not wait for those that have come.
+
+        Commands for those that have gone are aborted.
+        """
+        robots = self._simulation.robots
+        with self._lock:
+            for name in self._buffers.keys() - robots.keys():
+                self._buffers[name].clear(f"robot '{name}' was deleted")
+            self._buffers = {name: self._buffers.get(name) or CommandBuffer(()) for name in robots}
+
     def keep_busy(self, busy_parts: BusyParts) -> None:
         """
         Exempt parts from those that lock-step waits for, as it exempts parts with trajectories.
@@ -65,10 +77,10 @@ class PendingCommands:
             the present state, or if all commands for it have come already
         :raises UnknownNameError: if there is no such robot
         """
-        name = self._simulation.robot.name if robot is None else robot
-        if name not in self._buffers:
-            raise UnknownNameError('robot', name, self._buffers)
-        commands, buffer = list(commands), self._buffers[name]
+        name, buffers = self._simulation.robot.name if robot is None else robot, self._buffers
+        if name not in buffers or name not in self._simulation.robots:
+            raise UnknownNameError('robot', name, buffers)
+        commands, buffer = list(commands), buffers[name]
         for command in commands:
             self._simulation.robots[name].check_own(command)
         with self._lock:

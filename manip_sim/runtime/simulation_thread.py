@@ -21,6 +21,7 @@ from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
 from manip_sim.simulation.operations import Operations
+from manip_sim.simulation.robot_spawning import RobotsPlan
 from manip_sim.simulation.surroundings import ARENA
 
 T = TypeVar('T')
@@ -120,6 +121,29 @@ class SimulationThread:
         :raises ValueError: if the divider is less than 1
         """
         self._observers.add(observer, every, look)
+
+    def unobserve(self, *observers: Observer) -> None:
+        """
+        Call functions no more; afterwards none of them runs.
+
+        :param observers: that were given to :meth:`observe`
+        """
+        def remove() -> None:
+            for observer in observers:
+                self._observers.remove(observer)
+        self.call(remove)
+
+    def change_robots(self, plan: RobotsPlan) -> None:
+        """
+        Change the robots; lock-step waits for no part of a robot that comes.
+
+        :param plan: as for ``Simulation.change_robots``
+        """
+        def change() -> None:
+            self._simulation.change_robots(plan)
+            self._commands.look_at_robots()
+            self._observers.look_again()
+        self.call(change, 'a robot came or went')
 
     def look_again(self) -> None:
         """Check at the end of the next control period which observers have to be called."""

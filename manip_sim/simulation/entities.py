@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -42,17 +42,19 @@ class Entities:
 
     :param model: the compiled ``mujoco.MjModel``
     :param robots: the body whose pose is the robot's, such as its mobile base, by the name of
-        the robot's root body
+        the robot as an entity
+    :param roots: the root bodies of the robots, which are no free bodies even if they are free
     """
 
-    def __init__(self, model: mujoco.MjModel, robots: Mapping[str, str]) -> None:
+    def __init__(self, model: mujoco.MjModel, robots: Mapping[str, str],
+                 roots: Collection[str]) -> None:
         self._model = model
         self._bodies: dict[str, int] = {
             robot: model.body(frame).id for robot, frame in robots.items()}
         self._joints: dict[str, tuple[int, int]] = {}
         for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
             body = model.body(model.jnt_bodyid[joint])
-            if body.name and body.name not in robots:
+            if body.name and body.name not in roots:
                 self._bodies[body.name] = body.id
                 self._joints[body.name] = (int(model.jnt_qposadr[joint]),
                                            int(model.jnt_dofadr[joint]))

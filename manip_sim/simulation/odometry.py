@@ -48,14 +48,14 @@ class OdometryReader:
     def __init__(self, model: mujoco.MjModel, joints: Sequence[str]) -> None:
         moved_by = [model.joint(name) for name in joints]
         # Bodies come after their parents.
-        self._body = max(int(joint.bodyid[0]) for joint in moved_by)
-        self.base: str = model.body(self._body).name
+        body = max(int(joint.bodyid[0]) for joint in moved_by)
+        self.base: str = model.body(body).name
         data = mujoco.MjData(model)
         for joint in moved_by:
             data.qpos[joint.qposadr[0]] = 0.0
         mujoco.mj_kinematics(model, data)
-        self._position = data.xpos[self._body].copy()
-        self._quat_wxyz = data.xquat[self._body].copy()
+        self._position = data.xpos[body].copy()
+        self._quat_wxyz = data.xquat[body].copy()
         self.origin = Pose(self._position, wxyz_to_xyzw(self._quat_wxyz))
 
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> Odometry:
@@ -65,10 +65,11 @@ class OdometryReader:
         :param model: the ``mujoco.MjModel``, in which the robot is unchanged
         :param data: its ``mujoco.MjData``
         """
+        body = int(model.body(self.base).id)
         inverse, quat_wxyz = np.empty(4), np.empty(4)
         position, velocity = np.empty(3), np.empty(6)
         mujoco.mju_negQuat(inverse, self._quat_wxyz)
-        mujoco.mju_rotVecQuat(position, data.xpos[self._body] - self._position, inverse)
-        mujoco.mju_mulQuat(quat_wxyz, inverse, data.xquat[self._body])
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, self._body, velocity, 1)
+        mujoco.mju_rotVecQuat(position, data.xpos[body] - self._position, inverse)
+        mujoco.mju_mulQuat(quat_wxyz, inverse, data.xquat[body])
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
         return Odometry(position, wxyz_to_xyzw(quat_wxyz), velocity[3:], velocity[:3])

@@ -115,8 +115,11 @@ class Simulation:
             self.model, self.data, self._free_roots.roots)
 
     def _look_at_model(self) -> None:
+        spawned = set(self.spawned_robots)
         self.entities = Entities(self.model, {
-            robot.robot_model.root_body: robot.frame_body for robot in self.robots.values()})
+            name if name in spawned else robot.robot_model.root_body: robot.frame_body
+            for name, robot in self.robots.items()},
+            [robot.robot_model.root_body for robot in self.robots.values()])
         self._control = ControlState(
             [self.efforts, *self.robots.values()],
             (Clock, Physics, CartesianParser, CommandParser))
@@ -137,8 +140,9 @@ class Simulation:
         """
         Add a robot to the running world, at rest at its start; everything else stays as it is.
 
-        A reset keeps it and brings it to its start, as it does with spawned objects. It takes
-        part in saved states: they can be restored only while there are the same robots.
+        Its name is that of the entity too. A reset keeps it and brings it to its start, as it does
+        with spawned objects. It takes part in saved states: they can be restored only while there
+        are the same robots.
 
         :param robot: with all that is mounted on it; it stands where ``set_base_xpos`` places
             it, else where the arena places a robot

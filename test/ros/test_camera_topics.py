@@ -163,7 +163,7 @@ def test_labels_are_the_bodies_of_the_model_that_is_published_beside_their_names
         'front', False, True, True) in renderings
     plan = plan_without(node.simulation.plan, 'ball')
     node.thread.call(lambda: node.simulation.change_objects(plan))
-    node._objects_changed(node.simulation)
+    node.world_changed(node.simulation)
     client.spin_until(lambda: 'ball' not in names[-1].data)
     client.spin_until(lambda: ball not in pixels(labels[-1]))
 

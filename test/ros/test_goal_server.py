@@ -102,10 +102,10 @@ def swinger(served, client):
     swinger = Swinger(client)
     yield swinger
     swinger.close()
-    assert served._actions.tracker.goals == ()
-    client.spin_until(lambda: not any(s._running for s in served._actions._servers))
+    assert served.actions.tracker.goals == ()
+    client.spin_until(lambda: not any(s._running for s in served.actions._servers))
     # Without goals nothing wakes the executor.
-    client.spin_until(served._actions._timer.is_canceled)
+    client.spin_until(served.actions._timer.is_canceled)
 
 
 def test_goal_succeeds_and_its_client_hears_of_it_twenty_times_a_second(swinger):
@@ -178,7 +178,7 @@ def test_client_that_leaves_does_not_keep_others_from_the_action(served, swinger
     leaving.send(5).get_result_async()
     leaving.close()
     other.close()
-    swinger.client.spin_until(lambda: not served._actions.tracker.goals)
+    swinger.client.spin_until(lambda: not served.actions.tracker.goals)
     assert swinger.run(1) == SUCCEEDED
 
 

@@ -136,7 +136,7 @@ def test_objects_that_fall_come_and_go_are_told(serve, client, planner):
     for plan, names in ((plan_with(start, box), {'arena', 'ball', 'box'}),
                         (start, {'arena', 'ball'})):
         node.thread.call(lambda plan=plan: simulation.change_objects(plan))
-        node.executor.create_task(node._objects_changed, simulation)
+        node.executor.create_task(node.world_changed, simulation)
         client.spin_until(lambda names=names: set(told.world) == names)
 
 

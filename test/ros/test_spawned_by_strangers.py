@@ -30,6 +30,7 @@ from manip_sim.models.regular_files import FilesBelow
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.background import begin, in_background, THREAD_NAME
+from manip_sim.ros.spawned_robots import SpawnedRobots
 from manip_sim.ros.spawning_services import SpawningServices
 from manip_sim.startup import leave
 
@@ -53,9 +54,9 @@ class TriggeredSpawning:
     def __init__(self, node, folder):
         self._node = node
         self.request = request()
-        SpawningServices(self, node.simulation, node.thread, node._objects_changed,
+        SpawningServices(self, node.simulation, node.thread, node.world_changed,
                          FilesBelow([folder], 'spawn_roots'),
-                         Plain(SpawnEntity=Trigger, DeleteEntity=Trigger))
+                         Plain(SpawnEntity=Trigger, DeleteEntity=Trigger), SpawnedRobots(node))
 
     @property
     def executor(self):

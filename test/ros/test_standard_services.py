@@ -68,7 +68,7 @@ class Standard:
         SimulationInterfaces(self, self.simulation, self.thread, TYPES)
         EntityServices(self, self.simulation, self.thread, TYPES)
         SpawningServices(self, self.simulation, self.thread, self.followed.append,
-                         FilesBelow([folder], 'spawn_roots'), TYPES)
+                         FilesBelow([folder], 'spawn_roots'), TYPES, Plain(names=[]))
         self.thread.start()
 
     def create_service(self, service_type, name, callback, callback_group=None):
@@ -395,5 +395,5 @@ def test_object_in_another_frame_is_rejected(standard):
 
 def test_what_is_no_object_cannot_be_deleted(standard):
     code, text = standard.code('delete_entity', entity='robot0_base')
-    assert code == FAILED and 'belongs to a robot or the arena' in text
+    assert code == FAILED and 'a robot that was there at the' in text
     assert standard.code('delete_entity', entity='sphere')[0] == NOT_FOUND

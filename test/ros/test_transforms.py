@@ -148,14 +148,14 @@ def test_frames_of_objects_come_and_go(serve, records):
     wait_for(thread, lambda: sim.step_count > before + 50)
     # The old tree does not fit any more; the thread waits for the new one, and lives.
     assert len(moving.messages) == count and thread.error is None
-    node._objects_changed(sim)
+    node.world_changed(sim)
     wait_for(thread, lambda: len(moving.messages) > count)
     ball = moving.latest['ball']
     assert ball.header.frame_id == 'world' and ball.transform.translation.x == 1.5
     assert len(static.messages) == 2
     thread.call(lambda: sim.change_objects(plan_without(sim.plan, 'ball')))
     count = len(moving.messages)
-    node._objects_changed(sim)
+    node.world_changed(sim)
     wait_for(thread, lambda: len(moving.messages) > count)
     assert 'ball' not in moving.latest and 'robot0_link1' in moving.latest
 

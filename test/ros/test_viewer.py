@@ -201,7 +201,7 @@ def change_objects(node, change):
     def serve():
         plan = change(simulation.plan)
         node.thread.call(lambda: simulation.change_objects(plan))
-        node._objects_changed(simulation)
+        node.world_changed(simulation)
     node.executor.create_task(serve)
 
 

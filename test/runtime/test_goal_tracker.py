@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from manip_sim.errors import UnknownNameError
 from manip_sim.models import compose, World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import SimulationThread
@@ -16,6 +17,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.goals import Ending
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot
 from manip_sim.simulation.tolerances import JointTolerance
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
@@ -106,6 +108,25 @@ def test_all_goals_can_be_aborted_with_a_reason(tracked_thread):
     assert [running.next_end(), running.next_end()] == goals
     assert {goal.outcome.reason for goal in goals} == {'the node is ending'}
     assert running.tracker.goals == ()
+
+
+def test_goals_of_a_robot_are_aborted_before_it_is_deleted(tracked_thread):
+    running = tracked_thread()
+    robot = UR5e(idn='left')
+    robot.set_base_xpos([0.0, 2.0, 0.0])
+    running.thread.change_robots(plan_with_robot(running.simulation, robot))
+    left = running.simulation.robots['robotleft']
+    goal = running.start(seconds=50.0, robot=left, joint=left.joint_names[0])
+    other = running.start(seconds=50.0, robot=running.simulation.robots['robot0'])
+    reason = "robot 'left' was deleted"
+    running.tracker.abort_all(reason, 'robotleft')
+    running.thread.change_robots(plan_without_robot(running.simulation, 'robotleft'))
+    assert running.next_end() is goal
+    assert (goal.outcome.ending, goal.outcome.reason) == (Ending.ABORTED, reason)
+    assert running.tracker.goals == (other,)
+    with pytest.raises(UnknownNameError, match="unknown robot 'robotleft'"):
+        running.thread.submit([goal.command], robot='robotleft')
+    running.tracker.abort_all('done')
 
 
 def test_cancel_after_the_end_of_the_simulation_is_rejected(tracked_thread):

@@ -43,7 +43,7 @@ def data(model):
 
 @pytest.fixture
 def entities(model):
-    return Entities(model, {'base': 'base'})
+    return Entities(model, {'base': 'base'}, ['base'])
 
 
 def rotation(pose):

@@ -19,7 +19,7 @@ from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.naming import TakenNames
-from manip_sim.models.quaternion import quat_wxyz_from_rpy
+from manip_sim.models.quaternion import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots.subsystems import Subsystems
 from manip_sim.models.spec_edits import rename_body, rotate_actuators
@@ -173,6 +173,16 @@ class RobotModel(Subsystems, ABC):
         """
         self._root_quat = quat_wxyz_from_rpy(
             finite_numbers(rpy, 3, f'orientation of {self.name}'))
+
+    def set_base_quat(self, quat_xyzw: ArrayLike) -> None:
+        """
+        Set the orientation of the robot.
+
+        :param quat_xyzw: of the root in the world, of length 1, shape (4,)
+        :raises ModelError: if a number is not finite
+        """
+        self._root_quat = xyzw_to_wxyz(
+            finite_numbers(quat_xyzw, 4, f'orientation of {self.name}'))
 
     # ------------------------------------------------------------------ what is recorded
 

@@ -107,6 +107,11 @@ class Discovery:
     def _learn(self, layout: Layout) -> None:
         """Take over a layout when the joints of all parts and all limits are known."""
         wanted: dict[str, tuple[Any, ...]] = {}
+        spaces = [robot.space for robot in layout.robots]
+        # A robot that is gone may come again as another one.
+        self._limits = {space: found for space, found in self._limits.items() if space in spaces}
+        self._joints = {part: found for part, found in self._joints.items() if part in [
+            robot.space + name for robot in layout.robots for name in robot.parts]}
         for robot in layout.robots:
             if robot.space not in self._limits:
                 wanted[f'{robot.space}robot_description'] = (

@@ -76,6 +76,8 @@ def _robot(space: str, subscribed: Collection[str]) -> RobotTopics:
     double = 'arm' if {'right', 'left'} <= set(parts) else 'right'
     kept = [part for part in parts if part.count('/') <= part.endswith(_GRIPPER)
             and not (part == double and 'arm' in parts)]
+    # Another robot's namespace may be below that of the only one from the start.
+    hands = [hand for hand in hands if '/' not in hand]
     return RobotTopics(space, tuple(sorted(kept, key=_order)),
                        tuple(sorted(hands, reverse=True)), f'{space}base/cmd_vel' in subscribed)
 

@@ -1,0 +1,212 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Robots that come and go while the node runs, with all that the node has for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from functools import partial
+from typing import Any
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.interface.composition import check_robot_name, declare_parts
+from manip_sim.interface.topics import Scope
+from manip_sim.interface.world_topics import topics_of_world
+from manip_sim.models import compose_robot
+from manip_sim.models.bases import base_names
+from manip_sim.models.composing import DEFAULT, NONE
+from manip_sim.models.grippers import gripper_names
+from manip_sim.models.robots import robot_names, RobotModel
+from manip_sim.quoting import quoted, shown
+from manip_sim.ros.actions import offers_of
+from manip_sim.ros.background import in_background
+from manip_sim.ros.rejection import Rejection
+from manip_sim.ros.standard_codes import ResultCode, SpawnCode
+from manip_sim.simulation.poses import Pose
+from manip_sim.simulation.robot_spawning import (
+    plan_with_robot, plan_without_robot, RobotsPlan)
+
+#: Ends of goals, results and their answers each take a round of the executor.
+_ROUNDS = 6
+
+
+class RequestedRobot:
+    """
+    A robot of the catalogue, as a request describes it; no file that a request names is read.
+
+    :param values: ``robot``, and where they are not the robot's own ``gripper`` and ``base``:
+        names of the catalogue, which includes the folders of ``model_path``; and ``name``
+    :param where: where they come from, for messages
+    :raises ModelError: on one line, naming the key
+    """
+
+    #: The key that only robots have.
+    KEY = 'robot'
+
+    def __init__(self, values: Mapping[str, Any], where: str) -> None:
+        known = {'name': None, self.KEY: robot_names(),
+                 'gripper': [DEFAULT, NONE, *gripper_names()],
+                 'base': [DEFAULT, NONE, *base_names()]}
+        for key, value in values.items():
+            if key not in known:
+                raise ModelError(f'{where}: {UnknownNameError("key", key, known)}')
+            names = known[key]
+            if not isinstance(value, str):
+                raise ModelError(f'{where}: {key}: expected a name, got {shown(value)}')
+            if names is not None and value not in names:
+                raise ModelError(f'{where}: {UnknownNameError(key, value, names)}')
+        self._values = values
+
+    @property
+    def name(self) -> str:
+        """The name that it gives itself, or what kind of robot it is."""
+        found: str = self._values.get('name', self._values[self.KEY])
+        return found
+
+    def create(self, name: str, pose: Pose) -> RobotModel:
+        """
+        Create the robot.
+
+        :param name: what all of its names begin with
+        :param pose: of its base
+        :raises ModelError: if the parts do not fit together
+        """
+        robot = compose_robot(
+            self._values[self.KEY], self._values.get('gripper', DEFAULT),
+            self._values.get('base', DEFAULT), prefix=f'{name}_', idn=name)
+        robot.set_base_xpos(pose.position)
+        robot.set_base_quat(pose.quat_xyzw)
+        return robot
+
+
+class SpawnedRobots:
+    """
+    What the node has for robots that come and go.
+
+    :param node: the node, whose members are used as those of a part of it
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._simulation, self._thread = node.simulation, node.thread
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the robots that can be deleted."""
+        return list(self._simulation.spawned_robots)
+
+    def free_name(self, wanted: str, may_rename: bool) -> str:
+        """
+        Return the name of a robot that comes.
+
+        :param wanted: name that a client asks for
+        :param may_rename: whether a number may follow it
+        :raises Rejection: if it cannot be a name, or something has it
+        """
+        taken, free, number = self._taken(), wanted, 1
+        while may_rename and free in taken:
+            free, number = f'{wanted}_{number}', number + 1
+        if free in taken:
+            raise Rejection(SpawnCode.NAME_NOT_UNIQUE, f'{quoted(free)} is taken: by a robot, an '
+                            'object, a topic or a parameter')
+        try:
+            check_robot_name(free)
+        except ModelError as error:
+            raise Rejection(SpawnCode.NAME_INVALID, str(error)) from error
+        return free
+
+    def _taken(self) -> set[str]:
+        node, simulation = self._node, self._simulation
+        return {*simulation.robots, *simulation.entities.names,
+                *(row.name.partition('/')[0] for row in node.table if '/' in row.name),
+                *(name.partition('.')[0] for name in node.declared.names if '.' in name)}
+
+    def plan(self, robot: RobotModel) -> RobotsPlan:
+        """
+        Return the plan of the world with a robot; for any thread.
+
+        :raises ModelError: if the robot cannot be in the world
+        """
+        return plan_with_robot(self._simulation, robot)
+
+    def come(self, name: str, plan: RobotsPlan) -> None:
+        """
+        Let a robot come, and offer all that the node has for it.
+
+        To be called in the thread that spins the node.
+
+        :param plan: with the robot
+        :raises Rejection: if the physics is on hold
+        """
+        def change() -> None:
+            if self._simulation.diverged is not None:
+                raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
+                                f'{self._simulation.diverged}; reset it first')
+            self._thread.change_robots(plan)
+        self._thread.call(change)
+        node, scope, robot = self._node, Scope(name), self._simulation.robots[name]
+        rows = topics_of_world(
+            [(scope, robot.parts, robot.joints.twist_indices is not None)])
+        node.table += [row for row in rows if row not in node.table]
+        node.robots[scope] = robot
+        declare_parts(node.declared, [(scope, robot.parts)])
+        node.declared.couple(scope, robot.parts)
+        served = node.serve(scope, robot)
+        node.commands.append(served.commands)
+        node.scene.add(scope, robot, robot.robot_model.naming_prefix)
+        node.publish_truth_by(
+            scope, partial(node.instruments.publish_truth, scope, self._simulation))
+        if node.actions is not None:
+            node.actions.add(offers_of(served.commands, self._thread))
+        node.descriptions.add(scope, robot)
+        self._changed()
+
+    def _changed(self) -> None:
+        self._node.world_changed(self._simulation)
+        self._node.dynamics.publish()
+
+    async def go(self, name: str) -> None:
+        """
+        Let a robot go, with all that the node has for it; its goals are aborted before.
+
+        To be awaited in the thread that spins the node.
+
+        :param name: one of :attr:`names`
+        :raises ModelError: if the world cannot be without it
+        """
+        node, simulation, scope = self._node, self._simulation, Scope(name)
+        plan = await in_background(node, lambda: plan_without_robot(simulation, name))
+        robot = simulation.robots[name]
+        served = node.served.pop(scope)
+        served.close()
+        node.scene.remove(scope, robot.robot_model.naming_prefix)
+        if node.actions is not None:
+            node.actions.close(robot, f"robot '{name}' was deleted")
+        self._thread.change_robots(plan)
+        if node.actions is not None:
+            # Clients get their results before the servers are gone.
+            await _Rounds(node)
+            node.actions.remove(robot)
+        node.commands.remove(served.commands)
+        node.descriptions.remove(scope)
+        node.forget_truths(scope)
+        del node.robots[scope]
+        self._changed()
+        begin = scope.topic('')
+        node.table = [row for row in node.table if not row.name.startswith(begin)]
+        node.declared.undeclare(scope)
+
+
+class _Rounds:
+    """An awaitable that lets the executor run what else is ready, some times."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    def __await__(self) -> Generator[None, None, None]:
+        for _ in range(_ROUNDS):
+            executor = self._node.executor
+            if executor is not None:
+                executor.wake()
+            yield
