@@ -16,6 +16,8 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.simulation.trajectory import Trajectory
 
 C = TypeVar('C', bound='Command')
+#: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
+_STAMPS_NS = 10**15
 
 
 class Status(Enum):
@@ -86,6 +88,11 @@ class Command:
     indices: IntArray
     sent_ns: int = 0
     messages: int = 1
+
+    @property
+    def sent_s(self) -> float:
+        """When it was sent [s], small enough to keep its nanoseconds; 0: unknown."""
+        return self.sent_ns % _STAMPS_NS * 1e-9
     clamped: int = 0
     clamped_example: str = ''
     handle: CommandHandle = field(default_factory=CommandHandle, compare=False)
@@ -155,6 +162,11 @@ class JointTrajectory(Command):
     start_ns: int = 0
     start_s: float | None = None
     slowed: float = 1.0
+
+    @property
+    def sent_s(self) -> float:
+        """Its time zero, as that of other commands."""
+        return self.start_ns % _STAMPS_NS * 1e-9
 
     def own_trajectory(self) -> JointTrajectory:
         """Return the command with a trajectory of its joints alone."""

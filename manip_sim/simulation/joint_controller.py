@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import functools
-import math
 from typing import TypeVar
 
 import mujoco
@@ -16,6 +15,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError
+from manip_sim.simulation.base_twists import BaseTwists
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
 from manip_sim.simulation.cartesian.hands import Hand
@@ -35,8 +35,6 @@ C = TypeVar('C', bound=Command)
 #: Setpoints that go less than this share of how far they may be ahead of their joints, in a plan,
 #: are looked at once in it.
 CALM = 0.25
-#: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
-_STAMPS_NS = 10**15
 
 
 class JointController(ControlledJoints):
@@ -67,6 +65,7 @@ class JointController(ControlledJoints):
         self.commands = Ledger(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
         self._points = PointStreams(len(self.names))
+        self._base = BaseTwists(self._servos, self._setpoints)
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
         #: For a plan of the setpoints: how fast the servos follow it, and whether that is slow.
@@ -254,9 +253,12 @@ class JointController(ControlledJoints):
             self._setpoints.set_velocity(stopped, np.zeros(len(stopped)))
             meant.handle.end(Status.DONE)
         else:
+            drives = any([isinstance(c, BaseTwist) for c in self.commands.running])
             self.commands.take(meant)
             self.commands.running.append(meant)
-            if isinstance(meant, JointSetpoint):
+            if isinstance(meant, BaseTwist):
+                self._base.begin(meant, data, now_s, period_s, drives)
+            elif isinstance(meant, JointSetpoint):
                 self._apply_setpoint(meant, period_s)
             elif isinstance(meant, CartesianCommand):
                 if MODES[self.modes[meant.indices[0]]].exerts_at_the_hand:
@@ -275,7 +277,7 @@ class JointController(ControlledJoints):
         return command.without(np.array(changed, dtype=np.int64)) if changed else command
 
     def _apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
-        arrival = Arrival(period_s, command.messages, command.sent_ns % _STAMPS_NS * 1e-9)
+        arrival = Arrival(period_s, command.messages, command.sent_s)
         modes = set(command.modes)
         for mode in modes:
             indices, values = command.indices, command.values
@@ -377,7 +379,7 @@ class JointController(ControlledJoints):
             if isinstance(command, CartesianCommand):
                 self.cartesian.follow(command, data, now_s, duration_s, self._effort)
             elif isinstance(command, BaseTwist):
-                self._turn_twist(command, data)
+                self._base.follow(command, data, now_s, duration_s)
         if not setpoints.settled:
             setpoints.advance(duration_s)
         for command in others:
@@ -444,7 +446,7 @@ class JointController(ControlledJoints):
                 continue
             if own.trajectory.points_after(now_s - start_s) <= 2 and self._points.take(
                     own.indices, now_s, start_s + own.trajectory.end_s - now_s,
-                    self._setpoints.stream_interval_s(own.indices)):
+                    min(self._setpoints.stream_settings(i)[0] for i in own.indices.tolist())):
                 self._go_on_to(own)
                 continue
             try:
@@ -459,7 +461,7 @@ class JointController(ControlledJoints):
         """Let a point continue a stream of them."""
         setpoint = command.as_setpoint(self.modes_of(command.indices))
         self.go_to(setpoint.indices, setpoint.values, Arrival(
-            self.cartesian.period_s, command.messages, command.start_ns % _STAMPS_NS * 1e-9))
+            self.cartesian.period_s, command.messages, command.sent_s))
         self.commands.running.append(setpoint)
 
     def _come_to(self, command: JointSetpoint) -> None:
@@ -484,11 +486,3 @@ class JointController(ControlledJoints):
 
     def _commanded_parts(self) -> frozenset[str]:
         return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
-
-    def _turn_twist(self, command: BaseTwist, data: mujoco.MjData) -> None:
-        """Set joint velocities from the twist; the base's slide joints do not turn with it."""
-        forward, side, turn = command.twist
-        yaw = data.qpos[self._servos.qpos[command.indices[2]]]
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        velocity = np.array([cos * forward - sin * side, sin * forward + cos * side, turn])
-        self._setpoints.set_velocity(command.indices, velocity)

@@ -321,10 +321,9 @@ class MessageClocks:
         for clock, _ in self.of(indices, -math.inf):
             clock.longest_s, clock.hold_s = self._settings[clock.indices[0]]
 
-    def longest_s(self, indices: IntArray) -> float:
-        """Return the longest interval between messages of a stream of all of some coordinates."""
-        longest_s: float = min(self._settings[index][0] for index in indices.tolist())
-        return longest_s
+    def settings(self, index: int) -> tuple[float, float]:
+        """Return what :meth:`set` has set for a coordinate: longest interval, hold time [s]."""
+        return self._settings[index]
 
     def forget(self, indices: IntArray) -> None:
         """Let the next messages of some coordinates be the first of a stream."""

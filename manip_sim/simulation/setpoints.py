@@ -130,9 +130,9 @@ class SetpointGenerator:
         for estimator in (self._estimator, self._ramp_estimator):
             estimator.clocks.set(indices, longest_s, hold_s)
 
-    def stream_interval_s(self, indices: IntArray) -> float:
-        """Return the longest interval between messages of a stream for all of some setpoints."""
-        return self._estimator.clocks.longest_s(indices)
+    def stream_settings(self, index: int) -> tuple[float, float]:
+        """Return what :meth:`set_stream` has set for a setpoint [s]."""
+        return self._estimator.clocks.settings(index)
 
     @property
     def lost(self) -> IntArray:

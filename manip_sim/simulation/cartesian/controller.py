@@ -28,13 +28,13 @@ from manip_sim.simulation.cartesian.pose_stream import PoseStream
 from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target, target_of
-from manip_sim.simulation.cartesian.twist_stream import TwistStream
 from manip_sim.simulation.commands import Status
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
 from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.message_clock import STREAM_INTERVAL_S
+from manip_sim.simulation.velocity_stream import VelocityStream
 
 #: Longest interval between two solutions of the inverse kinematics [s].
 _LONGEST_INTERVAL_S = 0.012
@@ -42,10 +42,10 @@ _LONGEST_INTERVAL_S = 0.012
 _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
 #: And if they are slower than this share of the joint velocity limits.
 _SLOW_PACE = 0.005
+#: A twist that needs more than the velocity limits in this time is a jump [s].
+_SPEED_UP_S = 0.1
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
-#: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
-_STAMPS_NS = 10**15
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
 _MOVED = 1e-5
 
@@ -188,18 +188,18 @@ class CartesianController:
         target.stream.take(
             target.position, target.rotation, self.period_s, twist,
             self.settings[command.arm].limits, command.messages,
-            command.sent_ns % _STAMPS_NS * 1e-9)
+            command.sent_s)
 
     def _continue_twists(self, command: CartesianTwist, target: Target, before: Target | None,
                          data: mujoco.MjData, now_s: float) -> None:
         """Let a twist continue the stream of the target before, if it is one in those axes."""
         continued = before.twists if before is not None and before.axes == target.axes else None
-        target.twists = continued or TwistStream()
+        target.twists = continued or VelocityStream(
+            np.repeat(self.settings[command.arm].limits, 3) / _SPEED_UP_S)
         target.twists.set(*self._streams[command.arm])
         target.twists.take(
             command.twist, self._present_twist(command, target.axes, data), now_s, self.period_s,
-            self.settings[command.arm].limits, command.messages,
-            command.sent_ns % _STAMPS_NS * 1e-9)
+            command.messages, command.sent_s)
 
     def _present_twist(self, command: CartesianCommand, frame: Frame, data: mujoco.MjData
                        ) -> FloatArray:
@@ -277,7 +277,7 @@ class CartesianController:
         if target.until_s == -math.inf:
             velocity = stop(joints, interval_s)
         elif target.twists is not None:
-            twist = target.in_world(target.twists.velocity(now_s + interval_s), scratch)
+            twist = target.in_world(target.twists.at(now_s + interval_s), scratch)
             solution = follow_twist(jacobian, twist, joints, interval_s)
             self._see(command, 'the twist', solution.held, solution.singular, solution.slowed)
             target.stay_at(tip.pose(scratch), scratch)

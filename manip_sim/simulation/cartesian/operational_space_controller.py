@@ -129,7 +129,7 @@ class OperationalSpaceController:
         twist, damping = STILL, settings.damping
         if target.twists is not None:
             middle_s = now_s + duration_s / 2.0
-            twist = target.in_world(target.twists.velocity(middle_s), data)
+            twist = target.in_world(target.twists.at(middle_s), data)
             target.move(data, tip, twist, duration_s)
             twist += target.in_world(target.twists.acceleration(now_s), data) / damping
         still = target.ends_stream(now_s)

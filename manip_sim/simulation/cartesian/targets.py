@@ -19,7 +19,7 @@ from manip_sim.simulation.cartesian.frames import (
     Frame, rotation_of_vector, rotation_vector, WORLD)
 from manip_sim.simulation.cartesian.hands import Hand
 from manip_sim.simulation.cartesian.pose_stream import PoseStream
-from manip_sim.simulation.cartesian.twist_stream import TwistStream
+from manip_sim.simulation.velocity_stream import VelocityStream
 
 #: How far a goal that a twist moves may be ahead of the hand [m], [rad].
 _LEAD, _TURN_LEAD = 0.05, 0.3
@@ -49,7 +49,7 @@ class Target:
     position: FloatArray
     rotation: FloatArray
     axes: Frame
-    twists: TwistStream | None = None
+    twists: VelocityStream | None = None
     until_s: float = math.inf
     solve_s: float = -math.inf
     settled_in: FloatArray | None = None

@@ -1,0 +1,77 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A mobile base follows a stream of twists evenly, and forgets one that has ended."""
+
+import numpy as np
+import pytest
+
+from sampling import whole_robot
+
+PERIOD_S = 0.002
+
+
+class Base:
+    """A base that is driven in control periods of one physics step."""
+
+    def __init__(self, name='PandaOmron'):
+        self.simulation = whole_robot(name)
+        self.robot = self.simulation.robot
+        self.dofs = self.robot.parts['base'].dof_addresses
+        self.robot.set_control_mode('base', 'velocity')
+        self.speeds, self.efforts = [], []
+
+    @property
+    def limit(self):
+        joints = self.robot.joints
+        return joints._servos.acceleration_limit[joints.indices_of('base')]
+
+    @property
+    def accelerations(self):
+        return np.abs(np.diff(self.speeds, axis=0)).max(axis=0) / PERIOD_S
+
+    def drive(self, seconds, rate, twist):
+        """Send twists at a rate, as a function of time [s]; None sends none."""
+        for period in range(round(seconds / PERIOD_S)):
+            if period % round(1.0 / rate / PERIOD_S) == 0:
+                wanted = twist(period * PERIOD_S)
+                if wanted is not None:
+                    self.robot.apply(self.robot.parse.twist(*wanted), period_s=PERIOD_S)
+            self.simulation.advance(1)
+            data = self.simulation.data
+            self.speeds.append(data.qvel[self.dofs].copy())
+            self.efforts.append(data.qfrc_actuator[self.dofs].copy())
+
+
+@pytest.mark.parametrize('rate', [10, 20, 50, 500])
+def test_a_stream_of_twists_needs_no_more_acceleration_than_its_own(rate):
+    base = Base()
+    base.drive(2.0, rate, lambda t: (0.3 * np.sin(np.pi * t), 0.0, 0.4 * np.sin(np.pi * t)))
+    own = np.pi * np.array([0.3, 0.3, 0.4])
+    base.speeds, base.efforts = base.speeds[250:], base.efforts[250:]
+    # It turns meanwhile, so that the joint along y moves too.
+    assert (base.accelerations < 1.1 * own).all()
+    assert base.accelerations[0] > 0.8 * own[0]
+
+
+def test_a_jump_keeps_the_acceleration_limit_and_is_reached():
+    base = Base()
+    base.drive(0.6, 20, lambda t: (0.5, 0.0, 0.0))
+    assert base.speeds[-1] == pytest.approx([0.5, 0.0, 0.0], abs=1e-3)
+    assert (base.accelerations < 1.05 * base.limit).all()
+
+
+def test_after_another_command_a_twist_begins_a_stream_from_the_present_velocity():
+    base = Base()
+    base.drive(0.5, 50, lambda t: (0.4, 0.0, 0.0))
+    names = list(base.robot.parts['base'].driven_joints)
+    base.robot.apply(*base.robot.parse.joint_command(names, velocity=[0.0, 0.0, 0.0]),
+                     period_s=PERIOD_S)
+    base.drive(0.02, 50, lambda t: None)
+    slow = base.speeds[-1][0]
+    base.speeds.clear()
+    base.drive(0.3, 50, lambda t: (0.1, 0.0, 0.0))
+    assert 0.2 < slow < 0.4
+    assert (base.accelerations < 1.05 * base.limit).all()
+    assert base.speeds[-1][0] == pytest.approx(0.1, abs=1e-3)
+    assert max(speeds[0] for speeds in base.speeds) < slow + 1e-3
