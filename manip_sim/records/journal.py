@@ -140,6 +140,7 @@ class _World:
         self._handles: weakref.WeakValueDictionary[int, CommandHandle] = (
             weakref.WeakValueDictionary())
         self._numbers = 0
+        self._operations.make_objects(about['objects'])
         self._number(restore_plain(self.simulation, state))
         self._entries: dict[str, Callable[..., None]] = {
             'commands': self._commands, 'withdrawn': self._withdrawn,
@@ -189,6 +190,9 @@ class _World:
             raise ModelError(f'there is no operation {quoted(name)}')
         reason = None
         try:
+            if name == 'spawn' and arguments[1] is None and not failed:
+                raise _Stop(f'{quoted(arguments[0])} was spawned from a file, which the record '
+                            'does not contain')
             self._operations.run(name, *arguments)
         except ManipSimError as error:
             reason = str(error)

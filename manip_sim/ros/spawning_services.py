@@ -18,6 +18,8 @@ from rclpy.node import Node
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.held_models import hold_model
 from manip_sim.models.object_model import check_object_name
+from manip_sim.models.object_texts import (
+    MAX_YAML, named_by_itself, object_from_text, UNNAMED)
 from manip_sim.models.objects import create_object, object_from_model, ObjectModel
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.regular_files import FilesBelow, OneText
@@ -35,13 +37,11 @@ from manip_sim.simulation.robot_spawning import RobotsPlan
 from manip_sim.simulation.spawning import plan_with, plan_without, WorldPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
-#: Name of an object that has none.
-_UNNAMED = 'object'
 #: Formats of files and texts.
 FORMATS = ('mjcf', 'yaml')
 _YAML, _MJCF = ('.yaml', '.yml'), ('.xml', '.mjcf')
-#: Longest text that is read in the executor, and longest YAML, which is slow to read.
-_MAX_QUICK, _MAX_YAML = 5_000, 50_000
+#: Longest text that is read in the executor.
+_MAX_QUICK = 5_000
 
 
 class SpawningServices:
@@ -87,26 +87,29 @@ class SpawningServices:
         with _parsing():
             is_quick, create = _prepared(request, self._files)
 
+        place = pose.position.tolist(), xyzw_to_wxyz(pose.quat_xyzw).tolist()
+
         def make() -> tuple[str, WorldPlan | RobotsPlan]:
             with _parsing():
                 item = create()
                 return (self._plan_robot(item, request, namespace, pose)
                         if isinstance(item, RequestedRobot) else
-                        self._plan_object(item, request, namespace, pose))
+                        self._plan_object(item, request, namespace, place))
         name, plan = make() if is_quick else await in_background(self._node, make)
         if isinstance(plan, RobotsPlan):
             self._robots.come(name, plan)
         else:
-            self._take_over(plan)
+            text = None if request.uri else request.resource_string.strip()
+            self._take_over(plan, 'spawn', name, text, *place)
         return name
 
-    def _plan_object(self, item: ObjectModel, request: Any, namespace: str, pose: Pose
-                     ) -> tuple[str, WorldPlan]:
+    def _plan_object(self, item: ObjectModel, request: Any, namespace: str,
+                     place: tuple[list[float], list[float]]) -> tuple[str, WorldPlan]:
         if namespace:
             raise Rejection(SpawnCode.NAMESPACE_INVALID,
                             'an object is published below objects/ and has no namespace')
         item.name = self._free_name(request.name or item.name, request.allow_renaming)
-        item.place(pose.position, xyzw_to_wxyz(pose.quat_xyzw))
+        item.place(*place)
         return item.name, plan_with(self._simulation.plan, item)
 
     def _plan_robot(self, item: RequestedRobot, request: Any, namespace: str, pose: Pose
@@ -120,7 +123,7 @@ class SpawningServices:
     def _free_name(self, wanted: str, may_rename: bool) -> str:
         taken = self._simulation.entities.names
         if may_rename:
-            wanted = _OTHER_CHARACTERS.sub('_', wanted).lstrip('_0123456789') or _UNNAMED
+            wanted = _OTHER_CHARACTERS.sub('_', wanted).lstrip('_0123456789') or UNNAMED
             free, number = wanted, 1
             while free in taken:
                 free, number = f'{wanted}_{number}', number + 1
@@ -148,15 +151,15 @@ class SpawningServices:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
                             f"'{name}' belongs to the arena or a robot that was there at the "
                             'start, and cannot be deleted')
-        self._take_over(plan_without(plan, name))
+        self._take_over(plan_without(plan, name), 'delete', name)
 
-    def _take_over(self, plan: WorldPlan) -> None:
+    def _take_over(self, plan: WorldPlan, operation: str, *arguments: Any) -> None:
         def change() -> None:
             if self._simulation.diverged is not None:
                 raise Rejection(ResultCode.RESULT_INCORRECT_STATE,
                                 f'{self._simulation.diverged}; reset it first')
-            self._simulation.change_objects(plan)
-        self._thread.call(change, 'an object came or went')
+            self._thread.change(operation, *arguments, using=plan)
+        self._thread.call(change)
         self._changed(self._simulation)
 
 
@@ -188,27 +191,20 @@ def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item
 
 def _from_text(text: OneText) -> tuple[bool, Callable[[], _Item]]:
     if not text.content.startswith(b'<'):
-        values = parse_yaml(text.read(text.file, 'YAML', _MAX_YAML), str(text.file))
+        values = parse_yaml(text.read(text.file, 'YAML', MAX_YAML), str(text.file))
         if RequestedRobot.KEY in values:
             return False, lambda: RequestedRobot(values, str(text.file))
-        return True, lambda: create_object({'name': _UNNAMED, **values}, text)
-    model = hold_model(text.file, text)
-    return model.is_light, lambda: _named_by_itself(object_from_model(model, _UNNAMED))
+    return object_from_text(text)
 
 
 def _from_file(path: str, files: FilesBelow) -> _Item:
     file = files.first(files.places(path))
     if file.suffix in _YAML:
-        values = parse_yaml(files.read(file, 'YAML file', _MAX_YAML), str(file))
+        values = parse_yaml(files.read(file, 'YAML file', MAX_YAML), str(file))
         if RequestedRobot.KEY in values:
             return RequestedRobot(values, str(file))
         return create_object(file, files)
-    return _named_by_itself(object_from_model(hold_model(file, files), _UNNAMED))
-
-
-def _named_by_itself(item: ObjectModel) -> ObjectModel:
-    item.name = item.spec.worldbody.bodies[0].name or _UNNAMED
-    return item
+    return named_by_itself(object_from_model(hold_model(file, files), UNNAMED))
 
 
 def _path(uri: str) -> str:

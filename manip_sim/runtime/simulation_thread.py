@@ -209,22 +209,23 @@ class SimulationThread:
             self._inbox.wake()
         return handles
 
-    def change(self, operation: str, *arguments: Any) -> Any:
+    def change(self, operation: str, *arguments: Any, using: Any = None) -> Any:
         """
         Run an operation in the simulation's thread as :meth:`call`; records can repeat it.
 
         :param operation: name of one of :class:`Operations`
         :param arguments: what JSON can hold
+        :param using: what the operation would make of its arguments, if that is there already
         :returns: what the operation returns
         :raises ManipSimError: if it cannot be done
         :raises SimulationEnded: as :meth:`call`
         """
-        return self.call(lambda: self._operate(operation, *arguments))
+        return self.call(lambda: self._operate(operation, *arguments, using=using))
 
-    def _operate(self, operation: str, *arguments: Any) -> Any:
+    def _operate(self, operation: str, *arguments: Any, using: Any = None) -> Any:
         failed = True
         try:
-            result = self._operations.run(operation, *arguments)
+            result = self._operations.run(operation, *arguments, using=using)
             failed = False
             return result
         finally:
@@ -348,6 +349,11 @@ class SimulationThread:
     def _show_new(self) -> None:
         self._pacer.restart(time.monotonic())
         self._show()
+
+    @property
+    def objects(self) -> list[list[Any]]:
+        """The objects, as :attr:`Operations.objects`."""
+        return self._operations.objects
 
     def restart_by(self, restart: Callable[[int | None], None]) -> None:
         """

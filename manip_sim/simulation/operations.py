@@ -8,11 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, ModelError
+from manip_sim.models.object_model import check_object_name
+from manip_sim.models.object_texts import object_from_text
+from manip_sim.models.regular_files import OneText
+from manip_sim.quoting import quoted
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import SimulationState
 from manip_sim.simulation.simulation import Simulation
+from manip_sim.simulation.spawning import plan_with, plan_without, WorldPlan
 
 
 class Operations:
@@ -30,6 +35,7 @@ class Operations:
         self._simulation, self._steps = simulation, steps
         self.restart: Callable[[int | None], None] = simulation.reset
         self._saved: SimulationState | None = None
+        self._spawned: dict[str, list[Any]] = {}
         self._named: Mapping[str, Callable[..., Any]] = {
             'reset': self._reset, 'save': self._save, 'restore': self._restore,
             'tare': self._tare, 'reset_reflexes': self._reset_reflexes,
@@ -38,17 +44,19 @@ class Operations:
             'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
             'reflex': self._reflex, 'cartesian': self._cartesian, 'place': self._place,
             'direct_command': self._direct_command, 'target': self._target,
-            'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None}
+            'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None,
+            'spawn': self._spawn, 'delete': self._delete}
 
-    def run(self, name: str, *arguments: Any) -> Any:
+    def run(self, name: str, *arguments: Any, using: Any = None) -> Any:
         """
         Run an operation.
 
         :param name: of one of them
         :param arguments: what JSON can hold
+        :param using: what it would make of them, if that is there already
         :raises ManipSimError: if it cannot be done
         """
-        return self._named[name](*arguments)
+        return self._named[name](*arguments, *(() if using is None else (using,)))
 
     @property
     def names(self) -> frozenset[str]:
@@ -131,6 +139,43 @@ class Operations:
 
     def _target(self, name: str, position: list[float], quat_xyzw: list[float]) -> None:
         self._simulation.surroundings.set_target(name, position, quat_xyzw)
+
+    def _spawn(self, name: str, text: str | None, position: list[float], quat_wxyz: list[float],
+               plan: WorldPlan | None = None) -> None:
+        if plan is None:
+            if text is None:
+                raise ModelError(f'{quoted(name)} was spawned from a file')
+            item = object_from_text(OneText(text, 'resource_string'))[1]()
+            item.name = name
+            check_object_name(name, 'name')
+            item.place(position, quat_wxyz)
+            plan = plan_with(self._simulation.plan, item)
+        self._simulation.change_objects(plan)
+        self._spawned[name] = [name, text, position, quat_wxyz]
+
+    def _delete(self, name: str, plan: WorldPlan | None = None) -> None:
+        self._simulation.change_objects(plan or plan_without(self._simulation.plan, name))
+        self._spawned.pop(name, None)
+
+    @property
+    def objects(self) -> list[list[Any]]:
+        """The objects in their order: the arguments with which they were spawned, or the name."""
+        return [self._spawned.get(name, [name]) for name in self._simulation.plan.object_names]
+
+    def make_objects(self, wanted: list[list[Any]]) -> None:
+        """
+        Let there be the objects of another simulation of the same world.
+
+        :param wanted: its :attr:`objects`
+        :raises ModelError: if one cannot be made
+        """
+        names = [item[0] for item in wanted if len(item) == 1]
+        for name in self._simulation.plan.object_names:
+            if name not in names:
+                self._delete(name)
+        for item in wanted:
+            if len(item) > 1:
+                self._spawn(*item)
 
     def _pull(self, body: str, point: list[float], target: list[float], number: int) -> None:
         self._simulation.pulls.pull(body, point, target, number)

@@ -20,7 +20,7 @@ from manip_sim.simulation.simulation import Simulation
 
 _BYTES = ('physics', 'computed_from')
 _NUMBERS = ('versions', 'model', 'step_count', 'control_steps', 'contacts_change', 'diverged',
-            'seed')
+            'seed', 'layout')
 
 
 def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHandle]]:
@@ -37,18 +37,13 @@ def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHan
     found.update(gains={name: b64encode(content).decode()
                         for name, content in state.gains.items()},
                  start=dict(state.start), drawn=dict(state.drawn), control=control,
-                 kinds=_kinds(simulation), keyframe=simulation.start_settings)
+                 keyframe=simulation.start_settings)
     return found, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
 
 
 def _live(simulation: Simulation) -> list[Any]:
     return [list(simulation.control.content()), [
         robot.sensing.save() for robot in simulation.robots.values()], simulation.pulls.state()]
-
-
-def _kinds(simulation: Simulation) -> list[str]:
-    """Return the types of all that states refer to, which must be the same where they are read."""
-    return [type(found).__qualname__ for found in simulation.control.fixed]
 
 
 def restore_plain(simulation: Simulation, content: Any) -> list[CommandHandle]:
@@ -70,7 +65,7 @@ def restore_plain(simulation: Simulation, content: Any) -> list[CommandHandle]:
 
 
 def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
-    if content['kinds'] != _kinds(simulation):
+    if content['layout'] != simulation.control.layout:
         raise ModelError('control consists of other parts here, as with modes or grippers of '
                          'another package')
     (controls, grippers), sensing, pulls = (

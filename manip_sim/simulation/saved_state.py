@@ -98,15 +98,18 @@ class ControlState:
 
     :param roots: what has a state, between two control periods
     :param stateless: types of objects that are not looked into
+    :param passing: types of objects that come and go, a part of what has them
     """
 
-    def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = ()) -> None:
+    def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = (),
+                 passing: tuple[type, ...] = ()) -> None:
         #: What a state refers to by its index here; the same in every simulation of a world.
         self._fixed: list[object] = []
         self._stateful: list[object] = []
         #: Their ``format_action`` may have a state, in classes of users too.
         self._grippers: list[GripperModel] = []
-        self._find(list(roots), (*stateless, Command, CommandHandle))
+        self._find(list(roots), (*stateless, Command, CommandHandle),
+                   (*passing, Command, CommandHandle))
         self._index()
 
     def _index(self) -> None:
@@ -122,7 +125,8 @@ class ControlState:
         vars(self).update(state)
         self._index()  # In a copy, other objects are fixed.
 
-    def _find(self, left: list[Any], stateless: tuple[type, ...]) -> None:
+    def _find(self, left: list[Any], stateless: tuple[type, ...],
+              passing: tuple[type, ...]) -> None:
         seen: set[int] = set()
         while left:
             found = left.pop(0)
@@ -136,7 +140,7 @@ class ControlState:
             elif isinstance(found, np.ndarray):
                 if is_foreign(found):
                     self._fixed.append(found)
-            elif not isinstance(found, (Command, CommandHandle)):
+            elif not isinstance(found, passing):
                 self._fixed.append(found)
                 if isinstance(found, GripperModel):
                     self._grippers.append(found)
@@ -161,7 +165,7 @@ class ControlState:
 
     @property
     def layout(self) -> str:
-        """What a state refers to; another one where objects came or went during commands."""
+        """What a state refers to; another one where control consists of other parts."""
         return ' '.join(type(found).__qualname__ for found in self._fixed)
 
     def save(self) -> bytes:

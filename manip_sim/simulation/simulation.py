@@ -18,7 +18,10 @@ from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
 from manip_sim.resources import package_version
 from manip_sim.sensing.lidars import Lidars
+from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.cartesian.parser import CartesianParser
+from manip_sim.simulation.cartesian.pose_stream import PoseStream
+from manip_sim.simulation.cartesian.targets import Target
 from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.control_period import ControlPeriods, Interval
@@ -26,9 +29,11 @@ from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
 from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
+from manip_sim.simulation.message_clock import MessageClock, MessageClocks
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.physics_steps import PhysicsSteps
 from manip_sim.simulation.present_robots import PresentRobots
+from manip_sim.simulation.point_streams import PointStreams
 from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
@@ -38,8 +43,13 @@ from manip_sim.simulation.saved_state import (
     Content, ControlState, gains, PHYSICS, set_gains, SimulationState)
 from manip_sim.simulation.spawning import plan_world, WorldPlan
 from manip_sim.simulation.start_check import check_start
+from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoals
 from manip_sim.simulation.surroundings import Surroundings
+from manip_sim.simulation.velocity_stream import VelocityStream
 
+#: What commands bring along: it is a part of states, and not there at construction.
+_PASSING = (Frame, MessageClock, MessageClocks, PointStreams, PoseStream, RampEstimator,
+            StreamEstimator, Target, VelocityStream, WaitingGoals)
 #: How long the coupled joints of grippers are simulated so that they settle at their start [s].
 _SETTLE_S = 0.5
 
@@ -122,7 +132,7 @@ class Simulation:
             [robot.robot_model.root_body for robot in self.robots.values()])
         self._control = ControlState(
             [self.efforts, *self.robots.values()],
-            (Clock, Physics, CartesianParser, CommandParser))
+            (Clock, Physics, CartesianParser, CommandParser), _PASSING)
 
     def change_objects(self, plan: WorldPlan) -> None:
         """

@@ -14,6 +14,7 @@ import pytest
 from manip_sim.cli.main import main
 from manip_sim.interface.composition import compose_world
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.records.definitions import definition, full_name
 from manip_sim.records.record_file import RecordFile
@@ -22,6 +23,7 @@ from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.simulation.spawning import plan_with
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
 TEXT, TOPIC = 'std_msgs/String', '/manip_sim/journal'
@@ -51,7 +53,8 @@ class Session:
     def begin(self):
         """Begin, or begin again, as for a new subscriber."""
         about = {'parameters': self.given, 'task_seed': None}
-        self.thread.call(lambda: self.thread.journal.begin(about, self.write))
+        self.thread.call(lambda: self.thread.journal.begin(
+            {**about, 'objects': self.thread.objects}, self.write))
 
     def step(self, count):
         """Advance by some control periods; each is a message."""
@@ -332,3 +335,44 @@ def test_drawn_starts_and_several_robots_are_repeated(given, session, verify):
     node.close()
     code, lines = verify()
     assert (code, lines[-1]) == (0, '1 of 1 equal'), lines
+
+
+BOX = """<mujoco><worldbody><body name="box" pos="0 0 1"><freejoint/>
+<geom type="box" size="0.03 0.02 0.01" mass="0.1"/></body></worldbody></mujoco>"""
+YAML = '{name: ball, shape: sphere, size: [0.03], mass: 0.2}'
+
+
+def test_objects_that_come_and_go_are_repeated(session, verify):
+    node = session(robot='UR5e', arena='table')
+    turn = [1.0, 0.0, 0.0, 0.0]
+    node.act(10)
+    node.thread.change('spawn', 'box', BOX, [0.4, 0.1, 1.1], turn)  # While everything moves.
+    node.act(10)
+    node.begin()
+    node.act(10)
+    node.thread.change('spawn', 'ball', YAML, [0.4, 0.3, 1.1], turn)
+    node.act(10)
+    node.thread.change('delete', 'cube')
+    node.act(10)
+    node.begin()  # As for a new subscriber, with objects of both kinds.
+    node.act(10)
+    node.thread.change('delete', 'box')
+    node.act(110)
+    node.close()
+    code, lines = verify()
+    assert (code, lines[-1]) == (0, '1 of 1 equal'), lines
+    assert lines[0].startswith('150 control periods repeated')
+
+
+def test_an_object_from_a_file_is_told(session, verify):
+    node = session(robot='UR5e', arena='table')
+    node.begin()
+    item = create_object({'name': 'of_file', 'shape': 'box', 'size': [0.1, 0.1, 0.1], 'mass': 1.0})
+    node.thread.change('spawn', 'of_file', None, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0],
+                       using=plan_with(node.simulation.plan, item))
+    node.step(3)
+    node.close()
+    assert verify() == (1, [
+        "'of_file' was spawned from a file, which the record does not contain, after 0 control "
+        'periods, at 0.010000 s', '0 control periods repeated, with 0 changes from outside',
+        '0 of 1 equal'])
