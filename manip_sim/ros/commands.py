@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 import time
 from typing import Any
+import weakref
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -89,6 +90,9 @@ class CommandSubscription:
             if subscription is not None:
                 if self._inbox is not None:
                     self._inbox.remove(subscription)
+                # rclpy would keep them for as long as the group lives.
+                for entity in (subscription, *subscription.event_handlers):
+                    subscription.callback_group.entities.discard(weakref.ref(entity))
                 self._node.destroy_subscription(subscription)
 
     def _take_once(self, data: bytes, info: dict[str, Any]) -> None:

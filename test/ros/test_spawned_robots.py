@@ -66,7 +66,8 @@ def entities_of(node):
         'publishers', 'subscriptions', 'services', 'timers', 'guards', 'waitables')} | {
             'parameters': len(node._parameters), 'table': len(node.table),
             'threads': len(threading.enumerate()),
-            'observers': len(node.thread._observers._all)}
+            'observers': len(node.thread._observers._all),
+            'group': len(node._inbox.group.entities)}
 
 
 def test_a_robot_comes_is_commanded_and_goes(spawning, client):
