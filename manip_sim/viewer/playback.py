@@ -223,6 +223,8 @@ class Player:
                 self._is_new, self._new_s = False, None
                 self._draw_line()
         self._timeline.update(now_s)
+        if self._scene is not None:
+            self._aiming.update(self._kinematics)
 
 
 def _labels_of(entries: Iterable[Entry]) -> tuple[str, ...]:

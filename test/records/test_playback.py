@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from manip_sim.records.record_file import RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.records.recorder import MODEL, NODE  # noqa: E402
 from manip_sim.viewer.page.access import Access  # noqa: E402
+from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
 from manip_sim.viewer.page.server import close_server, open_server  # noqa: E402
 from manip_sim.viewer.playback import Player  # noqa: E402
 from manip_sim.viewer.shown_records import described, entries_in, Entry  # noqa: E402
@@ -244,6 +246,49 @@ def test_a_body_is_at_its_newest_pose_and_at_its_first_one_before(show, tmp_path
         player._timeline.go(instant)
         seen.append(player._kinematics.data.body('cube').xpos[0])
     assert seen == [2.0, 2.0, 2.0, 2.0, 3.0]
+
+
+def test_the_wrench_at_a_hand_and_its_pose_are_plotted(show, tmp_path):
+    record = NodeRecord(tmp_path / 'node.mcap', compose('Panda').to_archive())
+    for second in (1.0, 2.0):
+        record.joints(second, 0.1, -2.0)
+        for topic, force in (('external_wrench', 20.0), ('desired_wrench', 7.0)):
+            record.write(f'/cell/right/{topic}', 'geometry_msgs/WrenchStamped', second, wrench={
+                'force': {'x': second, 'y': force, 'z': 30.0},
+                'torque': dict.fromkeys('xyz', 0.0)})
+        record.write('/cell/right/eef_pose', 'geometry_msgs/PoseStamped', second, pose={
+            'position': {'x': second, 'y': 0.2, 'z': 0.3},
+            'orientation': dict.fromkeys('xyzw', 0.5)})
+    record.close()
+    plots = show(tmp_path / 'node.mcap')._plots
+    assert [name for name in plots if 'joint' not in name] == [
+        'cell right external force', 'cell right position']
+    assert plots['cell right external force'].values.tolist() == [
+        [1.0, 20.0, 30.0], [2.0, 20.0, 30.0]]
+    assert plots['cell right position'].values.tolist() == [[1.0, 0.2, 0.3], [2.0, 0.2, 0.3]]
+
+
+def test_browsers_look_at_the_robot_of_the_record_that_is_shown(show, tmp_path, monkeypatch):
+    for robot in ('Panda', 'GR1'):
+        record = NodeRecord(tmp_path / f'{robot}.mcap', compose(robot).to_archive())
+        record.joints(1.0, 0.1, -2.0)
+        record.joints(2.0, 0.1, -2.0)
+        record.close()
+    player = show(tmp_path / 'Panda.mcap', tmp_path / 'GR1.mcap')
+    first = player._server.initial_camera
+    camera = SimpleNamespace(image_width=800, image_height=400, fov=first.fov,
+                             position=first.position, look_at=first.look_at)
+    monkeypatch.setattr(player._server, 'get_clients', lambda: {
+        1: SimpleNamespace(camera=camera)})
+    for robot in range(2):
+        player._open(robot)
+        player.update(float(robot))
+        seen = first_view(player._kinematics.model, player._kinematics.data, 2.0, 0.5)
+        np.testing.assert_allclose([camera.position, camera.look_at], seen)
+    camera.position = moved = np.array([9.0, 9.0, 9.0])
+    player._timeline.go(1)
+    player.update(3.0)
+    assert camera.position is moved
 
 
 def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):
