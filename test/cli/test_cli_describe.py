@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from manip_sim.cli.description import camera_rows
+from manip_sim.cli.description import _servo_type, camera_rows
 from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED
 from manip_sim.models import compose, load_robot
 from manip_sim.models.robots import robot_names
@@ -98,6 +98,21 @@ def test_frames_stand_where_forward_kinematics_puts_them(described):
     mujoco.mju_quat2Mat(rotation, np.array([w, x, y, z]))
     assert rotation == pytest.approx(data.site('gripper0_right_grip_site').xmat, abs=1e-9)
     assert 'gripper0_right_ft_frame' in frames and 'table' not in frames
+
+
+@pytest.mark.parametrize(('actuator', 'kind'), [
+    ('<position joint="j" kp="10"/>', 'position servo'),
+    ('<position joint="j" kp="10" kv="1"/>', 'position servo'),
+    ('<velocity joint="j" kv="2"/>', 'velocity servo'),
+    ('<motor joint="j"/>', 'motor'), ('<muscle joint="j"/>', 'other'),
+    ('<general joint="j" biastype="affine"/>', 'other'),
+    ('<general joint="j" gaintype="affine" biastype="affine" biasprm="0 -1 0"/>', 'other'),
+    ('<general joint="j" gaintype="affine"/>', 'other')])
+def test_an_actuator_is_called_as_the_element_that_makes_it(actuator, kind):
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j" range="-1 1" limited="true"/>'
+        f'<geom size="1"/></body></worldbody><actuator>{actuator}</actuator></mujoco>')
+    assert _servo_type(model, 0) == kind
 
 
 def test_actuators_tell_what_they_are_in_the_files(described):

@@ -112,6 +112,17 @@ def test_a_robot_of_the_users_own_file_tells_its_folder(here, one_joint_arm, tmp
     assert (row['from'], row['file']) == (f'folder {tmp_path}', 'model.xml')
 
 
+def test_a_robot_without_arms_has_none_in_the_list(here, robot_class, one_joint_arm, tmp_path):
+    one_joint_arm()
+
+    class Crane(robot_class):
+        def __init__(self, idn=0):
+            super().__init__(tmp_path / 'model.xml', idn)
+    row = next(row for row in json.loads(here('list', 'robots', '--json')[1])['robots']
+               if row['name'] == 'Crane')
+    assert (row['arms'], row['joints'], row['default_gripper']) == (0, 1, [])
+
+
 def test_a_robot_of_another_package_tells_its_package_or_entry_point(
         here, one_joint_arm, tmp_path, monkeypatch):
     class Foreign(type(one_joint_arm())):

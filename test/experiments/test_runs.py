@@ -95,6 +95,14 @@ def test_shards_in_one_folder_and_in_several_make_the_same_rows(whole, tmp_path,
     assert 'both have the seed 0: the same shard twice' in capsys.readouterr().err
 
 
+def test_runs_of_other_policies_are_not_merged_and_leave_no_folder(whole, tmp_path, capsys):
+    assert run(tmp_path / 'other', policy='WithoutSeed', worlds='1', seeds='0:1') == 0
+    out = tmp_path / 'merged'
+    assert main(['merge', str(whole), str(tmp_path / 'other'), '--out', str(out)]) == 1
+    assert str(tmp_path / 'other') in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_a_run_that_was_killed_goes_on_and_doubles_nothing(whole, tmp_path):
     out = tmp_path / 'killed'
     command = [sys.executable, '-m', 'manip_sim.cli', 'run', 'reach', '--policy',

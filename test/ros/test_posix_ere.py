@@ -62,10 +62,16 @@ def test_random_expressions_find_what_grep_finds():
     ('[[:no:]]', 'unknown class'), ('[[=a=]]', 'not supported'), ('(a)\\1', 'backslash'),
     ('a\\', 'backslash'), ('\\w', 'backslash'), ('a' * 201, 'longer than 200'),
     ('(' * 30 + ')' * 30, 'nested more than 20 deep'),
-    ('((a{99}){99}){99}', 'more than 500 parts')])
+    ('((a{99}){99}){99}', 'more than 500 parts'), ('(a{99}){5}aaaaa', 'more than 500 parts'),
+    ('a{256}{1000}', "bad bounds after '{'"), ('a{999}', 'more than 500 parts')])
 def test_what_is_no_expression_or_too_long_is_rejected(pattern, reason):
     with pytest.raises(ValueError, match=reason):
         PosixExpression(pattern)
+
+
+def test_an_expression_of_as_many_parts_as_may_be_is_used():
+    expression = PosixExpression('(a{99}){5}aaaa')
+    assert expression.found_in('a' * 499) and not expression.found_in('a' * 498)
 
 
 @pytest.mark.parametrize('pattern', [

@@ -81,6 +81,7 @@ import sys
 from manip_sim.ros import main
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.executor import GuardedExecutor
+from manip_sim.ros.publishing_thread import PublishingThread
 from manip_sim.simulation import Simulation
 
 def fails(owner, name, fail):
@@ -95,6 +96,10 @@ if sys.argv[1] == 'physics':
     fails(Simulation, 'advance', out_of_memory)
 elif sys.argv[1] == 'commands':
     fails(CommandInbox, 'wait', sys.exit)
+elif sys.argv[1] == 'publishing':
+    add = PublishingThread.add
+    PublishingThread.add = lambda self, publish: add(
+        self, sys.exit if os.path.exists(sys.argv[2]) else publish)
 else:
     fails(GuardedExecutor, 'spin_once', sys.exit)
 sys.exit(main.run([]))
@@ -104,8 +109,9 @@ sys.exit(main.run([]))
 @pytest.mark.parametrize('what, told', [
     ('physics', 'MemoryError: no memory for the physics'),
     ('executor', 'sim_node: the executor ended unexpectedly'),
-    ('commands', 'sim_node: the thread that takes commands ended unexpectedly')],
-    ids=['physics', 'executor', 'commands'])
+    ('commands', 'sim_node: the thread that takes commands ended unexpectedly'),
+    ('publishing', 'sim_node: the thread that publishes ended unexpectedly')],
+    ids=['physics', 'executor', 'commands', 'publishing'])
 def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_path):
     if what == 'commands' and not is_known():
         pytest.skip('of this rclpy the executor takes commands')

@@ -48,6 +48,11 @@ def test_the_pace_begins_again_when_a_pause_ends_and_at_no_other_time(thread):
     assert thread._pacer.deadline_s > due_s
 
 
+def test_a_state_that_is_held_is_shown_again_after_a_tenth_of_a_second(thread):
+    thread._show()
+    assert thread._repeat_at - thread.progress.wall_s == pytest.approx(0.1)
+
+
 def test_a_call_that_waits_is_rejected_at_the_end():
     published, released = Event(), Event()
 
@@ -275,6 +280,16 @@ def test_commands_are_taken_by_the_robot_that_they_were_made_for_alone(free):
         thread.step()
     assert own.handle.status is other.handle.status is Status.WAITING
     assert all(abs(robot.state().position[0]) < 1e-6 for robot in robots.values())
+
+
+def test_lockstep_waits_for_the_arena_only_if_it_is_told_to():
+    for waits in ({}, {'waits_for_arena': True}):
+        thread = SimulationThread(Simulation(World([Panda()])), 5, 'lockstep',
+                                  lockstep_parts={'robot0': ['arm']}, **waits)
+        thread.submit([thread._simulation.robot.parse.action('arm', [0.0] * 7)])
+        assert thread._missing == ({'arena': ['arena']} if waits else {})
+        thread.at_next_period('arena/door', lambda: None)
+        assert thread._missing == {}
 
 
 def test_lockstep_waits_for_the_parts_of_every_robot(free):

@@ -1,0 +1,30 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What options of the command line take, up to their limits."""
+
+import argparse
+
+import pytest
+
+from manip_sim.cli import option_types
+
+
+@pytest.mark.parametrize(('kind', 'text', 'value'), [
+    ('positive', '0.001', 0.001), ('positive', '1', 1.0), ('positive', '5e-324', 5e-324),
+    ('whole', '0', 0), ('whole', '12', 12), ('count', '1', 1), ('number', '-0.5', -0.5),
+    ('numbers', '0,0.1', [0.0, 0.1]), ('assignment', 'a=b=c', ('a', 'b=c')),
+    ('assignment', 'a=', ('a', ''))])
+def test_a_value_that_fits_is_taken(kind, text, value):
+    assert getattr(option_types, kind)(text) == value
+
+
+@pytest.mark.parametrize(('kind', 'text', 'message'), [
+    ('positive', '0', 'must be above 0'), ('positive', '-1', 'must be above 0'),
+    ('positive', 'nan', 'must be a finite number'), ('number', '1e999', 'must be a finite number'),
+    ('whole', '-1', 'must be a whole number'), ('whole', '\u0663', 'must be a whole number'),
+    ('count', '0', 'must be at least 1'), ('assignment', '=b', 'must be like NAME=VALUE'),
+    ('assignment', 'ab', 'must be like NAME=VALUE'), ('image_size', '800', 'must be like')])
+def test_a_value_that_does_not_fit_is_rejected(kind, text, message):
+    with pytest.raises(argparse.ArgumentTypeError, match=f'^{message}.*{text[:1]}'):
+        getattr(option_types, kind)(text)
