@@ -37,6 +37,7 @@ def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHan
     found.update(gains={name: b64encode(content).decode()
                         for name, content in state.gains.items()},
                  start=dict(state.start), drawn=dict(state.drawn), control=control,
+                 robots=list(state.robots),
                  keyframe=simulation.start_settings)
     return found, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
 
@@ -65,6 +66,10 @@ def restore_plain(simulation: Simulation, content: Any) -> list[CommandHandle]:
 
 
 def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
+    robots = [one_line(str(name), 80) for name in content['robots']]
+    if robots != [*simulation.robots]:
+        raise ModelError(f'the state was saved with the robots {", ".join(robots)}, now there are '
+                         f'{", ".join(simulation.robots)}')
     if content['layout'] != simulation.control.layout:
         raise ModelError('control consists of other parts here, as with modes or grippers of '
                          'another package')

@@ -14,6 +14,7 @@ import pytest
 from manip_sim.cli.main import main
 from manip_sim.interface.composition import compose_world
 from manip_sim.interface.given_parameters import GivenParameters
+from manip_sim.models import compose_robot
 from manip_sim.models.objects import create_object
 from manip_sim.models.robots import robot_names
 from manip_sim.records.definitions import definition, full_name
@@ -23,6 +24,7 @@ from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.goal_tracker import GoalTracker
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.gripper_goal import GripperGoal, GripperRequest
+from manip_sim.simulation.robot_spawning import plan_with_robot
 from manip_sim.simulation.spawning import plan_with
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 
@@ -262,6 +264,23 @@ def test_what_cannot_be_repeated_is_told(session, verify):
     assert lines[0].startswith('a state was restored that was saved before, which cannot be '
                                'repeated, after 2 control periods')
     assert lines[1].startswith('6 control periods repeated')
+
+
+def test_what_follows_a_robot_that_came_is_not_repeated(session, verify):
+    node = session(robot='Panda')
+    node.begin()
+    node.act(2)
+    robot = compose_robot('UR5e', prefix='left_')
+    robot.set_base_xpos([0.0, 2.0, 0.0])
+    node.thread.change_robots(plan_with_robot(node.simulation, robot))
+    node.begin()
+    node.act(3, node.simulation.robots['left'])
+    node.close()
+    code, lines = verify()
+    assert code == 1
+    assert lines[0].startswith('a robot came or went, which cannot be repeated, after 2 control')
+    assert lines[1] == ('the journal cannot be repeated here: the state was saved with the robots '
+                        'robot0, left, now there are robot0')
 
 
 def test_files_of_others_are_not_read(session, verify, tmp_path):
