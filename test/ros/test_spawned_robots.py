@@ -3,6 +3,7 @@
 
 """Robots that come and go while a node runs."""
 
+from dataclasses import replace
 import gc
 import json
 from pathlib import Path
@@ -28,6 +29,7 @@ from manip_sim.ros import sim_node, spawned_robots
 from manip_sim.ros.action_messages import ActionMessages
 from manip_sim.ros.actions import ActionServers
 from manip_sim.simulation.trajectory_goal import TrajectoryGoal, TrajectoryRequest
+from manip_sim.viewer.ros.layout import layout_of
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 UR5E = '{robot: UR5e}'
@@ -321,3 +323,22 @@ def test_a_goal_of_a_robot_ends_with_it_and_its_client_hears_why(spawning, clien
         swinging.destroy()
     after = entities_of(node)
     assert {**after, 'threads': 0} == {**before, 'threads': 0}
+
+
+def test_the_viewer_sees_both_robots_apart(spawning, client):
+    node = spawning()
+    name, space = node.get_name(), node.get_namespace()
+
+    def seen():
+        published, subscribed = ([topic for topic, _ in of_node(name, space)] for of_node in (
+            client.node.get_publisher_names_and_types_by_node,
+            client.node.get_subscriber_names_and_types_by_node))
+        return layout_of('/', published, subscribed).robots
+    client.spin_until(lambda: name in client.node.get_node_names())
+    (alone,) = client.settled(seen)
+    come(client)
+    both = client.settled(seen)
+    assert both == (alone, replace(alone, space='/left/'))
+    assert alone.parts == ('arm', 'right/gripper') and alone.hands == ('right',)
+    go(client)
+    client.spin_until(lambda: seen() == (alone,))

@@ -66,7 +66,11 @@ def layout_of(base: str, published: Collection[str], subscribed: Collection[str]
                and len(parts := name.removeprefix(base).split('/')) == 3 and parts[2] == 'pose']
     cameras = [name.removeprefix(base).removesuffix(_IMAGE) for name in published
                if name.startswith(base) and name.endswith(_IMAGE)]
-    return Layout(tuple(_robot(space, subscribed) for space in spaces), tuple(sorted(objects)),
+    # The namespace of a spawned robot is below that of the only one from the start.
+    owned = {space: [topic for topic in subscribed if topic.startswith(space) and not any(
+        len(other) > len(space) and topic.startswith(other) for other in spaces)]
+        for space in spaces}
+    return Layout(tuple(_robot(space, owned[space]) for space in spaces), tuple(sorted(objects)),
                   tuple(sorted(cameras)))
 
 
@@ -76,8 +80,6 @@ def _robot(space: str, subscribed: Collection[str]) -> RobotTopics:
     double = 'arm' if {'right', 'left'} <= set(parts) else 'right'
     kept = [part for part in parts if part.count('/') <= part.endswith(_GRIPPER)
             and not (part == double and 'arm' in parts)]
-    # Another robot's namespace may be below that of the only one from the start.
-    hands = [hand for hand in hands if '/' not in hand]
     return RobotTopics(space, tuple(sorted(kept, key=_order)),
                        tuple(sorted(hands, reverse=True)), f'{space}base/cmd_vel' in subscribed)
 
