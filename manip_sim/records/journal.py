@@ -25,8 +25,7 @@ from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import (
     Command, CommandHandle, GripperCommand, NoCommand, Status)
 from manip_sim.simulation.operations import Operations
-from manip_sim.simulation.plain import Decoder
-from manip_sim.simulation.plain_state import check_sum, restore_plain
+from manip_sim.simulation.plain_state import check_sum, decoded, restore_plain
 from manip_sim.tasks import start
 
 #: Parameters with files that are not in the catalogue.
@@ -165,9 +164,8 @@ class _World:
         self._entries[kind](*content)
 
     def _commands(self, content: Any) -> None:
-        decoder = Decoder(self.simulation.control.fixed)
-        commands = decoder.decode(content)
-        self._number([met for met in decoder.met if isinstance(met, CommandHandle)])
+        commands, handles = decoded(self.simulation, content)
+        self._number(handles)
         for robot, command in commands:
             if not isinstance(command, Command):
                 raise ModelError('a command is none')

@@ -13,6 +13,7 @@ import zlib
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line
+from manip_sim.simulation.cartesian.frames import Frame
 from manip_sim.simulation.commands import CommandHandle
 from manip_sim.simulation.plain import check_like, Decoder, Encoder
 from manip_sim.simulation.saved_state import gains
@@ -47,6 +48,23 @@ def _live(simulation: Simulation) -> list[Any]:
         robot.sensing.save() for robot in simulation.robots.values()], simulation.pulls.state()]
 
 
+def decoded(simulation: Simulation, content: Any) -> tuple[Any, list[CommandHandle]]:
+    """
+    Return a value that an :class:`Encoder` has written for a simulation, and handles in it.
+
+    :raises ModelError: if it is none, or names bodies that are not there
+    """
+    decoder, model = Decoder(simulation.control.fixed), simulation.model
+    value = decoder.decode(content)
+    for found in decoder.met:
+        # MuJoCo does not check them.
+        if isinstance(found, Frame) and not (
+                found.body in range(model.nbody)
+                and (found.site is None or found.site in range(model.nsite))):
+            raise ModelError('a frame of no body or site')
+    return value, [met for met in decoder.met if isinstance(met, CommandHandle)]
+
+
 def restore_plain(simulation: Simulation, content: Any) -> list[CommandHandle]:
     """
     Continue from a state.
@@ -74,7 +92,7 @@ def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
         raise ModelError('control consists of other parts here, as with modes or grippers of '
                          'another package')
     (controls, grippers), sensing, pulls = (
-        Decoder(simulation.control.fixed).decode(part) for part in content['control'])
+        decoded(simulation, part)[0] for part in content['control'])
     for new, now in ((controls, simulation.control.content()[0]),
                      (grippers, simulation.control.content()[1]),
                      (sensing, [robot.sensing.save() for robot in simulation.robots.values()])):

@@ -395,3 +395,27 @@ def test_an_object_from_a_file_is_told(session, verify):
         "'of_file' was spawned from a file, which the record does not contain, after 0 control "
         'periods, at 0.010000 s', '0 control periods repeated, with 0 changes from outside',
         '0 of 1 equal'])
+
+
+@pytest.mark.parametrize('changes', [{'body': 10**7}, {'body': -10**7}, {'site': 10**7}])
+def test_frames_of_no_bodies_are_rejected(changes, session, verify, tmp_path):
+    node = session(robot='UR5e')
+    robot = node.simulation.robot
+    node.begin()
+    node.thread.submit([robot.parse_cartesian.twist(
+        'right', [0.0, 0.0, 0.1], [0.0, 0.0, 0.0], '')])
+    node.step(3)
+    node.close()
+
+    def turn(value):
+        if isinstance(value, list):
+            for one in value:
+                turn(one)
+        elif isinstance(value, dict):
+            if 'body' in value:
+                value.update({'site': 0, **changes})
+            turn(list(value.values()))
+        return value
+    code, lines = verify(changed(tmp_path, turn))
+    assert code == 1
+    assert lines[0].startswith('the journal cannot be repeated: a frame of no body or site')
