@@ -105,7 +105,7 @@ def test_after_the_end_of_the_context_waits_are_short_and_nothing_is_raised(node
     node.destroy_node()
     inbox.wake()
     inbox.take()
-    assert took_s(lambda: inbox.wait(5.0)) < 3.0
+    assert took_s(lambda: inbox.wait(600.0)) < 300.0
 
 
 @pytest.mark.parametrize('known', ['7.1.', 'another'])

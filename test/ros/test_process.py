@@ -15,6 +15,7 @@ from harness import END_SIGNALS
 from pages import blocks
 import pytest
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from manip_sim.ros.command_inbox import is_known
@@ -119,7 +120,9 @@ def test_a_process_whose_thread_dies_ends_and_says_so(what, told, client, tmp_pa
     node = subprocess.Popen([sys.executable, '-c', FAILS, what, str(now)], text=True,
                             stderr=subprocess.PIPE)
     try:
-        client.state()
+        # It stays subscribed: without subscribers nothing is published that could fail.
+        states = client.listen(JointState, 'joint_states')
+        client.spin_until(lambda: bool(states))
         now.touch()
         # A controller must not go on with a node that only seems to live.
         _, errors = node.communicate(timeout=300.0)
@@ -263,7 +266,7 @@ from sensor_msgs.msg import JointState
 rclpy.init()
 node = rclpy.create_node('publisher')
 publisher = node.create_publisher(JointState, 'arm/joint_command', 1)
-end = time.monotonic() + 30.0
+end = time.monotonic() + 600.0
 while time.monotonic() < end:
     publisher.publish(JointState(name=['robot0_joint1'], **{sys.argv[1]: [float(sys.argv[2])]}))
     time.sleep(0.02)
