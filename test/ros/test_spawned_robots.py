@@ -12,6 +12,7 @@ import sys
 import threading
 
 from action_msgs.msg import GoalStatus
+from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
@@ -23,6 +24,7 @@ from spawning_node import ask, SpawningByParameters
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from visualization_msgs.msg import MarkerArray
 
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.ros import sim_node, spawned_robots
@@ -342,3 +344,16 @@ def test_the_viewer_sees_both_robots_apart(spawning, client):
     assert alone.parts == ('arm', 'right/gripper') and alone.hands == ('right',)
     go(client)
     client.spin_until(lambda: seen() == (alone,))
+
+
+def test_odometry_and_markers_follow_a_mobile_robot(spawning, client):
+    spawning()
+    markers = client.listen(MarkerArray, 'manip_sim/markers')
+    come(client, text='{robot: PandaOmron}')
+    odometry = client.listen(Odometry, 'left/odom')
+    client.spin_until(lambda: odometry and markers)
+    assert odometry[-1].header.frame_id == 'left_odom'
+    go(client)
+    client.spin_until(lambda: not client.node.count_publishers('left/odom'))
+    count = len(markers)
+    client.spin_until(lambda: len(markers) > count + 5)
