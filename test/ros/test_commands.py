@@ -248,3 +248,11 @@ def test_a_message_without_a_number_is_taken_silently(message, serve, client):
     client.spin_until(lambda: node.commands[0].statistics['arm'].accepted == 1)
     assert not any(s.rejected for s in node.commands[0].statistics.values())
     assert not any('rejected' in line for line in log)
+
+
+def test_commands_of_an_arm_are_counted_under_one_name_whichever_they_come_by(serve, client):
+    statistics = serve().commands[0].statistics
+    for name in ('arm', 'right'):
+        client.publish(f'{name}/command', Float64MultiArray(data=[0.0] * 7))
+    client.spin_until(lambda: statistics['arm'].accepted == 2)
+    assert 'right' not in statistics
