@@ -56,7 +56,8 @@ nitpick_ignore_regex = [
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hand|Hold'
                         r'|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike|CameraLike'
                         r'|Pictures|VelocityLaw|Friction|TorqueSpeed|Shard|Base'
-                        r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured)'),
+                        r'|create_lidar|LidarModel|LidarLike|RandomizationLike|Measured'
+                        r'|ControlState|ElementMap|Operations)'),
 ]
 
 # The theme of docs.ros.org where furo is not installed.
