@@ -37,6 +37,7 @@ class Row:
         distribution [s]
     :ivar timer: standard deviation of the times of sending, in intervals
     :ivar lost: share of the messages
+    :ivar due: if each message is a trajectory of one point, when that is due, in intervals
     """
 
     rate: int
@@ -44,13 +45,20 @@ class Row:
     jitter_s: float = 0.0
     timer: float = 0.0
     lost: float = 0.0
+    due: float = 0.0
 
     def __str__(self) -> str:
         what = [f'{self.jitter_s * 1e3:g} ms on the way'] if self.jitter_s else []
         what += [f"{self.timer:.0%} of the sender's timer"] if self.timer else []
         what += [f'{self.lost:.0%} lost'] if self.lost else []
-        return (f'{self.rate} Hz, {self.control_rate} Hz | '
+        points = f', points due in {1e3 * self.due / self.rate:.3g} ms' if self.due else ''
+        return (f'{self.rate} Hz, {self.control_rate} Hz{points} | '
                 + (', '.join(what) or 'on schedule'))
+
+    @property
+    def stream(self) -> tuple[int, int, float]:
+        """What the stream on schedule has in common with it."""
+        return self.rate, self.control_rate, self.due
 
     def deliver(self, seconds: float) -> tuple[FloatArray, FloatArray]:
         """Return when messages are sent and when they come [s], in the order of arrival."""
@@ -69,7 +77,9 @@ ROWS = tuple(row for rate, control_rate, jitter_s in (
                 Row(rate, control_rate, lost=0.01))) + (
     Row(10, 500), Row(10, 500, timer=0.2), Row(100, 500), Row(100, 500, timer=0.2),
     Row(100, 500, 0.002, timer=0.2), Row(100, 100, 0.002, timer=0.1),
-    Row(250, 250, 0.001, timer=0.2))
+    Row(250, 250, 0.001, timer=0.2), *(
+        Row(rate, 500, jitter_s, due=due) for rate, due in ((100, 1.0), (100, 2.0), (30, 1.0))
+        for jitter_s in (0.0, 0.002)))
 
 
 def follow(row: Row, seconds: float) -> tuple[float, float, float]:
@@ -88,8 +98,10 @@ def follow(row: Row, seconds: float) -> tuple[float, float, float]:
             time_s = sent[taken]
             goal = start.copy()
             goal[0] += AMPLITUDE * min(1.0, time_s) * np.sin(TURN * time_s)
-            robot.apply(*robot.parse.joint_command(names, position=goal),
-                        period_s=1.0 / row.control_rate)
+            due_s = row.due / row.rate
+            commands = ([robot.parse.trajectory('arm', names, [due_s], [goal])] if row.due
+                        else robot.parse.joint_command(names, position=goal))
+            robot.apply(*commands, period_s=1.0 / row.control_rate)
             taken += 1
         simulation.advance(steps)
         if now_s >= SETTLED_S:
@@ -111,13 +123,12 @@ def main() -> None:
     print('| stream, control rate | messages | acceleration | torque | of the torque on schedule '
           '| ripple |\n|---|---|---|---|---|---|')
     # Those on schedule come first.
-    ideal: dict[tuple[int, int], float] = {}
+    ideal: dict[tuple[int, int, float], float] = {}
     for row in ROWS:
         acceleration, torque, ripple = follow(row, seconds)
-        rates = row.rate, row.control_rate
-        ideal.setdefault(rates, torque)
+        ideal.setdefault(row.stream, torque)
         print(f'| {row} | {acceleration:.1f} rad/s^2 | {torque:.1f} N m '
-              f'| {torque / ideal[rates]:.2f} '
+              f'| {torque / ideal[row.stream]:.2f} '
               f'| {ripple:.1%} |', flush=True)
 
 

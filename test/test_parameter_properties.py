@@ -5,6 +5,7 @@
 
 import copy
 import math
+import re
 
 import pytest
 
@@ -62,10 +63,16 @@ class _WithoutAliases(yaml.SafeDumper):
 
 
 @given(st.dictionaries(st.text(max_size=6), VALUES, max_size=4))
-def test_what_is_written_as_yaml_is_read_back(values):
+def test_what_is_written_as_yaml_is_read_back_unless_an_integer_is_too_large(values):
     text = yaml.dump(values, Dumper=_WithoutAliases, allow_unicode=True)
+    try:
+        found = parse_yaml(text, 'here')
+    except ModelError as error:
+        assert 'at most 64 bits' in str(error)
+        assert any(len(number) > 18 for number in re.findall('[0-9]+', text))
+        return
     # NaN is not equal to itself.
-    assert repr(parse_yaml(text, 'here')) == repr(yaml.safe_load(text) or {})
+    assert repr(found) == repr(yaml.safe_load(text) or {})
 
 
 OBJECT = st.fixed_dictionaries({}, optional={

@@ -79,7 +79,8 @@ def test_points_that_are_due_soon_need_hardly_more_than_the_motion_itself(
     ideal = SIZE * RATE**2
     for delays in ((0.0,), jitter(0.002)):
         sender = Sender()
-        sender.stream(rate, np.array(due) / rate, velocities, delays, stamped=stamped)
+        sender.stream(rate, np.array(due) / rate, velocities, delays, stamped=stamped,
+                      lasts_s=2.6)
         assert ideal < sender.hardest * 1.01
         assert sender.hardest < (1.1 if len(delays) == 1 else 1.5) * ideal
         assert np.abs(sender.efforts[700:]).max() < 4.5
