@@ -441,13 +441,13 @@ class JointController(ControlledJoints):
             self.commands.waiting.remove(command)
             self.commands.take(command)
             own = command.own_trajectory()
-            if own.trajectory.end_s <= now_s - start_s:
-                self._come_to(own.as_setpoint(self.modes_of(own.indices)))
-                continue
             if own.trajectory.points_after(now_s - start_s) <= 2 and self._points.take(
                     own.indices, now_s, start_s + own.trajectory.end_s - now_s,
                     min(self._setpoints.stream_settings(i)[0] for i in own.indices.tolist())):
                 self._go_on_to(own)
+                continue
+            if own.trajectory.end_s <= now_s - start_s:
+                self._come_to(own.as_setpoint(self.modes_of(own.indices)))
                 continue
             try:
                 own.trajectory.begin_at(self._setpoints.position[own.indices],

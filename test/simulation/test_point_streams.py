@@ -86,6 +86,12 @@ def test_points_that_are_due_soon_need_hardly_more_than_the_motion_itself(
         assert np.abs(sender.efforts[700:]).max() < 4.5
 
 
+def test_points_that_are_due_at_once_are_a_stream_too():
+    sender = Sender()
+    sender.stream(100, [0.0], False, jitter(0.002), lasts_s=2.6)
+    assert sender.hardest < 1.5 * SIZE * RATE**2
+
+
 def test_lost_points_are_bridged_within_the_acceleration_limit():
     sender = Sender()
     sender.stream(100, [0.01], True, lost=set(range(150, 400, 31)))
