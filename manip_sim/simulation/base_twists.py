@@ -29,6 +29,10 @@ class BaseTwists:
         self._servos, self._setpoints = servos, setpoints
         self._stream: VelocityStream | None = None
 
+    def forget(self) -> None:
+        """Let the next twist be the first of a stream."""
+        self._stream = None
+
     def begin(self, command: BaseTwist, data: mujoco.MjData, now_s: float, period_s: float,
               drives: bool) -> None:
         """

@@ -222,6 +222,7 @@ class JointController(ControlledJoints):
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
         self._timeouts.clear()
         self._points = PointStreams(len(everything))
+        self._base.forget()
         self.cartesian.reset(data)
         self._effort[:] = 0.0
         self._servos.give_effort(everything, False)

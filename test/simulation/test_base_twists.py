@@ -75,3 +75,11 @@ def test_after_another_command_a_twist_begins_a_stream_from_the_present_velocity
     assert (base.accelerations < 1.05 * base.limit).all()
     assert base.speeds[-1][0] == pytest.approx(0.1, abs=1e-3)
     assert max(speeds[0] for speeds in base.speeds) < slow + 1e-3
+
+
+def test_a_reset_forgets_the_stream():
+    fresh, driven = Base(), Base()
+    driven.drive(0.2, 50, lambda t: (0.4, 0.0, 0.1))
+    driven.simulation.reset()
+    fresh.simulation.reset()
+    assert driven.simulation.digest() == fresh.simulation.digest()
