@@ -102,7 +102,7 @@ class Journal:
         """Note commands that take effect now, with the names of their robots."""
         if self._write is None or not commands:
             return
-        encoder = Encoder(self._simulation.control.index_of)
+        encoder = Encoder(self._simulation.states.control.index_of)
         try:
             encoded = encoder.encode(list(commands))
         except ModelError as error:

@@ -1,18 +1,21 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Divide control periods into intervals of physics, before each of which control acts."""
+"""Run control periods: intervals of physics, before each of which control acts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
 from manip_sim.arrays import FloatArray
+from manip_sim.errors import DivergenceError
+from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.physics_steps import PhysicsSteps
+from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].
@@ -47,36 +50,101 @@ class ControlPeriods:
     The way from the commands of robots through a control period.
 
     :param steps: runs the physics
-    :param robots: whose control acts
+    :param robots: whose control acts, by name
     :param free_roots: the weight of free robots
+    :param pulls: on bodies, for a number of periods
+    :param clock: of the simulation
     :param timestep_s: length of a physics step [s]
-    :ivar robots: the same; other ones may be assigned between two periods
+    :ivar diverged: why the physics is on hold, or None
     """
 
-    def __init__(self, steps: PhysicsSteps, robots: Sequence[SimulatedRobot],
-                 free_roots: FreeRoots, timestep_s: float) -> None:
-        self._steps, self.robots = steps, tuple(robots)
-        self._free_roots, self._timestep_s = free_roots, timestep_s
+    def __init__(self, steps: PhysicsSteps, robots: Mapping[str, SimulatedRobot],
+                 free_roots: FreeRoots, pulls: Pulls, clock: Clock, timestep_s: float) -> None:
+        self._steps, self._robots_by_name = steps, robots
+        self._free_roots, self._pulls, self._clock = free_roots, pulls, clock
+        self._timestep_s = timestep_s
+        self.diverged: str | None = None
+        self.look_at_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
         #: When the intervals of a control period end, by its number of steps: the last one used.
         self._ends_of: dict[int, FloatArray] = {}
 
-    @property
-    def rest(self) -> bool:
-        """Whether control has nothing to do."""
-        return not self._free_roots.is_needed and all([robot.resting for robot in self.robots])
+    def look_at_robots(self) -> None:
+        """Take over which robots there are now."""
+        self._robots = tuple(self._robots_by_name.values())
 
-    def intervals(self, steps: int) -> Iterator[Interval]:
+    @property
+    def idle(self) -> bool:
+        """Whether nothing but physics happens until the next command."""
+        return (self.diverged is None and not self._pulls
+                and self._steps.resumes() and self._rest
+                and not any([robot.sensing.settings.measures for robot in self._robots]))
+
+    @property
+    def _rest(self) -> bool:
+        """Whether control has nothing to do."""
+        return not self._free_roots.is_needed and all([robot.resting for robot in self._robots])
+
+    def run(self, steps: int) -> Iterator[Interval]:
         """
-        Begin a control period, and yield its intervals; each has to be run before the next.
+        Begin a control period, yield its intervals, and end it.
+
+        Each interval has to be run before the next one is asked for.
 
         :param steps: number of physics steps of the period
+        :raises DivergenceError: if the physics diverges, or is on hold
         """
+        self._check_not_diverged()
+        if self._pulls:
+            self._pulls.apply(steps * self._timestep_s)
+        yield from self._begin(steps)
+        reason = self._steps.divergence.reason()
+        if reason is None:
+            self._steps.end_period(steps, steps * self._timestep_s)
+            for robot in self._robots:
+                if robot.sensing.settings.measures:
+                    robot.end_period(steps * self._timestep_s)
+            self._pulls.release()
+        else:
+            self._hold(reason)
+
+    def run_idle(self, steps: int, periods: int) -> None:
+        """
+        Run several control periods at once; only while :attr:`idle`.
+
+        :param steps: number of physics steps of a period
+        :param periods: number of control periods
+        :raises DivergenceError: if the physics diverges
+        """
+        physics = self._steps
+        if physics.stays_untouched and all([tool.settled for tool in physics.tools]):
+            physics.begin()
+            physics.run_untouched(steps * periods)
+            if physics.was_untouched and physics.divergence.reason() is None:
+                return
+            # Run one by one, the periods show in which of them that happened.
+            physics.undo()
+        for _ in range(periods):
+            for interval in self.run(steps):
+                interval.run()
+
+    def _hold(self, reason: str) -> None:
+        self.diverged = f'the physics diverged at {self._clock.time_ns / 1e9:.3f} s: {reason}'
+        self._steps.divergence.hold()
+        self._pulls.release()
+        self._steps.restart()
+        self._check_not_diverged()
+
+    def _check_not_diverged(self) -> None:
+        if self.diverged is not None:
+            raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
+
+    def _begin(self, steps: int) -> Iterator[Interval]:
         period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
-        for robot in self.robots:
+        for robot in self._robots:
             robot.begin_period(period_s, ends_s)
         physics = self._steps
-        untouched = physics.begin() and self.rest and physics.stays_untouched
+        untouched = physics.begin() and self._rest and physics.stays_untouched
         if untouched:
             yield Interval((), period_s, partial(physics.run_untouched, steps))
             untouched = physics.was_untouched
@@ -90,7 +158,7 @@ class ControlPeriods:
         self._steps.begin_run()
         left = steps
         while left:
-            awake = [robot for robot in self.robots if not robot.resting]
+            awake = [robot for robot in self._robots if not robot.resting]
             if left < steps and awake and all([robot.plans for robot in awake]):
                 yield Interval((), left * self._timestep_s,
                                partial(self._compute_plans, awake, left))

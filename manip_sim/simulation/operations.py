@@ -99,7 +99,7 @@ class Operations:
             robot.reset_reflexes()
 
     def _keyframe(self, name: str) -> None:
-        self._simulation.keyframe = name
+        self._simulation.episode_start.keyframe = name
 
     def _mode(self, robot: str, part: str, mode: str) -> None:
         self._robot(robot).set_control_mode(part, mode)

@@ -13,6 +13,8 @@ import numpy as np
 
 from manip_sim.arrays import IntArray
 from manip_sim.simulation.spawning import carry_over, in_common, LiveWorld, start_live, WorldPlan
+#: All that MuJoCo integrates, with what its solvers start from.
+PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class Physics:

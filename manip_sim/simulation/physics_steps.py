@@ -21,8 +21,7 @@ from manip_sim.simulation.clock import Clock
 from manip_sim.simulation.divergence import DivergenceWatch
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.external_wrench import ExternalWrench, TouchWatch
-from manip_sim.simulation.physics import Physics
-from manip_sim.simulation.saved_state import PHYSICS
+from manip_sim.simulation.physics import Physics, PHYSICS
 from manip_sim.simulation.velocity_laws import VelocityLaws
 
 _EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
@@ -139,6 +138,18 @@ class PhysicsSteps:
         self._clock.count(self._begin - self._clock.step_count)
         for tool in self.tools:
             tool.begin_period()
+
+    def end_period(self, steps: int, duration_s: float) -> None:
+        """End the measurement of forces on tools in a period of some steps [s]."""
+        for tool in self.tools:
+            tool.end_period(self._data, steps, duration_s)
+
+    def restart(self) -> None:
+        """Compute all of a state that was set, without what came before."""
+        self.compute()
+        self._efforts.restart()
+        for tool in self.tools:
+            tool.restart(self._data)
 
     @property
     def stays_untouched(self) -> bool:

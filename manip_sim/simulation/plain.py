@@ -23,7 +23,7 @@ import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import quoted
-from manip_sim.simulation.saved_state import is_foreign, owner_of
+from manip_sim.simulation.control_state import is_foreign, owner_of
 
 #: Where the classes are.
 _ROOMS = ('manip_sim.simulation.', 'manip_sim.sensing.')

@@ -31,7 +31,7 @@ def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHan
     :raises ModelError: if a user's class has a state that cannot be written
     """
     state = simulation.save()
-    encoders = [Encoder(simulation.control.index_of) for _ in range(3)]
+    encoders = [Encoder(simulation.states.control.index_of) for _ in range(3)]
     control = [encoder.encode(part) for encoder, part in zip(encoders, _live(simulation))]
     found = {name: getattr(state, name) for name in _NUMBERS}
     found.update({name: b64encode(getattr(state, name)).decode() for name in _BYTES})
@@ -39,12 +39,12 @@ def plain_state(simulation: Simulation) -> tuple[dict[str, Any], list[CommandHan
                         for name, content in state.gains.items()},
                  start=dict(state.start), drawn=dict(state.drawn), control=control,
                  robots=list(state.robots),
-                 keyframe=simulation.start_settings)
+                 keyframe=simulation.episode_start.settings)
     return found, [met for met in encoders[0].met if isinstance(met, CommandHandle)]
 
 
 def _live(simulation: Simulation) -> list[Any]:
-    return [list(simulation.control.content()), [
+    return [list(simulation.states.control.content()), [
         robot.sensing.save() for robot in simulation.robots.values()], simulation.pulls.state()]
 
 
@@ -54,7 +54,7 @@ def decoded(simulation: Simulation, content: Any) -> tuple[Any, list[CommandHand
 
     :raises ModelError: if it is none, or names bodies that are not there
     """
-    decoder, model = Decoder(simulation.control.fixed), simulation.model
+    decoder, model = Decoder(simulation.states.control.fixed), simulation.model
     value = decoder.decode(content)
     for found in decoder.met:
         # MuJoCo does not check them.
@@ -88,13 +88,13 @@ def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
     if robots != [*simulation.robots]:
         raise ModelError(f'the state was saved with the robots {", ".join(robots)}, now there are '
                          f'{", ".join(simulation.robots)}')
-    if content['layout'] != simulation.control.layout:
+    if content['layout'] != simulation.states.control.layout:
         raise ModelError('control consists of other parts here, as with modes or grippers of '
                          'another package')
     (controls, grippers), sensing, pulls = (
         decoded(simulation, part)[0] for part in content['control'])
-    for new, now in ((controls, simulation.control.content()[0]),
-                     (grippers, simulation.control.content()[1]),
+    for new, now in ((controls, simulation.states.control.content()[0]),
+                     (grippers, simulation.states.control.content()[1]),
                      (sensing, [robot.sensing.save() for robot in simulation.robots.values()])):
         if len(new) != len(now):
             raise ModelError('control consists of other parts here')
@@ -114,10 +114,10 @@ def _restore(simulation: Simulation, content: Any) -> list[CommandHandle]:
         computed_from=b64decode(content['computed_from'], validate=True))
     if len(state.computed_from) != len(state.physics):
         raise ModelError('physics of another model')
-    simulation.check_restorable(state)
+    simulation.states.check(state)
     simulation.continue_from(state, (controls, grippers), sensing)
     simulation.pulls.set_state(pulls)
-    simulation.start_settings = content['keyframe']
+    simulation.episode_start.settings = content['keyframe']
     again, handles = plain_state(simulation)
     if json.dumps(again) != json.dumps(content):
         differing = next(name for name in again if json.dumps(again[name]) != json.dumps(

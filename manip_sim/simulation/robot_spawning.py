@@ -128,10 +128,11 @@ def _start_of(simulation: Simulation, robot: RobotModel) -> dict[str, float]:
     alone: World = copy.copy(world.with_robots([robot]))
     alone.arena, alone.objects, alone.cameras, alone.lidars = EmptyArena(), [], [], []
     alone.randomization = alone.noise = None
-    alone.keyframe = simulation.keyframe if simulation.keyframe in alone.keyframes else ''
+    keyframe = simulation.episode_start.keyframe
+    alone.keyframe = keyframe if keyframe in alone.keyframes else ''
     settled = type(simulation)(alone).start
     with_others = world.with_robots([*world.robots, robot]).init_qpos(
-        simulation.seed, simulation.keyframe)
+        simulation.seed, keyframe)
     of_grippers = {joint for gripper in (
         robot.grippers.values() if isinstance(robot, ManipulatorModel) else ())
         for joint in gripper.joints}

@@ -1,35 +1,43 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Save and restore a simulation between two control periods, and compare states by a digest."""
+"""States of a simulation between two control periods: saved, restored, compared by a digest."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-import enum
-import io
+import hashlib
 import pickle
-import struct
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from manip_sim.models.grippers import GripperModel
-from manip_sim.simulation.commands import Command, CommandHandle
+from manip_sim.errors import ModelError
+from manip_sim.resources import package_version
+from manip_sim.simulation.cartesian.frames import Frame
+from manip_sim.simulation.cartesian.parser import CartesianParser
+from manip_sim.simulation.cartesian.pose_stream import PoseStream
+from manip_sim.simulation.cartesian.targets import Target
+from manip_sim.simulation.clock import Clock
+from manip_sim.simulation.command_parser import CommandParser
+from manip_sim.simulation.control_state import Content, ControlState
+from manip_sim.simulation.efforts import ActuatorEfforts
+from manip_sim.simulation.episode_start import EpisodeStart
+from manip_sim.simulation.message_clock import MessageClock, MessageClocks
+from manip_sim.simulation.physics import Physics, PHYSICS
+from manip_sim.simulation.physics_steps import PhysicsSteps
+from manip_sim.simulation.point_streams import PointStreams
+from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoals
+from manip_sim.simulation.velocity_stream import VelocityStream
 
-#: All that MuJoCo integrates, with what its solvers start from.
-PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 #: What control changes in a model: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
-#: Attributes of all that has a state, and of grippers.
-Content = tuple[list[dict[str, Any]], list[dict[str, Any]]]
-_OWN = 'manip_sim.simulation.'
-#: What has no identity, and cannot change.
-_VALUES = (type(None), bool, int, float, str, bytes, enum.Enum, np.generic)
+#: What commands bring along: it is a part of states, and not there at construction.
+_PASSING = (Frame, MessageClock, MessageClocks, PointStreams, PoseStream, RampEstimator,
+            StreamEstimator, Target, VelocityStream, WaitingGoals)
 
 
 @dataclass(frozen=True)
@@ -76,249 +84,110 @@ class SimulationState:
     layout: str = ''
 
 
+class SavedStates:
+    """
+    What a simulation's states consist of besides commands that wait, and how they are compared.
+
+    :param physics: of the world
+    :param clock: of the simulation
+    :param steps: that the physics takes
+    :param start: of the episodes
+    :param efforts: of the actuators
+    :param robots: the present robots, by name
+    :ivar control: the state of control, of the present model
+    """
+
+    def __init__(self, physics: Physics, clock: Clock, steps: PhysicsSteps, start: EpisodeStart,
+                 efforts: ActuatorEfforts, robots: Mapping[str, SimulatedRobot]) -> None:
+        self._physics, self._clock, self._steps, self._start = physics, clock, steps, start
+        self._efforts, self._robots = efforts, robots
+        physics.on_change(self.look_at_robots)
+
+    def look_at_robots(self) -> None:
+        """Find all that has a state, anew when robots have come or gone."""
+        self.control = ControlState(
+            [self._efforts, *self._robots.values()],
+            (Clock, Physics, CartesianParser, CommandParser), _PASSING)
+
+    def save(self, diverged: str | None) -> SimulationState:
+        """
+        Return the present state.
+
+        :param diverged: why the physics is on hold, or None
+        """
+        start, steps = self._start, self._steps
+        return SimulationState(
+            versions=_versions(), model=self._physics.model.signature, robots=tuple(self._robots),
+            physics=steps.state().tobytes(), computed_from=steps.computed_from.tobytes(),
+            gains=gains(self._physics.model), control=self.control.save(),
+            start=dict(start.positions), step_count=self._clock.step_count,
+            control_steps=self._clock.control_steps, contacts_change=steps.contacts_change,
+            diverged=diverged,
+            sensing=pickle.dumps([robot.sensing.save() for robot in self._robots.values()]),
+            drawn=start.randomized.drawn, seed=start.seed, layout=self.control.layout)
+
+    def check(self, state: SimulationState) -> None:
+        """
+        Check that a state can be restored.
+
+        :param state: from :meth:`save`
+        :raises ModelError: if it belongs to another world, another set of objects, or another
+            version of manip_sim or MuJoCo
+        """
+        if not isinstance(state, SimulationState):
+            raise ModelError(f'expected a state of save(), got {state!r:.60}')
+        if state.versions != _versions():
+            raise ModelError(f'the state was saved by {state.versions}, this is {_versions()}')
+        if state.robots != tuple(self._robots):
+            raise ModelError(f'the state was saved with the robots {", ".join(state.robots)}, now '
+                             f'there are {", ".join(self._robots)}')
+        if (state.model != self._physics.model.signature
+                or len(state.physics) != self._steps.computed_from.nbytes):
+            raise ModelError('the state was saved in a simulation of another world, or with other '
+                             'objects in it')
+        if state.layout != self.control.layout:
+            raise ModelError('objects have come or gone since the state was saved')
+
+    def replace(self, state: SimulationState, control: Content, sensing: Any) -> None:
+        """
+        Continue from a state; what its episode has drawn is there already.
+
+        :param state: one that :meth:`check` accepts
+        :param control: what its ``control`` stands for
+        :param sensing: what its ``sensing`` stands for
+        """
+        model = self._physics.model
+        self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
+        self._start.positions, self._start.seed = dict(state.start), state.seed
+        self._steps.contacts_change = state.contacts_change
+        for name, content in state.gains.items():
+            array = getattr(model, name)
+            array.flat[:] = np.frombuffer(content, array.dtype)
+        # Commands may have changed controls since the present forces were computed.
+        self._steps.compute_from(np.frombuffer(state.computed_from))
+        mujoco.mj_setState(model, self._physics.data, np.frombuffer(state.physics), PHYSICS)
+        self.control.replace(control)
+        for robot, measured in zip(self._robots.values(), sensing):
+            robot.sensing.restore(measured)
+
+    def digest(self) -> str:
+        """Return a digest of the present state, with the release of MuJoCo."""
+        digest = hashlib.sha256(self._steps.state().tobytes())
+        for name, content in gains(self._physics.model).items():
+            digest.update(name.encode() + content)
+        for content in self.control.encoded():
+            digest.update(b'%d:' % len(content) + content)
+        for robot in self._robots.values():
+            digest.update(robot.sensing.encoded())
+        if self._start.randomized.drawn:
+            digest.update(repr(sorted(self._start.randomized.drawn.items())).encode())
+        return f'mujoco-{mujoco.mj_versionString()}:{digest.hexdigest()}'
+
+
 def gains(model: mujoco.MjModel) -> dict[str, bytes]:
     """Return what control changes in a model, by field."""
     return {name: getattr(model, name).tobytes() for name in _GAINS}
 
 
-def set_gains(model: mujoco.MjModel, values: Mapping[str, bytes]) -> None:
-    """Restore what :func:`gains` has returned."""
-    for name, content in values.items():
-        array = getattr(model, name)
-        array.flat[:] = np.frombuffer(content, array.dtype)
-
-
-class ControlState:
-    """
-    The state of the objects that control robots.
-
-    It comprises what can be reached from some objects through attributes and containers, by
-    classes of this room. What else is there at construction stays as it is: models, views into
-    ``MjData``, functions, settings that are replaced as a whole.
-
-    :param roots: what has a state, between two control periods
-    :param stateless: types of objects that are not looked into
-    :param passing: types of objects that come and go, a part of what has them
-    """
-
-    def __init__(self, roots: Iterable[object], stateless: tuple[type, ...] = (),
-                 passing: tuple[type, ...] = ()) -> None:
-        #: What a state refers to by its index here; the same in every simulation of a world.
-        self._fixed: list[object] = []
-        self._stateful: list[object] = []
-        #: Their ``format_action`` may have a state, in classes of users too.
-        self._grippers: list[GripperModel] = []
-        self._find(list(roots), (*stateless, Command, CommandHandle),
-                   (*passing, Command, CommandHandle))
-        self._index()
-
-    def _index(self) -> None:
-        # What is in a queue is a part of the state, so another one may replace it.
-        self._index_of = {id(found): index for index, found in enumerate(self._fixed)
-                          if not isinstance(found, deque)}
-        places = {id(found): index for index, found in enumerate(self._fixed)}
-        #: By owner: what stands for its queue in a digest while that is empty.
-        self._queues = {id(owner): places[id(value)] for owner in self._stateful
-                        for value in vars(owner).values() if isinstance(value, deque)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._index()  # In a copy, other objects are fixed.
-
-    def _find(self, left: list[Any], stateless: tuple[type, ...],
-              passing: tuple[type, ...]) -> None:
-        seen: set[int] = set()
-        while left:
-            found = left.pop(0)
-            if isinstance(found, _VALUES) or id(found) in seen:
-                continue
-            seen.add(id(found))
-            if isinstance(found, Mapping):
-                left += [*found, *found.values()]
-            elif isinstance(found, (list, tuple, set, frozenset)):
-                left += found
-            elif isinstance(found, np.ndarray):
-                if is_foreign(found):
-                    self._fixed.append(found)
-            elif not isinstance(found, passing):
-                self._fixed.append(found)
-                if isinstance(found, GripperModel):
-                    self._grippers.append(found)
-                if _is_own(found) and not isinstance(found, stateless):
-                    left += vars(found).values()
-                    if not is_frozen(found):
-                        self._stateful.append(found)
-
-    def content(self) -> Content:
-        """Return the attributes of all that has a state, and those of grippers; no copies."""
-        return [vars(found) for found in self._stateful], [_numbers(g) for g in self._grippers]
-
-    @property
-    def fixed(self) -> list[object]:
-        """What a state refers to by its index, the same in every simulation of a world."""
-        return self._fixed
-
-    @property
-    def index_of(self) -> Mapping[int, int]:
-        """The index of what is fixed, by its ``id``."""
-        return self._index_of
-
-    @property
-    def layout(self) -> str:
-        """What a state refers to; another one where control consists of other parts."""
-        return ' '.join(type(found).__qualname__ for found in self._fixed)
-
-    def save(self) -> bytes:
-        """Return the state, pickled."""
-        file = io.BytesIO()
-        _StatePickler(file, self._index_of).dump(self.content())
-        return file.getvalue()
-
-    def loaded(self, state: bytes) -> Content:
-        """Return the content of what :meth:`save` has returned, here or in another process."""
-        found: Content = _StateUnpickler(io.BytesIO(state), self._fixed).load()
-        return found
-
-    def replace(self, content: Content) -> None:
-        """Restore a content, which nobody else may use then."""
-        controls, grippers = content
-        for found, values in zip(self._stateful, controls):
-            vars(found).clear()
-            vars(found).update(values)
-        for gripper, values in zip(self._grippers, grippers):
-            vars(gripper).update(values)
-
-    def encoded(self) -> Iterator[bytes]:
-        """Yield the state in a form that depends on nothing else, for a digest."""
-        encoder = _Encoder(self._index_of, self._queues)
-        for found in self._stateful:
-            yield from encoder.members(found)
-        for gripper in self._grippers:
-            yield from encoder.value(_numbers(gripper))
-
-
-def _numbers(gripper: GripperModel) -> dict[str, Any]:
-    """Return the attributes of a gripper that are arrays or plain values."""
-    return {name: value for name, value in vars(gripper).items()
-            if isinstance(value, (*_VALUES, np.ndarray))}
-
-
-def _is_own(found: object) -> bool:
-    return type(found).__module__.startswith(_OWN) and hasattr(found, '__dict__')
-
-
-def is_frozen(found: object) -> bool:
-    """Return whether an object is of a frozen dataclass."""
-    parameters = getattr(type(found), '__dataclass_params__', None)
-    return bool(getattr(parameters, 'frozen', False))
-
-
-def owner_of(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array that an array is a view of, or itself."""
-    while isinstance(array.base, np.ndarray):
-        array = array.base
-    return array
-
-
-def is_foreign(array: NDArray[Any]) -> bool:
-    """Return whether an array is a view into ``MjData`` or ``MjModel``."""
-    return type(owner_of(array).base).__name__ == 'PyCapsule'
-
-
-def _view(owner: NDArray[Any], offset: int, shape: tuple[int, ...], strides: tuple[int, ...],
-          kind: str) -> NDArray[Any]:
-    return np.ndarray(shape, kind, owner.data, offset, strides)
-
-
-class ViewPickler(pickle.Pickler):
-    """A pickler that keeps views views of the same array."""
-
-    def reducer_override(self, found: object) -> Any:
-        """Return how a view is made of the array that it is a view of."""
-        if not isinstance(found, np.ndarray):
-            return NotImplemented
-        owner = owner_of(found)
-        if owner is found:
-            return NotImplemented
-        if is_foreign(owner):
-            raise pickle.PicklingError('a view into MjData that is not there from the start')
-        offset = (found.__array_interface__['data'][0] - owner.__array_interface__['data'][0])
-        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
-
-
-class _StatePickler(ViewPickler):
-    """A pickler that refers to what is fixed."""
-
-    def __init__(self, file: io.BytesIO, index_of: Mapping[int, int]) -> None:
-        super().__init__(file, protocol=5)
-        self._index_of = index_of
-
-    def persistent_id(self, found: object) -> int | None:
-        return self._index_of.get(id(found))
-
-
-class _StateUnpickler(pickle.Unpickler):
-    """A reader of what :class:`_StatePickler` has written."""
-
-    def __init__(self, file: io.BytesIO, fixed: list[object]) -> None:
-        super().__init__(file)
-        self._fixed = fixed
-
-    def persistent_load(self, index: int) -> object:
-        return self._fixed[index]
-
-
-class _Encoder:
-    """Turns objects into bytes that are the same in each process, whatever was read or ended."""
-
-    def __init__(self, index_of: Mapping[int, int], queues: Mapping[int, int]) -> None:
-        self._index_of, self._queues = index_of, queues
-        self._number_of: dict[int, int] = {}
-
-    def members(self, found: object) -> Iterator[bytes]:
-        """Yield the attributes of an object, by name."""
-        yield type(found).__qualname__.encode()
-        left_out = getattr(found, 'not_in_digest', ())
-        for name, value in sorted(vars(found).items()):
-            if name not in left_out:
-                yield name.encode()
-                if isinstance(value, deque) and not value:
-                    yield b'@%d' % self._queues[id(found)]
-                else:
-                    yield from self.value(value)
-
-    def value(self, value: Any) -> Iterator[bytes]:
-        """Yield a value."""
-        if isinstance(value, np.generic):
-            value = value.item()  # Releases of NumPy write them in different ways.
-        if id(value) in self._index_of and not isinstance(value, _VALUES):
-            yield b'@%d' % self._index_of[id(value)]
-        elif isinstance(value, np.ndarray):
-            yield f'{value.dtype.str}{value.shape}'.encode()
-            yield value.tobytes()
-        elif isinstance(value, float):
-            yield struct.pack('<d', value)
-        elif isinstance(value, _VALUES):
-            yield f'{type(value).__name__} {value!r}'.encode()
-        elif isinstance(value, Mapping):
-            yield b'{%d' % len(value)
-            for key, content in sorted(value.items(), key=lambda item: repr(item[0])):
-                yield from self.value(key)
-                yield from self.value(content)
-        elif isinstance(value, (set, frozenset)):
-            yield b'<%d' % len(value)
-            yield from sorted(b''.join(self.value(member)) for member in value)
-        elif isinstance(value, (list, tuple, deque)):
-            yield b'[%d' % len(value)
-            for member in value:
-                yield from self.value(member)
-        elif isinstance(value, CommandHandle) and not value.is_active:
-            yield b'ended'
-        elif is_frozen(value) and type(value).__dataclass_params__.eq:
-            # Which of several equal objects it is makes no difference.
-            yield from self.members(value)
-        elif id(value) in self._number_of:
-            yield b'#%d' % self._number_of[id(value)]
-        else:
-            self._number_of[id(value)] = len(self._number_of)
-            yield from self.members(value)
+def _versions() -> str:
+    return f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'

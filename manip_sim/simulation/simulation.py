@@ -1,57 +1,41 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The physics of one world: advance it, detect divergence, reset it."""
+"""The physics of one world: advance it, detect divergence, reset it, save its state."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-import hashlib
 import pickle
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from manip_sim.errors import DivergenceError, ModelError
+from manip_sim.errors import ModelError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.world import World
-from manip_sim.resources import package_version
 from manip_sim.sensing.lidars import Lidars
-from manip_sim.simulation.cartesian.frames import Frame
-from manip_sim.simulation.cartesian.parser import CartesianParser
-from manip_sim.simulation.cartesian.pose_stream import PoseStream
-from manip_sim.simulation.cartesian.targets import Target
 from manip_sim.simulation.clock import Clock
-from manip_sim.simulation.command_parser import CommandParser
 from manip_sim.simulation.control_period import ControlPeriods, Interval
+from manip_sim.simulation.control_state import Content
 from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.entities import Entities
+from manip_sim.simulation.episode_start import EpisodeStart
 from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.measured_instruments import MeasuredInstruments
-from manip_sim.simulation.message_clock import MessageClock, MessageClocks
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.physics_steps import PhysicsSteps
 from manip_sim.simulation.present_robots import PresentRobots
-from manip_sim.simulation.point_streams import PointStreams
 from manip_sim.simulation.pulls import Pulls
 from manip_sim.simulation.randomized import Drawn, Randomized
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
-from manip_sim.simulation.saved_state import (
-    Content, ControlState, gains, PHYSICS, set_gains, SimulationState)
+from manip_sim.simulation.saved_state import SavedStates, SimulationState
 from manip_sim.simulation.spawning import plan_world, WorldPlan
 from manip_sim.simulation.start_check import check_start
-from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoals
 from manip_sim.simulation.surroundings import Surroundings
-from manip_sim.simulation.velocity_stream import VelocityStream
-
-#: What commands bring along: it is a part of states, and not there at construction.
-_PASSING = (Frame, MessageClock, MessageClocks, PointStreams, PoseStream, RampEstimator,
-            StreamEstimator, Target, VelocityStream, WaitingGoals)
-#: How long the coupled joints of grippers are simulated so that they settle at their start [s].
-_SETTLE_S = 0.5
 
 
 class Simulation:
@@ -74,11 +58,9 @@ class Simulation:
     :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar surroundings: mocap bodies, joints of the arena, and actuators of no part
     :ivar pulls: springs that pull bodies
+    :ivar episode_start: where resets lead to
+    :ivar states: what saved states consist of
     :ivar start_defects: what is wrong with the start, a sentence for each defect
-    :ivar diverged: why the physics is on hold, or None
-    :ivar randomized: what was drawn for the present episode, where the world has
-        ``randomization``
-    :ivar seed: that the present episode was drawn from
     """
 
     def __init__(self, world: World, visual: bool = False) -> None:
@@ -87,17 +69,11 @@ class Simulation:
         self.surroundings = Surroundings(self.physics, world.arena, actuators_of(world))
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self.diverged: str | None = None
-        self._world = world
-        self._keyframe = world.keyframe
-        self._changes_start = False
-        self._start = world.init_qpos()
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
         self._timestep_s = float(self.model.opt.timestep)
         self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
-        self.seed = world.seed
-        self.randomized = Randomized(None, self.physics, {})
-        self._to_start()
+        self.episode_start = EpisodeStart(world, self.physics, self.surroundings, self._free_roots)
+        self.episode_start.place()
         self.efforts = ActuatorEfforts(self.physics)
         self._present = PresentRobots(self.physics, self.efforts, self._clock, world.robots)
         self.robots = self._present.by_name
@@ -105,34 +81,33 @@ class Simulation:
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws)
         self.pulls = Pulls(self.physics, self._clock)
         self._periods = ControlPeriods(
-            self._steps, [*self.robots.values()], self._free_roots, self._timestep_s)
+            self._steps, self.robots, self._free_roots, self.pulls, self._clock, self._timestep_s)
         self.instruments = MeasuredInstruments(self.physics, self.robots)
         self.sensors = self.instruments.sensors
-        self.physics.on_change(self._look_at_model)
+        self.physics.on_change(self._find_entities)
+        self.states = SavedStates(self.physics, self._clock, self._steps, self.episode_start,
+                                  self.efforts, self.robots)
         self.lidars = Lidars(
             self.physics, world.lidars if self.robots else (),
             lambda body: self.instruments.sensing_of(int(self.model.body(body).id)))
-        self.randomized = Randomized(
+        self.episode_start.randomized = Randomized(
             world.randomization, self.physics,
             {robot.name: robot.sensing for robot in self.robots.values()},
             [name for robot in world.robots for name, law in robot.velocity_laws.items()
              if np.isfinite(law.stribeck_velocity)])
         if self.randomized.draws:
             self._randomize(world.seed, None)
-        self._settle_linkages()
+        self._settle()
         self._reset(world.seed)
         self.start_defects = check_start(
             self.model, self.data, self._free_roots.roots)
 
-    def _look_at_model(self) -> None:
+    def _find_entities(self) -> None:
         spawned = set(self.spawned_robots)
         self.entities = Entities(self.model, {
             name if name in spawned else robot.robot_model.root_body: robot.frame_body
             for name, robot in self.robots.items()},
             [robot.robot_model.root_body for robot in self.robots.values()])
-        self._control = ControlState(
-            [self.efforts, *self.robots.values()],
-            (Clock, Physics, CartesianParser, CommandParser), _PASSING)
 
     def change_objects(self, plan: WorldPlan) -> None:
         """
@@ -182,30 +157,30 @@ class Simulation:
         there = {robot.name_in_world for robot in plan.world.robots}
         for name in self.robots.keys() - there:
             self._present.delete(name)
-        self._world = plan.world
+        self.episode_start.world = plan.world
         self._free_roots.roots = tuple(robot.root_body for robot in plan.world.robots)
         self.surroundings.of_parts = set(actuators_of(plan.world))
         self._look_at_robots()
         self.change_objects(plan.plan)
-        self._start = {joint: position for joint, position in
-                       {**self._start, **plan.start}.items() if joint in plan.joints}
+        self.episode_start.change_robots(plan)
         for robot in plan.world.robots[len(self.robots):]:
             self._present.begin(robot, plan.start, self.seed)
             self._free_roots.apply()
             self._look_at_robots()
             self.instruments.look_at_model()
-            self._look_at_model()
+            self._find_entities()
+            self.states.look_at_robots()
             self._steps.compute()
             self._steps.compute_anew()
 
     def _look_at_robots(self) -> None:
         self._steps.look_at_robots(self._present.tools, self._present.laws)
-        self._periods.robots = tuple(self.robots.values())
+        self._periods.look_at_robots()
 
     @property
     def world(self) -> World:
         """The robots, the arena and the objects that there are now; a copy."""
-        return self._world.with_objects(self.plan.objects)
+        return self.episode_start.world.with_objects(self.plan.objects)
 
     @property
     def spawned_robots(self) -> list[str]:
@@ -215,7 +190,17 @@ class Simulation:
     @property
     def start(self) -> dict[str, float]:
         """Positions of joints at the next reset, by name [rad or m], a copy."""
-        return dict(self._start)
+        return dict(self.episode_start.positions)
+
+    @property
+    def seed(self) -> int:
+        """The seed that the present episode was drawn from."""
+        return self.episode_start.seed
+
+    @property
+    def randomized(self) -> Randomized:
+        """What was drawn for the present episode, where the world has ``randomization``."""
+        return self.episode_start.randomized
 
     @property
     def plan(self) -> WorldPlan:
@@ -244,35 +229,10 @@ class Simulation:
                              + (', '.join(self.robots) or 'none'))
         return next(iter(self.robots.values()))
 
-    def _to_start(self) -> None:
-        mujoco.mj_resetData(self.model, self.data)
-        for joint, position in self._start.items():
-            self.data.joint(joint).qpos[0] = position
-            self.surroundings.hold(joint, position)
-        self.randomized.place(self.data)
-        mujoco.mj_forward(self.model, self.data)
-        self.surroundings.hold_actuators()
-        self._free_roots.apply()
-
-    def _settle_linkages(self) -> None:
-        """
-        Make the start of grippers with coupled joints satisfy the couplings.
-
-        A declared start may violate them; great forces would correct it in the first steps.
-        """
+    def _settle(self) -> None:
         self._reset()
-        if not self.model.neq + self.model.ntendon:
-            return
-        gravity, flags = self.model.opt.gravity.copy(), self.model.opt.disableflags
-        self.model.opt.gravity[:] = 0.0
-        # Only the couplings matter here, not what a gripper overlaps.
-        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        mujoco.mj_step(self.model, self.data, round(_SETTLE_S / self.timestep_s))
-        self.model.opt.gravity[:], self.model.opt.disableflags = gravity, flags
-        for robot in self.robots.values():
-            for gripper in robot.grippers.values():
-                part = gripper.part
-                self._start.update(zip(part.joints, self.data.qpos[part.qpos_addresses].tolist()))
+        self.episode_start.settle([gripper.part for robot in self.robots.values()
+                                   for gripper in robot.grippers.values()])
 
     @property
     def timestep_s(self) -> float:
@@ -299,11 +259,14 @@ class Simulation:
         self._clock.step_count = count
 
     @property
+    def diverged(self) -> str | None:
+        """Why the physics is on hold, or None."""
+        return self._periods.diverged
+
+    @property
     def idle(self) -> bool:
         """Whether nothing but physics happens until the next command."""
-        return (self.diverged is None and not self.pulls
-                and self._steps.resumes() and self._periods.rest
-                and not any([robot.sensing.settings.measures for robot in self.robots.values()]))
+        return self._periods.idle
 
     def advance(self, steps: int) -> None:
         """
@@ -325,34 +288,7 @@ class Simulation:
         :param steps: number of physics steps
         :raises DivergenceError: as :meth:`advance`
         """
-        self._check_not_diverged()
-        if self.pulls:
-            self.pulls.apply(steps * self._timestep_s)
-        yield from self._periods.intervals(steps)
-        reason = self._steps.divergence.reason()
-        if reason is None:
-            for tool in self._steps.tools:
-                tool.end_period(self.data, steps, steps * self._timestep_s)
-            for robot in self.robots.values():
-                if robot.sensing.settings.measures:
-                    robot.end_period(steps * self._timestep_s)
-            self.pulls.release()
-        else:
-            self._hold(reason)
-
-    def _hold(self, reason: str) -> None:
-        self.diverged = f'the physics diverged at {self.time_ns / 1e9:.3f} s: {reason}'
-        self._steps.divergence.hold()
-        self.pulls.release()
-        self._steps.compute()
-        self.efforts.restart()
-        for tool in self._steps.tools:
-            tool.restart(self.data)
-        self._check_not_diverged()
-
-    def _check_not_diverged(self) -> None:
-        if self.diverged is not None:
-            raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
+        return self._periods.run(steps)
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """
@@ -364,40 +300,7 @@ class Simulation:
         :param periods: number of control periods
         :raises DivergenceError: if the physics diverges
         """
-        physics = self._steps
-        if physics.stays_untouched and all([tool.settled for tool in physics.tools]):
-            physics.begin()
-            physics.run_untouched(steps * periods)
-            if physics.was_untouched and physics.divergence.reason() is None:
-                return
-            # Run one by one, the periods show in which of them that happened.
-            physics.undo()
-        for _ in range(periods):
-            self.advance(steps)
-
-    @property
-    def keyframe(self) -> str:
-        """
-        Keyframe of a file that joints start from, from the next reset on; empty: none.
-
-        :raises UnknownNameError: if it is set to one that no part of the world has
-        """
-        return self._keyframe
-
-    @keyframe.setter
-    def keyframe(self, name: str) -> None:
-        self._keyframe = self._world.checked_keyframe(name)
-        self._changes_start = True
-
-    @property
-    def start_settings(self) -> tuple[str, bool]:
-        """The keyframe, and whether the next reset uses another one than the last."""
-        return self._keyframe, self._changes_start
-
-    @start_settings.setter
-    def start_settings(self, settings: tuple[str, bool]) -> None:
-        keyframe, changes = settings
-        self._keyframe, self._changes_start = self._world.checked_keyframe(keyframe), changes
+        self._periods.run_idle(steps, periods)
 
     def reset(self, seed: int | None = None, drawn: Drawn | None = None) -> None:
         """
@@ -414,14 +317,13 @@ class Simulation:
         :raises ModelError: if the seed is no whole number from 0, or something cannot be drawn;
             then nothing changes
         """
-        settles = seed is not None or self._changes_start
         own = self.seed if seed is None else seed
-        start = self._world.init_qpos(own, self._keyframe) if settles else self._start
+        positions = self.episode_start.draw(seed)
         if drawn is not None or (seed is not None and self.randomized.draws):
             self._randomize(own, drawn)
-        self._start, self.seed, self._changes_start = start, own, False
-        if settles:
-            self._settle_linkages()
+        self.episode_start.begin(own, positions)
+        if positions is not None:
+            self._settle()
         self._reset(seed)
 
     def _randomize(self, seed: int, drawn: Drawn | None) -> None:
@@ -435,11 +337,11 @@ class Simulation:
             robot.joints.look_at_joints()
 
     def _reset(self, seed: int | None = None) -> None:
-        self._to_start()
+        self.episode_start.place()
         self._clock.control_steps = 0
         for robot in self.robots.values():
             robot.reset()
-        self.diverged = None
+        self._periods.diverged = None
         self.pulls.end()
         self._steps.contacts_change = False
         self._steps.compute()
@@ -454,23 +356,13 @@ class Simulation:
         """Compute all of the present instant anew, after :attr:`data` was changed by hand."""
         self._steps.compute()
 
-    # ------------------------------------------------------------------ saved states
-
     def save(self) -> SimulationState:
         """
         Return the present state: physics, setpoints, commands, grippers, tare and settings.
 
         Call it between control periods. Edits of :attr:`model` are not part of it.
         """
-        return SimulationState(
-            versions=self._versions(), model=self.model.signature, robots=tuple(self.robots),
-            physics=self._steps.state().tobytes(),
-            computed_from=self._steps.computed_from.tobytes(), gains=gains(self.model),
-            control=self._control.save(), start=dict(self._start),
-            step_count=self._clock.step_count, control_steps=self._clock.control_steps,
-            contacts_change=self._steps.contacts_change, diverged=self.diverged,
-            sensing=pickle.dumps([robot.sensing.save() for robot in self.robots.values()]),
-            drawn=self.randomized.drawn, seed=self.seed, layout=self._control.layout)
+        return self.states.save(self.diverged)
 
     def restore(self, state: SimulationState) -> None:
         """
@@ -482,60 +374,25 @@ class Simulation:
         :raises ModelError: if it belongs to another world, another set of objects, or another
             version of manip_sim or MuJoCo; then nothing changes
         """
-        self.check_restorable(state)
-        self.continue_from(state, self._control.loaded(state.control), pickle.loads(state.sensing))
+        self.states.check(state)
+        self.continue_from(
+            state, self.states.control.loaded(state.control), pickle.loads(state.sensing))
 
     def continue_from(self, state: SimulationState, control: Content, sensing: Any) -> None:
         """
         Continue from a state whose pickled parts are given as objects.
 
-        :param state: one that :meth:`check_restorable` accepts
+        :param state: one that ``states.check`` accepts
         :param control: what its ``control`` stands for
         :param sensing: what its ``sensing`` stands for
         """
         for robot in self.robots.values():
             robot.abort('a saved state was restored')
         self.pulls.end()
-        self._clock.step_count, self._clock.control_steps = state.step_count, state.control_steps
-        self._start = dict(state.start)
-        self.diverged, self._steps.contacts_change = state.diverged, state.contacts_change
-        self.seed = state.seed
+        self._periods.diverged = state.diverged
         if state.drawn != self.randomized.drawn:
             self._randomize(state.seed, state.drawn)
-        set_gains(self.model, state.gains)
-        # Commands may have changed controls since the present forces were computed.
-        self._steps.compute_from(np.frombuffer(state.computed_from))
-        mujoco.mj_setState(self.model, self.data, np.frombuffer(state.physics), PHYSICS)
-        self._control.replace(control)
-        for robot, measured in zip(self.robots.values(), sensing):
-            robot.sensing.restore(measured)
-
-    @property
-    def control(self) -> ControlState:
-        """The state of control, of the present model."""
-        return self._control
-
-    def check_restorable(self, state: SimulationState) -> None:
-        """
-        Check that a state can be restored here.
-
-        :param state: from :meth:`save`
-        :raises ModelError: if not, as :meth:`restore`
-        """
-        if not isinstance(state, SimulationState):
-            raise ModelError(f'expected a state of save(), got {state!r:.60}')
-        if state.versions != self._versions():
-            raise ModelError(f'the state was saved by {state.versions}, this is '
-                             + self._versions())
-        if state.robots != tuple(self.robots):
-            raise ModelError(f'the state was saved with the robots {", ".join(state.robots)}, now '
-                             f'there are {", ".join(self.robots)}')
-        if (state.model != self.model.signature
-                or len(state.physics) != self._steps.computed_from.nbytes):
-            raise ModelError('the state was saved in a simulation of another world, or with other '
-                             'objects in it')
-        if state.layout != self._control.layout:
-            raise ModelError('objects have come or gone since the state was saved')
+        self.states.replace(state, control, sensing)
 
     def digest(self) -> str:
         """
@@ -544,17 +401,4 @@ class Simulation:
         It is the same for the same commands since the last reset, in any process, after any
         other episodes, and whatever was read meanwhile.
         """
-        digest = hashlib.sha256(self._steps.state().tobytes())
-        for name, content in gains(self.model).items():
-            digest.update(name.encode() + content)
-        for content in self._control.encoded():
-            digest.update(b'%d:' % len(content) + content)
-        for robot in self.robots.values():
-            digest.update(robot.sensing.encoded())
-        if self.randomized.drawn:
-            digest.update(repr(sorted(self.randomized.drawn.items())).encode())
-        return f'mujoco-{mujoco.mj_versionString()}:{digest.hexdigest()}'
-
-    @staticmethod
-    def _versions() -> str:
-        return f'manip_sim {package_version()} with MuJoCo {mujoco.mj_versionString()}'
+        return self.states.digest()

@@ -23,7 +23,7 @@ from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.saved_state import is_foreign, is_frozen, owner_of, ViewPickler
+from manip_sim.simulation.control_state import is_foreign, is_frozen, owner_of, ViewPickler
 
 #: What has no state, or one that all copies share: descriptions of what exists.
 _SHARED = (type, types.FunctionType, types.BuiltinFunctionType, types.ModuleType, enum.Enum,

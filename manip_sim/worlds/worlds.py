@@ -203,7 +203,7 @@ class Worlds:
             raise ModelError(f'expected {len(simulations)} states, one for each world that is '
                              f'restored, got {len(given) or repr(states)[:60]}')
         for simulation, state in zip(simulations, given):
-            simulation.check_restorable(state)
+            simulation.states.check(state)
         for simulation, state in zip(simulations, given):
             simulation.restore(state)
 

@@ -29,8 +29,9 @@ def test_a_world_starts_from_the_keyframe_of_its_name_in_all_files(arm):
 
 def test_a_keyframe_of_the_arena_leaves_the_robot_at_its_start(arm):
     simulation = Simulation(compose(arm, arena=load_arena(FILES / 'room.xml')))
-    assert simulation.keyframe == '' and simulation.data.joint('hinge').qpos[0] == 0.0
-    simulation.keyframe = 'ajar'
+    assert simulation.episode_start.keyframe == ''
+    assert simulation.data.joint('hinge').qpos[0] == 0.0
+    simulation.episode_start.keyframe = 'ajar'
     assert simulation.data.joint('hinge').qpos[0] == 0.0
     simulation.reset()
     assert simulation.data.joint('hinge').qpos[0] == 0.25

@@ -297,13 +297,13 @@ def test_what_commands_bring_along_is_no_fixed_place_of_states(name):
     simulation = Simulation(compose(name, arena='table'))
     robot, ball = simulation.robot, {'name': 'ball', 'shape': 'sphere', 'size': 0.1,
                                      'position': [0.0, 0.5, 3.0]}
-    layout = simulation.control.layout
+    layout = simulation.states.control.layout
 
     def check():
         simulation.advance(5)
         simulation.change_objects(plan_with(simulation.plan, create_object(ball)))
         simulation.change_objects(plan_without(simulation.plan, 'ball'))
-        assert simulation.control.layout == layout
+        assert simulation.states.control.layout == layout
 
     for number in range(6):
         for part in robot.parts.values():

@@ -1,0 +1,123 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The start of episodes: where joints are, and what was drawn from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+
+from manip_sim.models.world import World
+from manip_sim.simulation.free_base import FreeRoots
+from manip_sim.simulation.parts import Part
+from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.randomized import Randomized
+from manip_sim.simulation.robot_spawning import RobotsPlan
+from manip_sim.simulation.surroundings import Surroundings
+
+#: How long the coupled joints of grippers are simulated so that they settle at their start [s].
+_SETTLE_S = 0.5
+
+
+class EpisodeStart:
+    """
+    The start to which resets return.
+
+    :param world: that has it
+    :param physics: of the world
+    :param surroundings: which are held where they start
+    :param free_roots: of the robots
+    :ivar positions: of joints, by name [rad or m]
+    :ivar seed: that the present episode was drawn from
+    :ivar randomized: what was drawn for the present episode
+    """
+
+    def __init__(self, world: World, physics: Physics, surroundings: Surroundings,
+                 free_roots: FreeRoots) -> None:
+        self.world, self._physics = world, physics
+        self._surroundings, self._free_roots = surroundings, free_roots
+        self.positions = world.init_qpos()
+        self.seed = world.seed
+        self.randomized = Randomized(None, physics, {})
+        self._keyframe, self._changes = world.keyframe, False
+
+    @property
+    def keyframe(self) -> str:
+        """
+        Keyframe of a file that joints start from, from the next reset on; empty: none.
+
+        :raises UnknownNameError: if it is set to one that no part of the world has
+        """
+        return self._keyframe
+
+    @keyframe.setter
+    def keyframe(self, name: str) -> None:
+        self._keyframe, self._changes = self.world.checked_keyframe(name), True
+
+    @property
+    def settings(self) -> tuple[str, bool]:
+        """The keyframe, and whether the next reset uses another one than the last."""
+        return self._keyframe, self._changes
+
+    @settings.setter
+    def settings(self, settings: tuple[str, bool]) -> None:
+        self.keyframe, self._changes = settings
+
+    def draw(self, seed: int | None) -> dict[str, float] | None:
+        """
+        Return where joints are at the next reset, by name [rad or m]; None: where they were.
+
+        :param seed: of their noise; None keeps the present one
+        :raises ModelError: if the seed is no whole number from 0
+        """
+        if seed is None and not self._changes:
+            return None
+        return self.world.init_qpos(self.seed if seed is None else seed, self._keyframe)
+
+    def begin(self, seed: int, positions: dict[str, float] | None) -> None:
+        """
+        Begin an episode with what was drawn.
+
+        :param seed: of the episode
+        :param positions: as :meth:`draw` has returned
+        """
+        self.seed, self._changes = seed, False
+        if positions is not None:
+            self.positions = positions
+
+    def change_robots(self, plan: RobotsPlan) -> None:
+        """Take over where the robots start that come, and forget those that go."""
+        self.positions = {joint: position for joint, position in
+                          {**self.positions, **plan.start}.items() if joint in plan.joints}
+
+    def place(self) -> None:
+        """Put all joints, objects and the surroundings to the start."""
+        model, data = self._physics.model, self._physics.data
+        mujoco.mj_resetData(model, data)
+        for joint, position in self.positions.items():
+            data.joint(joint).qpos[0] = position
+            self._surroundings.hold(joint, position)
+        self.randomized.place(data)
+        mujoco.mj_forward(model, data)
+        self._surroundings.hold_actuators()
+        self._free_roots.apply()
+
+    def settle(self, grippers: Iterable[Part]) -> None:
+        """
+        Make the start of grippers satisfy their couplings; all is at the start, at rest.
+
+        A declared start may violate them; great forces would correct it in the first steps.
+        """
+        model, data = self._physics.model, self._physics.data
+        if not model.neq + model.ntendon:
+            return
+        gravity, flags = model.opt.gravity.copy(), model.opt.disableflags
+        model.opt.gravity[:] = 0.0
+        # Only the couplings matter here, not what a gripper overlaps.
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
+        model.opt.gravity[:], model.opt.disableflags = gravity, flags
+        for part in grippers:
+            self.positions.update(zip(part.joints, data.qpos[part.qpos_addresses].tolist()))
