@@ -47,10 +47,11 @@ class HostileNode:
     A node in this process.
 
     :param text: returns what is written in place of a name or text, by what it is
+    :ivar text: the same
     """
 
     def __init__(self, text: Callable[[str], str]) -> None:
-        self._text = text
+        self.text = text
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
         self.node = rclpy.create_node(NAME, context=self.context)
@@ -81,52 +82,52 @@ class HostileNode:
 
     def _answer(self, request: Any, response: Any) -> Any:
         self.taken.append(request)
-        response.success, response.message = False, self._text('answer')
+        response.success, response.message = False, self.text('answer')
         return response
 
     def send_world(self) -> None:
         """Publish the model and the description of the robot."""
-        body, joint, site = (self._text(what) for what in ('body', 'joint', 'site'))
-        xml = (f'<mujoco model={quoteattr(self._text("model"))}><worldbody>'
+        body, joint, site = (self.text(what) for what in ('body', 'joint', 'site'))
+        xml = (f'<mujoco model={quoteattr(self.text("model"))}><worldbody>'
                f'<body name={quoteattr(body)}><joint name={quoteattr(joint)} range="-1 1"/>'
                f'<geom size="0.1"/><site name={quoteattr(site + "grip_site")}/></body>'
                '<body name="cube" pos="0.3 0 0"><freejoint/><geom size="0.05" rgba="1 0 0 1"/>'
                f'</body></worldbody><actuator><position joint={quoteattr(joint)} kp="1"/>'
                '</actuator></mujoco>')
         self.model.publish(UInt8MultiArray(data=archive(xml)))
-        self.urdf.publish(String(data=f'<robot name={quoteattr(self._text("robot"))}>'
+        self.urdf.publish(String(data=f'<robot name={quoteattr(self.text("robot"))}>'
                                       f'<joint name={quoteattr(joint)}><limit lower="-1" '
                                       'upper="1" velocity="1" effort="1"/></joint></robot>'))
 
     def states(self) -> dict[str, Any]:
         """Return a message for each topic."""
         now = self.node.get_clock().now().to_msg()
-        joints = JointState(name=[self._text('joint')], position=[0.2], velocity=[0.0],
+        joints = JointState(name=[self.text('joint')], position=[0.2], velocity=[0.0],
                             effort=[0.0])
         joints.header.stamp = now
-        joints.header.frame_id = self._text('frame')
+        joints.header.frame_id = self.text('frame')
         pose, wrench, image = PoseStamped(), WrenchStamped(), Image(
             height=2, width=2, step=6, encoding='rgb8', data=bytes(12))
         for message in (pose, wrench, image):
-            message.header.stamp, message.header.frame_id = now, self._text('frame')
+            message.header.stamp, message.header.frame_id = now, self.text('frame')
         pose.pose.position.x = 0.3
         statuses = [
-            DiagnosticStatus(level=b'\2', name=f'{NAME}: {self._text("name")}',
-                             message=self._text('message'), hardware_id=self._text('hardware'),
-                             values=[KeyValue(key=self._text('key'), value=self._text('value'))]),
+            DiagnosticStatus(level=b'\2', name=f'{NAME}: {self.text("name")}',
+                             message=self.text('message'), hardware_id=self.text('hardware'),
+                             values=[KeyValue(key=self.text('key'), value=self.text('value'))]),
             DiagnosticStatus(name=f'{NAME}: arm', values=[
                 KeyValue(key='control_mode', value='position'),
                 KeyValue(key='command_interface', value='position'),
-                KeyValue(key='accepted', value=self._text('accepted')),
-                KeyValue(key='dropped', value=self._text('dropped')),
-                KeyValue(key='rate', value=self._text('rate')), KeyValue(key='age', value='1')]),
+                KeyValue(key='accepted', value=self.text('accepted')),
+                KeyValue(key='dropped', value=self.text('dropped')),
+                KeyValue(key='rate', value=self.text('rate')), KeyValue(key='age', value='1')]),
             DiagnosticStatus(name=f'{NAME}: cameras', values=[
-                KeyValue(key=f'{self._text("camera")}.rate', value=self._text('camera rate'))]),
+                KeyValue(key=f'{self.text("camera")}.rate', value=self.text('camera rate'))]),
             DiagnosticStatus(name=f'{NAME}: simulation', level=b'\1', values=[
-                KeyValue(key='real_time_factor', value=self._text('factor')),
-                KeyValue(key='state', value=self._text('state')),
-                KeyValue(key='start_defects', value=self._text('defect')),
-                KeyValue(key=f'failed_{self._text("failed")}', value='1')])]
+                KeyValue(key='real_time_factor', value=self.text('factor')),
+                KeyValue(key='state', value=self.text('state')),
+                KeyValue(key='start_defects', value=self.text('defect')),
+                KeyValue(key=f'failed_{self.text("failed")}', value='1')])]
         return {'joint_states': joints, 'arm/joint_states': joints, 'right/eef_pose': pose,
                 'right/external_wrench': wrench, 'objects/cube/pose': pose,
                 'front/color/image_raw': image, f'{NAME}/markers': MarkerArray(),

@@ -3,12 +3,14 @@
 
 """Images over topics: what they show, when they come, and what cannot be asked for."""
 
+from collections import Counter
 import io
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 
 from diagnostic_msgs.msg import DiagnosticArray
 import mujoco
@@ -23,6 +25,7 @@ from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
 from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.ros.outputs import Output
 from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation.spawning import plan_without
 
@@ -114,6 +117,51 @@ def test_it_is_rendered_only_while_somebody_listens_and_only_what_they_hear(serv
     client.spin_until(lambda: ('front', True, False, False) in renderings)
     count = len(color)
     client.spin_until(lambda: len(color) > count)
+
+
+@pytest.mark.parametrize('topic, what', [
+    ('color/image_raw', (True, False, False)), ('depth/image_raw', (False, True, False)),
+    ('color/image_raw/compressed', (True, False, False)), ('depth/points', (True, True, False))])
+def test_of_a_camera_only_the_topic_with_a_reader_is_published(topic, what, serve_seen, client,
+                                                               renderings):
+    node = serve_seen(cameras=[FRONT], start_paused=True, **SMALL)
+    published, publish = Counter(), Output.publish
+
+    def count(self, message):
+        published[self._publisher.topic_name] += 1
+        return publish(self, message)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Output, 'publish', count)
+        heard = listen(client, f'front/{topic}')
+        client.spin_until(lambda: len(heard) > 2)
+    assert set(renderings) == {('front', *what)}
+    assert {name for name in published if '/front/' in name} == {f'/front/{topic}'}
+    assert node.cameras.failed is None
+
+
+def test_a_rendering_that_fails_later_is_told_once_and_intrinsics_and_states_go_on(
+        serve_seen, client, monkeypatch):
+    fails, render = threading.Event(), OffscreenRenderer.render
+
+    def fail(*arguments, **options):
+        if fails.is_set():
+            raise RuntimeError('the driver is gone')
+        return render(*arguments, **options)
+    monkeypatch.setattr(OffscreenRenderer, 'render', fail)
+    lines = client.log()
+    node = serve_seen(cameras=[FRONT], **SMALL)
+    color, infos = (listen(client, f'front/color/{topic}') for topic in (
+        'image_raw', 'camera_info'))
+    client.spin_until(lambda: len(color) > 1 and len(infos) > 1)
+    assert node.cameras.failed is None
+    fails.set()
+    client.spin_until(lambda: any('the driver is gone' in line for line in lines))
+    images, before = len(color), nanoseconds(infos[-1])
+    client.spin_until(lambda: nanoseconds(infos[-1]) > before + 10**9)
+    assert len(color) <= images + 1
+    assert len([line for line in lines if 'no images: ' in line]) == 1
+    assert 'the driver is gone' in str(node.cameras.failed)
+    assert nanoseconds(client.state()) > before
 
 
 def test_a_point_cloud_has_the_ball_where_it_is_in_its_colour(serve_seen, client, renderings):
@@ -302,6 +350,7 @@ HANGS = """
 import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.ros.outputs import Output
 
 def render(*_, **__):
     print('rendering', flush=True)

@@ -1,0 +1,157 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the viewer learns of a node from its topics, and that it forgets a node that is gone."""
+
+from __future__ import annotations
+
+from hostile_node import archive, HostileNode, LATCHED, NAME
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String, UInt8MultiArray
+
+pytest.importorskip('viser', reason='the viewer needs the extra viewer')
+
+from manip_sim.models.declared_limits import declared_velocity  # noqa: E402
+from manip_sim.viewer.ros.discovery import Discovery  # noqa: E402
+from manip_sim.viewer.ros.readers import Readers  # noqa: E402
+
+#: Of a description; what the viewer takes at most [bytes].
+LIMITED = ('<robot name="robot"><joint name="joint"><limit lower="-0.5" upper="0.25" '
+           'velocity="3" effort="7"/></joint>{}</robot>')
+LARGEST = 2**23
+
+
+@pytest.fixture
+def other():
+    """Return a node with a joint, a hand, a cube and a camera."""
+    node = HostileNode(lambda what: what)
+    yield node
+    node.close()
+
+
+class Finding:
+    """What a viewer finds."""
+
+    def __init__(self, client, name):
+        self._client = client
+        self.readers = Readers(client.node)
+        self.discovery = Discovery(client.node, self.readers, name)
+
+    def until(self, condition):
+        """Look until something is found, and return the discovery."""
+        def met():
+            self.discovery.look()
+            return condition(self.discovery)
+        self._client.spin_until(met)
+        return self.discovery
+
+    def whole(self):
+        """Wait for all that can be found."""
+        return self.until(lambda found: found.layout is not None and found.model is not None)
+
+
+def test_robots_and_their_limits_are_those_of_the_node(client, serve):
+    node = serve(robots=['left', 'right'], left__robot='UR5e', right__robot='PandaOmron',
+                 start_paused=True)
+    found = Finding(client, 'manip_sim').whole()
+    assert found.base == '/' and found.is_there and found.models == 1
+    left, right = found.robots()
+    assert (left.space, left.title, left.twist) == ('/left/', 'left', None)
+    assert (right.space, right.title) == ('/right/', 'right')
+    model = node.simulation.model
+    for robot, shown in zip(node.simulation.robots.values(), (left, right)):
+        arm = next(part for part in shown.parts if part.name == 'arm')
+        assert [joint.name for joint in arm.joints] == list(robot.parts['arm'].joints)
+        for joint in arm.joints:
+            assert joint.ranges['position'] == pytest.approx(model.joint(joint.name).range)
+    base = [model.joint(name).id for name in robot.parts['base'].joints]
+    assert right.twist == pytest.approx(declared_velocity(model, base))
+
+
+def test_limits_are_those_of_the_description(client, other):
+    finding = Finding(client, NAME)
+    other.urdf.publish(String(data=LIMITED.format('')))
+    ((robot),) = finding.whole().robots()
+    ((part),) = robot.parts
+    assert (robot.title, robot.hands, robot.twist, part.name) == ('', ('right',), None, 'arm')
+    assert part.joints[0].ranges == {
+        'position': (-0.5, 0.25), 'velocity': (-3.0, 3.0), 'effort': (-7.0, 7.0)}
+
+
+def test_a_description_up_to_its_greatest_size_is_taken_and_a_greater_one_rejected(client, other):
+    finding = Finding(client, NAME)
+    other.urdf.publish(String(data=LIMITED.format(f'<!--{"x" * LARGEST}-->')))
+    finding.until(lambda _: finding.readers.rejected == 1)
+    assert finding.discovery.layout is None
+    room = LARGEST - len(LIMITED) - 100
+    other.urdf.publish(String(data=LIMITED.format(f'<!--{"x" * room}-->')))
+    finding.whole()
+    assert finding.readers.rejected == 1
+
+
+@pytest.mark.parametrize('text', ['<robot', '<robot><joint><limit lower="x"/></joint></robot>',
+                                  '<robot><joint><limit upper="inf"/></joint></robot>'])
+def test_a_description_that_cannot_be_read_is_told_and_the_next_one_taken(client, other, text):
+    finding = Finding(client, NAME)
+    lines = client.log()
+    other.urdf.publish(String(data=text))
+    finding.until(lambda _: any('/robot_description: the URDF cannot be read: ' in line
+                                for line in lines))
+    assert finding.discovery.layout is None and finding.readers.rejected >= 1
+    other.send_world()
+    finding.whole()
+
+
+def test_a_model_that_cannot_be_used_is_told_and_the_one_before_stays(client, other):
+    finding = Finding(client, NAME)
+    found = finding.whole()
+    first = found.model
+    other.model.publish(UInt8MultiArray(data=b'garbage'))
+    finding.until(lambda _: finding.readers.rejected == 1)
+    assert found.model is first and found.models == 1
+    other.model.publish(UInt8MultiArray(data=archive('<mujoco model="next"/>')))
+    finding.until(lambda found: found.models == 2)
+    assert found.model is not first and found.model.njnt == 0
+
+
+def test_a_node_that_is_gone_is_forgotten_but_its_picture_stays(client, other):
+    finding = Finding(client, NAME)
+    found = finding.whole()
+    other.node.destroy_publisher(other.model)
+    finding.until(lambda found: not found.is_there)
+    assert found.layout is None and found.model is not None
+    # It comes again with other joints.
+    other.text = lambda what: f'other_{what}'
+    other.model = other.node.create_publisher(UInt8MultiArray, f'{NAME}/mjcf_archive', LATCHED)
+    other.send_world()
+    finding.until(lambda found: found.models == 2 and found.layout is not None)
+    (joint,) = found.robots()[0].parts[0].joints
+    assert (joint.name, joint.ranges['position']) == ('other_joint', (-1.0, 1.0))
+    # What has been learnt is not listened to any more.
+    client.spin_until(lambda: not any(client.node.count_subscribers(f'/{topic}') for topic in (
+        'robot_description', 'arm/joint_states')))
+
+
+def test_a_part_without_usable_names_of_joints_is_waited_for(client, other):
+    finding = Finding(client, NAME)
+    other._timer.cancel()
+    publisher = other.publishers['arm/joint_states']
+    finding.until(lambda _: publisher.get_subscription_count() > 0)
+
+    def rejected(_):
+        publisher.publish(JointState(name=['a', 'a'], position=[0.0, 0.0]))
+        return finding.readers.rejected > 0
+    finding.until(rejected)
+    for _ in range(5):
+        finding.discovery.look()
+    assert finding.discovery.layout is None
+    # If the node goes meanwhile, nothing of it is listened to any more.
+    other.node.destroy_publisher(other.model)
+    finding.until(lambda found: not found.is_there)
+    client.spin_until(lambda: publisher.get_subscription_count() == 0)
+    other.model = other.node.create_publisher(UInt8MultiArray, f'{NAME}/mjcf_archive', LATCHED)
+    other.send_world()
+    finding.until(lambda _: publisher.get_subscription_count() > 0)
+    publisher.publish(other.states()['arm/joint_states'])
+    finding.whole()
