@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from manip_sim.models.grippers import PandaGripper
+from manip_sim.ros.diagnostics import Pace
 
 
 def values(status):
@@ -144,6 +145,18 @@ def test_a_factor_that_is_not_reached_is_told_also_with_long_periods(serve, clie
     assert last.level == DiagnosticStatus.WARN
     assert 'instead of 0.6' in last.message
     assert int(values(last)['missed_deadlines']) > int(values(first)['missed_deadlines'])
+
+
+@pytest.mark.parametrize('loss, level', [
+    (0.0, DiagnosticStatus.OK), (0.009, DiagnosticStatus.OK), (0.011, DiagnosticStatus.WARN)])
+def test_more_than_a_hundredth_of_lost_time_is_warned_of(loss, level, serve, client, monkeypatch):
+    monkeypatch.setattr(Pace, 'measure', lambda self, _: setattr(self, 'loss', loss))
+    serve()
+    arrays = client.listen(DiagnosticArray, '/diagnostics')
+    client.spin_until(lambda: len(arrays) > 1)
+    status = arrays[-1].status[0]
+    assert status.level == level
+    assert ('too slow' in status.message) == (level == DiagnosticStatus.WARN)
 
 
 def test_a_simulation_that_hangs_is_told(serve, client):

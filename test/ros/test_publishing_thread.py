@@ -121,6 +121,12 @@ def test_a_thread_that_has_failed_is_seen_and_holds_up_nobody(thread, monkeypatc
     assert not thread.is_alive
 
 
+def test_a_publication_that_flushes_does_not_wait_for_itself(thread):
+    done = threading.Event()
+    thread.add(lambda: (thread.flush(), done.set()))
+    assert done.wait(300.0)
+
+
 def test_other_threads_go_on_while_a_publication_waits_for_its_reader(client, reader):
     publisher = client.node.create_publisher(Clock, 'times', EVERYTHING)
     client.spin_until(lambda: publisher.get_subscription_count() > 0)
