@@ -14,6 +14,9 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from starts import starts
 import yaml
 
+from manip_sim.interface.ros2_control import STALLS
+from manip_sim.models.urdf_writer import OWN_PLUGIN
+
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 REJECTED = [
     ('robott:=Panda', "unknown parameter 'robott'", "did you mean 'robot'"),
@@ -163,6 +166,29 @@ def test_use_sim_time_is_answered_with_a_warning(serve, client):
     serve(use_sim_time=True)
     client.spin_until(lambda: any('this node is the source of the time' in line for line in log))
     client.state()
+
+
+@pytest.mark.parametrize('told, parameters', [
+    (True, {'ros2_control_tag': True, 'stepping': 'lockstep'}),
+    (False, {'ros2_control_tag': True, 'stepping': 'lockstep',
+             'ros2_control_plugin': OWN_PLUGIN}),
+    (False, {'ros2_control_tag': True}), (False, {'stepping': 'lockstep'})])
+def test_a_hardware_component_that_would_stall_lockstep_is_warned_of(told, parameters, serve,
+                                                                     client):
+    log = client.log()
+    node = serve(**parameters)
+    node.get_logger().info('all has been told')
+    client.spin_until(lambda: 'all has been told' in log)
+    assert (STALLS in log) == told
+
+
+def test_what_is_wrong_with_the_start_is_told(serve, client):
+    log = client.log()
+    place = {f'{name}__position': [0.0, 0.0, 0.0] for name in ('a', 'b')}
+    node = serve(robots=['a', 'b'], start_paused=True, **place)
+    assert node.simulation.start_defects
+    for defect in node.simulation.start_defects:
+        client.spin_until(lambda told=f'start: {defect}': told in log)
 
 
 def test_parameters_may_be_set_before_the_simulation_runs_and_after_it_has_ended(serve):
