@@ -125,13 +125,13 @@ class Ledger:
 
         Unlike the setpoints, they are not held back for joints that cannot keep up.
 
-        :param now_s: simulation time [s]
+        :param now_s: simulation time since the last reset [s]
         """
         for command in self.running:
             if command.handle is handle and isinstance(command, JointTrajectory):
                 position, velocity, acceleration = (
                     values[command.columns]
-                    for values in command.trajectory.at(now_s - command.start_ns * 1e-9))
+                    for values in command.trajectory.at(now_s - (command.start_s or 0.0)))
                 return position, velocity, acceleration
         return None
 

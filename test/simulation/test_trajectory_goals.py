@@ -498,3 +498,18 @@ def test_goals_for_all_parts_of_a_robot_succeed_with_the_default_tolerances(oper
             goals.append(actor.start(*joints, part=name, times_s=[0.5], positions=[target]))
     actor.run(1.0)
     assert [ended(goal) for goal in goals] == [SUCCESS] * len(goals)
+
+
+@pytest.mark.parametrize('ahead_ns', [0, 10_000_000], ids=['at once', 'at a time'])
+def test_what_is_desired_on_the_way_is_where_the_trajectory_is_at_any_time(panda, ahead_ns):
+    panda.run(1.0)
+    panda.simulation.reset()
+    panda.run(1.0)
+    goal = panda.start(
+        times_s=[2.0], positions=[[0.3]], path_tolerance=at_most(position=0.05),
+        start_ns=ahead_ns and panda.simulation.time_ns + ahead_ns)
+    panda.run(1.0)
+    setpoint = panda.simulation.robot.controller_state('arm').reference
+    assert 0.1 < goal.view.desired[0][0] < 0.2 and goal.outcome is None
+    np.testing.assert_allclose(goal.view.desired[0][0], setpoint.position[0], atol=1e-9)
+    np.testing.assert_allclose(goal.view.desired[1][0], setpoint.velocity[0], atol=1e-9)
