@@ -179,7 +179,7 @@ class CommandSubscribers:
                 # The stamp of a trajectory is when it starts, not what it answers.
                 answers = (nanoseconds_of(message.header.stamp)
                            if isinstance(message, _ANSWERS) else 0)
-                refusal = next(filter(None, map(self.robot.refusal, commands)), None)
+                refusal = next(filter(None, map(self.robot.reflexes.refusal, commands)), None)
                 if refusal is not None:
                     # In lock-step it is an answer nevertheless: the robot has to come to rest.
                     commands = [NoCommand(robot=c.robot, parts=c.parts, indices=c.indices[:0])

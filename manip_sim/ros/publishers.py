@@ -148,7 +148,7 @@ Read = Callable[[str], FloatArray]
 def _joints(robot: SimulatedRobot, part: str, _: str, read: Read) -> Reading:
     names = robot.parts[part].joints if part else robot.joint_names
     exact = read == robot.sensing.exact
-    of_part = robot.exact if exact else robot.measured
+    of_part = robot.reader.exact if exact else robot.reader.measured
     return (partial(messages.joint_state, names), lambda _: of_part(part or None),
             3 * len(names))
 

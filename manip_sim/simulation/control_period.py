@@ -103,7 +103,7 @@ class ControlPeriods:
             self._steps.end_period(steps, steps * self._timestep_s)
             for robot in self._robots:
                 if robot.sensing.settings.measures:
-                    robot.end_period(steps * self._timestep_s)
+                    robot.reader.end_period(steps * self._timestep_s)
             self._pulls.release()
         else:
             self._hold(reason)
@@ -172,7 +172,7 @@ class ControlPeriods:
 
     def _compute_plans(self, robots: Sequence[SimulatedRobot], left: int) -> None:
         """Compute the rest of a period, in whose intervals robots do what they have planned."""
-        for writes in zip(*[robot.joints.take_plan() for robot in robots]):
+        for writes in zip(*[robot.joints.plan.take() for robot in robots]):
             for write in writes:
                 write()
             chunk = self._chunk(left)

@@ -5,16 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-import functools
+from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.errors import CommandError
 from manip_sim.simulation.base_twists import BaseTwists
 from manip_sim.simulation.cartesian.commands import CartesianCommand
 from manip_sim.simulation.cartesian.controller import CartesianController
@@ -28,13 +25,10 @@ from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
-from manip_sim.simulation.point_streams import PointStreams
-from manip_sim.simulation.profiles import Plan
+from manip_sim.simulation.planned_controls import PlannedControls
+from manip_sim.simulation.trajectory_following import TrajectoryFollowing
 
 C = TypeVar('C', bound=Command)
-#: Setpoints that go less than this share of how far they may be ahead of their joints, in a plan,
-#: are looked at once in it.
-CALM = 0.25
 
 
 class JointController(ControlledJoints):
@@ -51,10 +45,8 @@ class JointController(ControlledJoints):
     :param hands: of the arms that take Cartesian commands, by arm
     :ivar cartesian: controller of the hands
     :ivar commands: the commands that have not ended
+    :ivar plan: the controls of the intervals that follow in a period, where they are planned
     """
-
-    #: Computed anew in each control period.
-    not_in_digest = ('_rates', '_calm')
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str], hands: Mapping[str, Hand] | None = None) -> None:
@@ -64,13 +56,12 @@ class JointController(ControlledJoints):
         self._everything = np.arange(len(self.names))
         self.commands = Ledger(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
-        self._points = PointStreams(len(self.names))
+        self._trajectories = TrajectoryFollowing(
+            self._setpoints, self.commands, len(self.names))
+        self.plan = PlannedControls(self._servos, self._setpoints)
         self._base = BaseTwists(self._servos, self._setpoints)
         #: The parts whose timeout ends Cartesian targets too.
         self._targets_end = set(atomic)
-        #: For a plan of the setpoints: how fast the servos follow it, and whether that is slow.
-        self._rates: FloatArray | None = None
-        self._calm = False
         #: Whether new efforts have yet to be written.
         self._efforts_due = False
         self._written = False
@@ -124,30 +115,21 @@ class JointController(ControlledJoints):
             ends = ends_targets or not timeout_s
             (self._targets_end.add if ends else self._targets_end.discard)(name)
 
-    def set_stream_hold(self, part: str, hold_s: float) -> None:
+    def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
+                   ) -> None:
         """
-        Change how long a part goes on at the velocity of a stream of goals after one was due.
+        Change what counts as a stream, and what happens when one stops.
 
-        :param hold_s: simulation time [s]; 0 for two message intervals
+        :param longest_s: longest interval between messages of a stream [s]; None: no change
+        :param hold_s: how long a part goes on at the velocity of a stream of goals after one was
+            due [s]; 0 for two message intervals; None: no change
         :raises UnknownNameError: if there is no such part
         """
-        self._set_stream(part, hold_s=hold_s)
-
-    def set_stream_interval(self, part: str, longest_s: float) -> None:
-        """
-        Change up to which interval messages for a part are a stream.
-
-        :param longest_s: simulation time [s]
-        :raises UnknownNameError: if there is no such part
-        """
-        self._set_stream(part, longest_s=longest_s)
-
-    def _set_stream(self, part: str, **changes: float) -> None:
         indices = self.indices_of(part)
-        self._setpoints.set_stream(indices, **changes)
+        self._setpoints.set_stream(indices, longest_s, hold_s)
         for arm in self.cartesian.settings:
             if np.isin(self.indices_of(arm), indices).all():
-                self.cartesian.set_stream(arm, **changes)
+                self.cartesian.set_stream(arm, longest_s, hold_s)
 
     def set_mode(self, part: str, mode: str, data: mujoco.MjData) -> None:
         """
@@ -221,7 +203,7 @@ class JointController(ControlledJoints):
         everything = self._everything
         self.commands.release(everything, Status.ABORTED, 'the simulation was reset')
         self._timeouts.clear()
-        self._points = PointStreams(len(everything))
+        self._trajectories.forget()
         self._base.forget()
         self.cartesian.reset(data)
         self._effort[:] = 0.0
@@ -373,7 +355,8 @@ class JointController(ControlledJoints):
         setpoints, servos = self._setpoints, self._servos
         setpoints.now_s = now_s
         if self.commands.waiting:
-            self._start_trajectories(now_s, duration_s)
+            self._trajectories.start_due(
+                self.modes, now_s, duration_s, self.cartesian.period_s)
         # Setpoints of joints go on by themselves.
         others = [c for c in self.commands.running if type(c) is not JointSetpoint]
         for command in others:
@@ -385,101 +368,28 @@ class JointController(ControlledJoints):
             setpoints.advance(duration_s)
         for command in others:
             if isinstance(command, JointTrajectory):
-                self._follow_trajectory(command, data, now_s + duration_s)
+                position = self._trajectories.follow(command, now_s + duration_s)
+                if position is not None:
+                    self._end_trajectory(command, data, position)
         if servos.follows:
             setpoints.hold_back(servos.measured(duration_s), servos.reach)
         self._written, self._efforts_due = True, False
-        if not self.write_plan():
+        if not self.plan.write():
             servos.write(data, duration_s, setpoints.position, setpoints.velocity,
                          setpoints.acceleration, self._effort)
-
-    def write_plan(self) -> bool:
-        """Write the controls of the present interval of a plan; return whether there is one."""
-        plan, row = self._setpoints.plan, self._setpoints.row
-        if plan is None or self._servos.any_gives_effort:
-            self._rates = None
-            return False
-        if row == 0 or self._rates is None:
-            # What servos need in all of its intervals is computed when it begins.
-            self._rates, self._calm = self._servos.rates(plan), self._is_calm(plan)
-        self._servos.write_rate(self._rates[row])
-        return True
-
-    def begin_plan(self, rates: FloatArray) -> None:
-        """
-        Begin to follow the plan of the setpoints, for which something else has computed rates.
-
-        :param rates: as :meth:`Servos.rates` would return, shape (k, n)
-        """
-        assert self._setpoints.plan is not None
-        self._rates, self._calm = rates, self._is_calm(self._setpoints.plan)
-        self._servos.write_rate(rates[0])
 
     @property
     def plans(self) -> bool:
         """Whether all intervals that follow in the control period are planned."""
-        return (self._setpoints.plan is not None and self._calm and self._rates is not None
-                and not self.commands.waiting
+        return (bool(self.plan) and not self.commands.waiting
                 and all([type(c) is JointSetpoint for c in self.commands.running]))
 
-    def take_plan(self) -> list[Callable[[], None]]:
-        """Return what writes the controls of each of the intervals that follow in the period."""
-        assert self._rates is not None
-        rates, write = self._rates[self._setpoints.row + 1:], self._servos.write_rate
-        self._setpoints.end_plan()
-        return [functools.partial(write, rate) for rate in rates]
-
-    def _is_calm(self, plan: Plan) -> bool:
-        """Tell whether setpoints go so slowly that one look in a plan holds them back in time."""
-        way = np.abs(plan.velocities) * float(np.add.reduce(plan.durations_s)[0])
-        return not np.count_nonzero(way > CALM * self._servos.reach)
-
-    def _start_trajectories(self, now_s: float, duration_s: float) -> None:
-        for command in list(self.commands.waiting):
-            start_s = now_s if command.start_s is None else command.start_s
-            if start_s >= now_s + duration_s - 1e-9:
-                continue
-            self.commands.waiting.remove(command)
-            self.commands.take(command)
-            own = command.own_trajectory()
-            if own.trajectory.points_after(now_s - start_s) <= 2 and self._points.take(
-                    own.indices, now_s, start_s + own.trajectory.end_s - now_s,
-                    min(self._setpoints.stream_settings(i)[0] for i in own.indices.tolist())):
-                self._go_on_to(own)
-                continue
-            if own.trajectory.end_s <= now_s - start_s:
-                self._come_to(own.as_setpoint(self.modes_of(own.indices)))
-                continue
-            try:
-                own.trajectory.begin_at(self._setpoints.position[own.indices],
-                                        self._setpoints.velocity[own.indices], now_s - start_s)
-            except CommandError as error:
-                command.handle.end(Status.ABORTED, str(error))
-                continue
-            self.commands.running.append(replace(own, start_s=start_s))
-
-    def _go_on_to(self, command: JointTrajectory) -> None:
-        """Let a point continue a stream of them."""
-        setpoint = command.as_setpoint(self.modes_of(command.indices))
-        self.go_to(setpoint.indices, setpoint.values, Arrival(
-            self.cartesian.period_s, command.messages, command.sent_s))
-        self.commands.running.append(setpoint)
-
-    def _come_to(self, command: JointSetpoint) -> None:
-        self._setpoints.come_back(command.indices, command.values)
-        self.commands.running.append(command)
-
-    def _follow_trajectory(self, command: JointTrajectory, data: mujoco.MjData, end_s: float
-                           ) -> None:
-        since_s = end_s - (command.start_s or 0.0)
-        position, velocity, acceleration = (
-            values[command.columns] for values in command.trajectory.at(since_s))
-        self._setpoints.follow(command.indices, position, velocity, acceleration)
-        if since_s >= command.trajectory.end_s - 1e-9:
-            self._finish(command, data, position)
-            # Setpoints may still have a velocity there, or have been held back on the way.
-            self._setpoints.come_back(command.indices, position)
-            self._timeouts.forget(command.parts - self._commanded_parts())
+    def _end_trajectory(self, command: JointTrajectory, data: mujoco.MjData,
+                        position: FloatArray) -> None:
+        self._finish(command, data, position)
+        # Setpoints may still have a velocity there, or have been held back on the way.
+        self._setpoints.come_back(command.indices, position)
+        self._timeouts.forget(command.parts - self._commanded_parts())
 
     def _target_parts(self) -> frozenset[str]:
         return frozenset().union(*(

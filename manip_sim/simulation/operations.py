@@ -108,10 +108,10 @@ class Operations:
         self._robot(robot).set_command_timeout(part, timeout_s, ends_targets)
 
     def _stream_interval(self, robot: str, part: str, longest_s: float) -> None:
-        self._robot(robot).set_stream_interval(part, longest_s)
+        self._robot(robot).set_stream(part, longest_s=longest_s)
 
     def _stream_hold(self, robot: str, part: str, hold_s: float) -> None:
-        self._robot(robot).set_stream_hold(part, hold_s)
+        self._robot(robot).set_stream(part, hold_s=hold_s)
 
     def _wrench_cutoff(self, robot: str, arm: str, cutoff_hz: float) -> None:
         self._robot(robot).set_wrench_cutoff(arm, cutoff_hz)

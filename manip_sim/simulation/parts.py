@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -76,6 +76,11 @@ def find_parts(model: mujoco.MjModel, robot: RobotModel) -> dict[str, Part]:
             name = f'{arm}/gripper'
             parts[name] = _part(model, name, gripper.joints, gripper.actuators, gripper=gripper)
     return parts
+
+
+def atomic_parts(parts: Mapping[str, Part]) -> list[Part]:
+    """Return the parts that do not overlap."""
+    return [part for name, part in parts.items() if part.atomic == (name,)]
 
 
 def find_places(model: mujoco.MjModel, parts: Iterable[Part]) -> None:

@@ -1,21 +1,22 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-Stop a part that is too fast, exerts too much or is pushed too hard, as arms of today do.
-
-What stops it, and which commands it refuses afterwards, is not decided here.
-"""
+"""Stop a part that is too fast, exerts too much or is pushed too hard, as arms of today do."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
+import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
 from manip_sim.errors import UnknownNameError
+from manip_sim.simulation.commands import Command, NoCommand
+from manip_sim.simulation.efforts import ActuatorEfforts
+from manip_sim.simulation.end_effectors import EndEffectorReader
+from manip_sim.simulation.joint_controller import JointController
+from manip_sim.simulation.parts import atomic_parts, Part
 
 
 @dataclass(frozen=True)
@@ -44,20 +45,29 @@ class Reflexes:
     """
     The limits of each part, and which parts were stopped.
 
-    :param parts: names of parts that do not overlap
+    A part that was stopped refuses commands until :meth:`reset`.
+
+    :param parts: of the robot, by name
+    :param joints: controller of their joints
+    :param end_effectors: readers of the grippers, by arm
+    :param efforts: of the actuators of the model
     :ivar tripped: why each part was stopped that refuses commands
     :ivar counts: how often each part was stopped
     """
 
-    def __init__(self, parts: Iterable[str]) -> None:
-        self._limits = dict.fromkeys(parts, ReflexLimits())
+    def __init__(self, parts: Mapping[str, Part], joints: JointController,
+                 end_effectors: Mapping[str, EndEffectorReader], efforts: ActuatorEfforts) -> None:
+        self._joints, self._efforts = joints, efforts
+        self._limits = {part.name: ReflexLimits() for part in atomic_parts(parts)
+                        if part.gripper is None and part.actuators}
+        self._readers = {parts[arm].atomic: reader for arm, reader in end_effectors.items()}
         self.tripped: dict[str, str] = {}
         self.counts = dict.fromkeys(self._limits, 0)
         self.armed: tuple[str, ...] = ()
 
     def set(self, part: str, quantity: str, limit: float) -> None:
         """
-        Change a limit of a part.
+        Change a limit of a part, of each of those that it consists of.
 
         :param quantity: a field of :class:`ReflexLimits`
         :raises UnknownNameError: if there is no such quantity
@@ -65,36 +75,57 @@ class Reflexes:
         known = [field.name for field in fields(ReflexLimits)]
         if quantity not in known:
             raise UnknownNameError('quantity of a reflex', quantity, known)
-        self._limits[part] = replace(self._limits[part], **{quantity: limit})
+        for name in self._joints.parts_of(self._joints.indices_of(part)):
+            self._limits[name] = replace(self._limits[name], **{quantity: limit})
         self.armed = tuple(name for name, limits in self._limits.items() if limits.any)
 
-    def trip(self, part: str, reason: str) -> None:
-        """Remember that a part was stopped."""
-        self.tripped = {**self.tripped, part: reason}
-        self.counts[part] += 1
+    def check(self, data: mujoco.MjData) -> None:
+        """Stop the parts that do too much, at the beginning of a control period."""
+        for part in self.armed:
+            if part not in self.tripped:
+                reason = self._excess(part, data)
+                if reason is not None:
+                    self.tripped = {**self.tripped, part: reason}
+                    self.counts[part] += 1
+                    self._joints.stop(part, f'stopped by a reflex: {reason}', data)
+
+    def refusal(self, command: Command) -> str | None:
+        """
+        Return why a command is rejected at present, or None.
+
+        :param command: for this robot
+        """
+        stopped = [part for part in self.tripped if part in command.parts]
+        if not stopped or isinstance(command, NoCommand):
+            return None
+        return (f'{stopped[0]} was stopped by a reflex: {self.tripped[stopped[0]]}; '
+                'call reset_reflex')
 
     def reset(self) -> None:
         """Let all parts take commands again."""
         self.tripped = {}
 
-    def excess(self, part: str, shares: Mapping[str, FloatArray], names: list[str],
-               wrench: FloatArray | None) -> str | None:
-        """
-        Return what a part does too much, in words, or None.
-
-        :param shares: ``velocity`` and ``effort`` of the joints over their limits, shape (n,)
-        :param names: of the joints
-        :param wrench: external force [N] and torque [N m] on its tool, shape (6,), or None
-        """
-        limits = self._limits[part]
+    def _excess(self, part: str, data: mujoco.MjData) -> str | None:
+        """Return what a part does too much, in words, or None."""
+        limits, joints = self._limits[part], self._joints
+        indices = joints.indices_of(part)
+        dofs = joints.dofs(indices)
+        shares = {'velocity': np.abs(data.qvel[dofs]) / joints.velocity_limits(indices),
+                  'effort': np.abs(self._efforts.values[dofs]) / joints.efforts_allowed(indices)}
         for quantity, share in shares.items():
             limit = getattr(limits, quantity)
             if limit and share.max(initial=0.0) > limit:
                 worst = int(share.argmax())
-                return (f"the {quantity} of joint '{names[worst]}' is {share[worst]:.3g} times "
-                        f'its limit, allowed is {limit:g}')
-        if wrench is None:
+                return (f"the {quantity} of joint '{joints.names[indices[worst]]}' is "
+                        f'{share[worst]:.3g} times its limit, allowed is {limit:g}')
+        return self._push(part, data)
+
+    def _push(self, part: str, data: mujoco.MjData) -> str | None:
+        """Return by how much the tool of a part is pushed too hard, in words, or None."""
+        reader = self._readers.get((part,))
+        if reader is None:
             return None
+        limits, wrench = self._limits[part], reader.external_wrench(data)
         for quantity, vector, unit in (('force', wrench[:3], 'N'), ('torque', wrench[3:], 'N m')):
             limit, size = getattr(limits, quantity), float(np.sqrt((vector**2).sum()))
             if limit and size > limit:

@@ -5,17 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
-import numpy as np
-
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
-from manip_sim.sensing.channels import JointChannel, WrenchChannel
-from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
 from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.clock import Clock
@@ -28,11 +22,11 @@ from manip_sim.simulation.efforts import ActuatorEfforts
 from manip_sim.simulation.gripper_controller import GripperController
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.modes import MODES, POSITION
-from manip_sim.simulation.parts import find_parts, find_places, Part
+from manip_sim.simulation.parts import atomic_parts, find_parts, Part
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.reflexes import Reflexes
+from manip_sim.simulation.robot_reader import RobotReader
 from manip_sim.simulation.state import ControllerState, State
-from manip_sim.simulation.end_effectors import end_effector, EndEffectorReader, READINGS
 
 
 class SimulatedRobot:
@@ -40,7 +34,7 @@ class SimulatedRobot:
     A robot in a simulation, with its commands and its states.
 
     Commands are validated by :attr:`parse`, which only reads, and take effect with :meth:`apply`.
-    It is made and advanced by a ``Simulation``, which owns the physics.
+    A ``Simulation`` makes and advances it.
 
     :param physics: of the world at the start, after ``mj_forward``
     :param robot: a robot of the model
@@ -56,6 +50,7 @@ class SimulatedRobot:
     :ivar parse: parser of commands
     :ivar parse_cartesian: parser of Cartesian commands
     :ivar joint_names: all scalar joints, in the order of the states
+    :ivar reader: reads joints and grippers
     :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
     """
 
@@ -67,59 +62,26 @@ class SimulatedRobot:
         self._timestep_s = self._period_s = float(model.opt.timestep)
         self.robot_model = robot
         self.parts: dict[str, Part] = find_parts(model, robot)
-        atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
-        physics.on_change(self._find_places)
-        self.end_effectors = {
-            name.split('/')[0]: EndEffectorReader(physics, part.gripper)
-            for name, part in self.parts.items() if part.gripper is not None}
+        atomic = atomic_parts(self.parts)
+        self.reader = RobotReader(physics, self.name, self.parts, efforts, clock)
+        self.joint_names, self.indices_of = self.reader.joint_names, self.reader.indices_of
+        self.end_effectors, self.sensing = self.reader.end_effectors, self.reader.sensing
         self.joints = JointController(
             physics, {name: p for name, p in self.parts.items() if p.gripper is None},
             [part.name for part in atomic if part.gripper is None],
             find_hands(model, robot, self.parts, self.end_effectors))
         self.grippers = {part.name: GripperController(physics, part, self._timestep_s)
                          for part in atomic if part.gripper is not None}
-        self.reflexes = Reflexes(
-            part.name for part in atomic if part.gripper is None and part.actuators)
+        self.reflexes = Reflexes(self.parts, self.joints, self.end_effectors, efforts)
         self.parse = CommandParser(robot, self.joints, self.grippers)
         self.parse_cartesian = CartesianParser(
             robot, self.joints, find_frames(model, robot, self.end_effectors))
         physics.on_change(self._find_frames)
         self._late = DelayedCommands()
-        self._add_channels()
-
-    def _find_places(self) -> None:
-        """Find the addresses of the joints, which change when a robot before is deleted."""
-        find_places(self._physics.model, self.parts.values())
-        atomic = [part for name, part in self.parts.items() if part.atomic == (name,)]
-        self.joint_names: tuple[str, ...] = tuple(j for part in atomic for j in part.joints)
-        qpos, dofs = (np.concatenate([getattr(part, kind) for part in atomic])
-                      for kind in ('qpos_addresses', 'dof_addresses'))
-        place = {name: index for index, name in enumerate(self.joint_names)}
-        self.indices_of = {name: np.array([place[j] for j in part.joints], dtype=np.int64)
-                           for name, part in self.parts.items()}
-        #: Addresses in ``qpos`` and ``qvel`` of the joints of each part, and of all joints.
-        self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
-            name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
 
     def _find_frames(self) -> None:
         self.parse_cartesian.look_at_model(self._physics.model)
         self.joints.cartesian.look_at_model(self._physics.model)
-
-    def _add_channels(self) -> None:
-        self.sensing = RobotSensing(self.name, self._clock, self._timestep_s)
-        self.sensing.add('joints', self.exact, JointChannel(
-            f'{self.name} joints', 3 * len(self.joint_names)))
-        for arm, reader in self.end_effectors.items():
-            wrench = WrenchChannel(reader.ft_frame, 6)
-            noise = {'wrench': wrench, 'external_wrench': ExternalWrenchChannel(wrench)}
-            for name in READINGS:
-                self.sensing.add(f'{arm}/{name}', partial(self._read, arm, name),
-                                 noise.get(name))
-
-    def _read(self, arm: str, name: str) -> FloatArray:
-        """Return one of the readings of a gripper, exactly."""
-        found: FloatArray = getattr(self.end_effectors[arm], name)(self._physics.data)
-        return found
 
     @property
     def name(self) -> str:
@@ -160,8 +122,6 @@ class SimulatedRobot:
         """Whether all intervals that follow in the control period are planned."""
         return self.joints.plans and not any([g.moving for g in self.grippers.values()])
 
-    # ------------------------------------------------------------------ commands
-
     def apply(self, *commands: Command, period_s: float | None = None) -> None:
         """
         Let validated commands take effect with the next control period.
@@ -184,7 +144,7 @@ class SimulatedRobot:
 
     def _apply(self, command: Command) -> None:
         clock = self._clock
-        refusal = self.refusal(command)
+        refusal = self.reflexes.refusal(command)
         if refusal is not None:
             command.handle.end(Status.ABORTED, refusal)
         elif isinstance(command, NoCommand):
@@ -267,34 +227,23 @@ class SimulatedRobot:
         self._check_no_gripper(part)
         self.joints.set_timeout(part, timeout_s, ends_targets)
 
-    def set_stream_hold(self, part: str, hold_s: float) -> None:
+    def set_stream(self, part: str, longest_s: float | None = None, hold_s: float | None = None
+                   ) -> None:
         """
-        Change how long joints go on at the velocity of a stream of positions that stops coming.
+        Change which commands of a part are a stream, and followed smoothly, and what ends it.
 
-        It counts from when the next message was due. Then they brake within their acceleration
-        limits, and come to the last goal.
+        Goals that come more slowly are steps, each with its own start and stop. After a stream
+        joints brake within their acceleration limits, and come to the last goal.
 
         :param part: such as ``arm``
-        :param hold_s: simulation time [s]; 0 for two message intervals
+        :param longest_s: longest interval of a stream, above 0 [s]; None: no change
+        :param hold_s: how long joints go on at the velocity of the stream after a command was due
+            [s]; 0 for two message intervals; None: no change
         :raises CommandError: if the part is a gripper
         :raises UnknownNameError: if there is no such part
         """
         self._check_no_gripper(part)
-        self.joints.set_stream_hold(part, hold_s)
-
-    def set_stream_interval(self, part: str, longest_s: float) -> None:
-        """
-        Change up to which interval the commands of a part are a stream, and followed smoothly.
-
-        Goals that come more slowly are steps, each with its own start and stop.
-
-        :param part: such as ``arm``
-        :param longest_s: simulation time [s], above 0
-        :raises CommandError: if the part is a gripper
-        :raises UnknownNameError: if there is no such part
-        """
-        self._check_no_gripper(part)
-        self.joints.set_stream_interval(part, longest_s)
+        self.joints.set_stream(part, longest_s, hold_s)
 
     def _check_no_gripper(self, part: str) -> None:
         if part in self.grippers:
@@ -320,22 +269,13 @@ class SimulatedRobot:
             raise UnknownNameError('arm with a gripper', arm, self.end_effectors)
         self.end_effectors[arm].external.set_cutoff(cutoff_hz, self._physics.data)
 
-    # ------------------------------------------------------------------ states
-
     def state(self) -> State:
         """Return what is measured at the present instant, with noise and latency."""
-        return self._state(self.sensing.measured)
+        return self.reader.state(self.sensing.measured)
 
     def true_state(self) -> State:
         """Return a snapshot of the present instant, exactly."""
-        return self._state(self.sensing.exact)
-
-    def _state(self, read: Callable[[str], FloatArray]) -> State:
-        position, velocity, effort = read('joints').reshape(3, -1)
-        return State(
-            time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
-            end_effectors={arm: end_effector(*[read(f'{arm}/{name}') for name in READINGS])
-                           for arm in self.end_effectors})
+        return self.reader.state(self.sensing.exact)
 
     def measured(self, part: str | None = None) -> FloatArray:
         """
@@ -346,21 +286,7 @@ class SimulatedRobot:
         :param part: its name; None for all joints
         :returns: each in the order of the joints' names, in SI units, shape (3 n,), a copy
         """
-        if not self.sensing.settings.measures:
-            return self.exact(part)
-        rows = self.sensing.measured('joints')
-        return rows if part is None else rows.reshape(3, -1)[:, self.indices_of[part]].ravel()
-
-    def exact(self, part: str | None = None) -> FloatArray:
-        """
-        Return the positions, then the velocities, then the efforts of the joints of a part.
-
-        :param part: its name; None for all joints
-        :returns: as :meth:`measured`, without noise and latency
-        """
-        qpos, dofs = self._addresses[part]
-        data = self._physics.data
-        return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])
+        return self.reader.measured(part)
 
     def dynamics(self) -> dict[str, JointDynamics]:
         """Return inertia, damping, friction and limits of all scalar joints, by name."""
@@ -385,8 +311,6 @@ class SimulatedRobot:
         """
         return self.joints.commands.reference(handle, self._clock.control_s)
 
-    # ------------------------------------------------------------------ in the physics loop
-
     def begin_period(self, period_s: float, ends_s: FloatArray) -> None:
         """
         Begin a control period; end position commands that are done and commands that timed out.
@@ -397,9 +321,7 @@ class SimulatedRobot:
         self._period_s = period_s
         if self._late:
             self._apply_late()
-        for part in self.reflexes.armed:
-            if part not in self.reflexes.tripped:
-                self._check_reflex(part)
+        self.reflexes.check(self._physics.data)
         self.joints.begin_period(self._physics.data, self._clock.control_s, period_s, ends_s)
 
     def _apply_late(self) -> None:
@@ -409,31 +331,10 @@ class SimulatedRobot:
             except Exception as error:  # A user's gripper may raise anything.
                 command.handle.end(Status.ABORTED, str(error))
 
-    def end_period(self, period_s: float) -> None:
-        """
-        Measure what is remembered, at the end of a control period.
-
-        :param period_s: length of the control period [s]
-        """
-        self.sensing.end_period({f'{arm}/external_wrench': reader.external.weight(period_s)
-                                 for arm, reader in self.end_effectors.items()})
-
     @property
     def busy_parts(self) -> frozenset[str]:
         """The atomic parts that follow a trajectory, or will."""
         return self.joints.busy_parts | self._late.busy_parts
-
-    def _check_reflex(self, part: str) -> None:
-        indices, data, joints = self.joints.indices_of(part), self._physics.data, self.joints
-        dofs = joints.dofs(indices)
-        shares = {'velocity': np.abs(data.qvel[dofs]) / joints.velocity_limits(indices),
-                  'effort': np.abs(self._efforts.values[dofs]) / joints.efforts_allowed(indices)}
-        wrench = next((reader.external_wrench(data) for arm, reader in self.end_effectors.items()
-                       if self.parts[arm].atomic == (part,)), None)
-        reason = self.reflexes.excess(part, shares, [joints.names[i] for i in indices], wrench)
-        if reason is not None:
-            self.reflexes.trip(part, reason)
-            joints.stop(part, f'stopped by a reflex: {reason}', data)
 
     def set_reflex(self, part: str, quantity: str, limit: float) -> None:
         """
@@ -447,24 +348,11 @@ class SimulatedRobot:
         :raises UnknownNameError: if there is no such part or quantity
         """
         self._check_no_gripper(part)
-        for name in self.joints.parts_of(self.joints.indices_of(part)):
-            self.reflexes.set(name, quantity, limit)
+        self.reflexes.set(part, quantity, limit)
 
     def reset_reflexes(self) -> None:
         """Let parts that a reflex has stopped take commands again."""
         self.reflexes.reset()
-
-    def refusal(self, command: Command) -> str | None:
-        """
-        Return why a command is rejected at present, or None.
-
-        :param command: for this robot
-        """
-        stopped = [part for part in self.reflexes.tripped if part in command.parts]
-        if not stopped or isinstance(command, NoCommand):
-            return None
-        return (f'{stopped[0]} was stopped by a reflex: {self.reflexes.tripped[stopped[0]]}; '
-                'call reset_reflex')
 
     def tick(self, duration_s: float) -> None:
         """

@@ -102,7 +102,7 @@ class JointRows:
                 :, self._places[2]]
             rates /= durations
             for row, own in zip(rows, rates):
-                self._robots[row].joints.begin_plan(own)
+                self._robots[row].joints.plan.begin(own)
 
     def _measured(self, duration_s: float) -> FloatArray:
         """Return where the joints are, farther on where they are too fast."""

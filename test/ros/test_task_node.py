@@ -73,7 +73,7 @@ def test_an_episode_with_noise_in_a_node_is_that_in_this_process(serve):
         action = 0.3 * np.cos(np.arange(over_topics.action_space.shape[0]) + number)
         (seen, *_), (expected, *_) = over_topics.step(action), here.step(action)
     assert over_topics.digest() == here.digest()
-    exact = here.episode.simulation.robot.exact()[:len(seen['joint_position'])]
+    exact = here.episode.simulation.robot.reader.exact()[:len(seen['joint_position'])]
     assert 0.0 < np.abs(seen['joint_position'] - exact).max() < 0.01
     over_topics.close()
     here.close()

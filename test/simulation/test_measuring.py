@@ -26,7 +26,7 @@ def run(simulation, periods):
     for _ in range(periods):
         simulation.advance(STEPS)
         measured.append(simulation.robot.measured())
-        true.append(simulation.robot.exact())
+        true.append(simulation.robot.reader.exact())
     return np.array(measured), np.array(true)
 
 
@@ -117,16 +117,17 @@ def test_two_robots_have_noise_of_their_own():
     one, other = simulation.robots.values()
     for robot in (one, other):
         robot.sensing.set('noise.joint_position', 0.01)
-    assert (one.measured()[:9] - one.exact()[:9] != other.measured()[:9] - other.exact()[:9]).all()
+    errors = [robot.measured()[:9] - robot.reader.exact()[:9] for robot in (one, other)]
+    assert (errors[0] != errors[1]).all()
     other.sensing.set('noise.joint_position', 0.0)
-    np.testing.assert_array_equal(other.measured(), other.exact())
-    assert (one.measured()[:9] != one.exact()[:9]).all()
+    np.testing.assert_array_equal(other.measured(), other.reader.exact())
+    assert (one.measured()[:9] != one.reader.exact()[:9]).all()
 
 
 @pytest.mark.parametrize('periods', [1, 3, 7])
 def test_latency_publishes_what_was_measured_so_many_periods_ago(periods, simulation):
     simulation.robot.sensing.set('latency.state', periods * PERIOD_S)
-    start = simulation.robot.exact()
+    start = simulation.robot.reader.exact()
     action(simulation)
     measured, true = run(simulation, 20)
     np.testing.assert_array_equal(measured[periods:], true[:-periods])

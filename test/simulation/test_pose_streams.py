@@ -77,7 +77,7 @@ def line_speeds(op, interval_s, messages):
 @pytest.mark.parametrize(('longest_s', 'ripple'), [(0.105, 0.15), (0.3, 0.002)])
 def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, ripple):
     op = hand_of('Panda')
-    op.robot.set_stream_interval('arm', longest_s)
+    op.robot.set_stream('arm', longest_s=longest_s)
     speeds = line_speeds(op, 0.2, 9)[120:]
     assert speeds.mean() == pytest.approx(0.2, rel=0.05)
     assert (np.ptp(speeds) < ripple) == (ripple < 0.1)
@@ -99,7 +99,7 @@ def test_a_circle_that_asks_for_more_than_the_joints_can_do_is_told(radius, slow
 @pytest.mark.parametrize(('hold_s', 'expected_s'), [(0.0, 0.02), (0.15, 0.15)])
 def test_a_stream_of_poses_goes_on_for_as_long_as_it_is_held(hold_s, expected_s):
     op = hand_of('Panda')
-    op.robot.set_stream_hold('right', hold_s)
+    op.robot.set_stream('right', hold_s=hold_s)
     line_speeds(op, op.period_s, 30)
     speeds = []
     op.run(0.5, lambda: speeds.append(op.twist[1]))

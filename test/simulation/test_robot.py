@@ -111,12 +111,11 @@ def test_each_part_starts_in_the_mode_in_which_it_starts_in_the_node(name):
 def test_streams_of_a_robot_may_be_slow_and_go_on_for_longer():
     robot = Simulation(compose('Baxter')).robot
     left = robot.joints.indices_of('left')
-    robot.set_stream_interval('left', 0.5)
-    robot.set_stream_hold('left', 0.2)
+    robot.set_stream('left', longest_s=0.5)
+    robot.set_stream('left', hold_s=0.2)  # The other one stays.
     settings = robot.joints._setpoints._estimator.clocks._settings
     assert [i for i, own in enumerate(settings) if own == (0.5, 0.2)] == sorted(left)
-    for change in (robot.set_stream_interval, robot.set_stream_hold):
-        with pytest.raises(CommandError, match='^left/gripper is a gripper'):
-            change('left/gripper', 0.5)
-        with pytest.raises(UnknownNameError, match="unknown part 'legs'"):
-            change('legs', 0.5)
+    with pytest.raises(CommandError, match='^left/gripper is a gripper'):
+        robot.set_stream('left/gripper', 0.5)
+    with pytest.raises(UnknownNameError, match="unknown part 'legs'"):
+        robot.set_stream('legs', 0.5)

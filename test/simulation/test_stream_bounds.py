@@ -160,8 +160,8 @@ def test_whatever_the_order_of_arrival_poses_keep_the_limits_and_end_at_the_last
     indices, steps = joints.indices_of('right'), round(period / op.simulation.timestep_s)
     limit = joints.acceleration_limits(indices)
     top = np.array([op.simulation.model.joint(j).user[0] for j in op.part.joints])
-    op.robot.set_stream_interval('arm', longest_s)
-    op.robot.set_stream_hold('arm', hold_s)
+    op.robot.set_stream('arm', longest_s=longest_s)
+    op.robot.set_stream('arm', hold_s=hold_s)
     sent = np.arange(0.0, 1.2, 1.0 / transport.rate)
     number, arrival = transport.deliver(sent)
     (start, rotation), next_one, handle, speeds = op.pose, 0, None, [np.zeros(len(top))]

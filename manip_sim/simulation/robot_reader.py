@@ -1,0 +1,109 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Read the joints and the grippers of a robot: what they do exactly, and what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.sensing.channels import JointChannel, WrenchChannel
+from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
+from manip_sim.simulation.clock import Clock
+from manip_sim.simulation.efforts import ActuatorEfforts
+from manip_sim.simulation.end_effectors import end_effector, EndEffectorReader, READINGS
+from manip_sim.simulation.parts import atomic_parts, find_places, Part
+from manip_sim.simulation.physics import Physics
+from manip_sim.simulation.state import State
+
+
+class RobotReader:
+    """
+    A reader of one robot.
+
+    :param physics: of the world at the start
+    :param name: of the robot
+    :param parts: of the robot, by name
+    :param efforts: of the actuators of the model
+    :param clock: of the simulation
+    :ivar joint_names: all scalar joints, in the order of the states
+    :ivar indices_of: indices of each part's joints in :attr:`joint_names`, by part
+    :ivar end_effectors: readers of the grippers, by arm, of the arms with a gripper
+    :ivar sensing: what is measured: noise, resolution and latency
+    """
+
+    def __init__(self, physics: Physics, name: str, parts: Mapping[str, Part],
+                 efforts: ActuatorEfforts, clock: Clock) -> None:
+        self._physics, self._efforts, self._clock, self._parts = physics, efforts, clock, parts
+        self.joint_names = tuple(j for part in atomic_parts(parts) for j in part.joints)
+        place = {joint: index for index, joint in enumerate(self.joint_names)}
+        self.indices_of = {part_name: np.array([place[j] for j in part.joints], dtype=np.int64)
+                           for part_name, part in parts.items()}
+        physics.on_change(self._find_places)
+        self.end_effectors = {
+            part_name.split('/')[0]: EndEffectorReader(physics, part.gripper)
+            for part_name, part in parts.items() if part.gripper is not None}
+        self.sensing = RobotSensing(name, clock, float(physics.model.opt.timestep))
+        self._add_channels(name)
+
+    def _find_places(self) -> None:
+        """Find the addresses of the joints, which change when a robot before is deleted."""
+        find_places(self._physics.model, self._parts.values())
+        qpos, dofs = (np.concatenate([getattr(part, kind) for part in atomic_parts(self._parts)])
+                      for kind in ('qpos_addresses', 'dof_addresses'))
+        #: Addresses in ``qpos`` and ``qvel`` of the joints of each part, and of all joints.
+        self._addresses: dict[str | None, tuple[IntArray, IntArray]] = {None: (qpos, dofs), **{
+            name: (qpos[indices], dofs[indices]) for name, indices in self.indices_of.items()}}
+
+    def _add_channels(self, name: str) -> None:
+        self.sensing.add('joints', self.exact, JointChannel(
+            f'{name} joints', 3 * len(self.joint_names)))
+        for arm, reader in self.end_effectors.items():
+            wrench = WrenchChannel(reader.ft_frame, 6)
+            noise = {'wrench': wrench, 'external_wrench': ExternalWrenchChannel(wrench)}
+            for reading in READINGS:
+                self.sensing.add(f'{arm}/{reading}', partial(self._read, arm, reading),
+                                 noise.get(reading))
+
+    def _read(self, arm: str, name: str) -> FloatArray:
+        """Return one of the readings of a gripper, exactly."""
+        found: FloatArray = getattr(self.end_effectors[arm], name)(self._physics.data)
+        return found
+
+    def measured(self, part: str | None = None) -> FloatArray:
+        """Return what is measured of the joints of a part, as :meth:`SimulatedRobot.measured`."""
+        if not self.sensing.settings.measures:
+            return self.exact(part)
+        rows = self.sensing.measured('joints')
+        return rows if part is None else rows.reshape(3, -1)[:, self.indices_of[part]].ravel()
+
+    def exact(self, part: str | None = None) -> FloatArray:
+        """Return the same as :meth:`measured`, without noise and latency."""
+        qpos, dofs = self._addresses[part]
+        data = self._physics.data
+        return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])
+
+    def state(self, read: Callable[[str], FloatArray]) -> State:
+        """
+        Return the state of all joints and grippers.
+
+        :param read: returns a channel by its name, measured or exactly
+        """
+        position, velocity, effort = read('joints').reshape(3, -1)
+        return State(
+            time_ns=self._clock.time_ns, position=position, velocity=velocity, effort=effort,
+            end_effectors={arm: end_effector(*[read(f'{arm}/{name}') for name in READINGS])
+                           for arm in self.end_effectors})
+
+    def end_period(self, period_s: float) -> None:
+        """
+        Measure what is remembered, at the end of a control period.
+
+        :param period_s: length of the control period [s]
+        """
+        self.sensing.end_period({f'{arm}/external_wrench': reader.external.weight(period_s)
+                                 for arm, reader in self.end_effectors.items()})
