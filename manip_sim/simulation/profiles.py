@@ -131,3 +131,21 @@ def velocity_before_the_end(velocity: FloatArray, begin: FloatArray, below: Floa
             np.minimum(distance, 1e6) - towards * interval_s / 2.0, 0.0), 0.0)) - change
         for distance, towards in ((above, begin), (below, -begin))]
     return within(velocity, -lowest, highest)
+
+
+def evenly_braked(velocity: FloatArray, position: FloatArray, low: FloatArray, high: FloatArray,
+                  limit: FloatArray, shortest_s: float) -> FloatArray:
+    """
+    Return decelerations with which velocities end together, and before their ranges do.
+
+    :param velocity: now [rad/s or m/s], shape (n,)
+    :param position: now [rad or m], shape (n,); ``low`` and ``high`` end its range
+    :param limit: of the deceleration, unless a range ends before [rad/s^2 or m/s^2], shape (n,)
+    :param shortest_s: the least time that it takes [s]
+    :returns: above 0 [rad/s^2 or m/s^2], shape (n,)
+    """
+    size, ahead = np.abs(velocity), np.where(velocity > 0.0, high - position, position - low)
+    needed = size**2 / (2.0 * np.maximum(ahead, 1e-6))
+    longest_s = (size / np.maximum(limit, needed)).max(initial=0.0)
+    return np.asarray(np.maximum(
+        np.maximum(size / max(longest_s, shortest_s, 1e-9), needed), 1e-9))

@@ -21,6 +21,7 @@ from manip_sim.arrays import as_slice, BoolArray, FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.simulation.actuator_properties import (
     check_kinds, check_single, DryFriction, effort_range, stiffness_and_damping, velocity_limit)
+from manip_sim.simulation.joint_accelerations import acceleration_limits
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.profiles import Plan
 
@@ -28,15 +29,8 @@ from manip_sim.simulation.profiles import Plan
 _UNLIMITED = (-2.0 * np.pi, 2.0 * np.pi)
 #: Largest effort of a joint without an effort limit [N m or N].
 _UNLIMITED_EFFORT = 1e3
-#: Share of the torque beyond weight and damping that a jump of the goal may use.
-_TORQUE_SHARE = 0.6
 #: Share of the torque beyond the weight that the joint's damping may use.
 _DAMPING_SHARE = 0.9
-#: Shortest time in which a step reaches the velocity limit [s].
-_SPEED_UP_S = 0.1
-#: Number of poses in which the inertia is computed, and the share of them that may be heavier.
-_POSES = 64
-_QUANTILE = 0.15
 #: Upper bound of damping x timestep / inertia: MuJoCo integrates a saturated servo explicitly.
 _EXPLICIT_DAMPING = 1.5
 #: Highest damping ratio that a servo keeps when its gains are lowered to that bound.
@@ -101,7 +95,9 @@ class Servos:
         spare = np.maximum(torque - np.abs(data.qfrc_bias[self.dofs]), 0.2 * torque)
         self.cruising_velocity = np.minimum(
             velocity, _DAMPING_SHARE * spare / np.maximum(passive, 1e-9))
-        self.acceleration_limit = self._acceleration_limit(data, joint_ids)
+        self.acceleration_limit = acceleration_limits(
+            model, data, joint_ids, torque, (self._drag - self._damping) * self.cruising_velocity,
+            self.velocity_limit, self.position_clamp())
         self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
         self._sources, self.reach = 0, self.lead
@@ -159,49 +155,10 @@ class Servos:
         model.jnt_actfrclimited[joint_ids[limited]] = 1
         return limits
 
-    def _acceleration_limit(self, data: mujoco.MjData, joint_ids: IntArray) -> FloatArray:
-        model = self._physics.model
-        if model.nuser_jnt > 1:
-            declared = model.jnt_user[joint_ids, 1]
-        else:
-            declared = np.zeros(len(joint_ids))
-        if (declared > 0.0).all():
-            return np.array(declared)
-        kind = model.jnt_type[joint_ids]
-        random = np.random.default_rng(0)
-        scratch = mujoco.MjData(model)
-        low, high = np.clip(self.position_clamp(), -np.pi, np.pi).T
-        drag = (self._drag - self._damping) * self.cruising_velocity
-        torque = np.abs(self.ranges['effort']).max(axis=1)
-        possible = []
-        for pose in range(_POSES):
-            scratch.qpos[:] = data.qpos
-            if pose:
-                scratch.qpos[self.qpos] = random.uniform(low, high)
-            _compute_inertia_and_weight(model, scratch)
-            # All joints of a kind may accelerate at once.
-            coupled = (self._inertia(scratch) * (kind[:, None] == kind)).sum(axis=1)
-            weight = np.abs(scratch.qfrc_gravcomp[self.dofs])
-            possible.append(np.maximum(torque - weight - drag, 0.2 * torque) / coupled)
-        usual = np.quantile(possible, _QUANTILE, axis=0)
-        derived = np.minimum(_TORQUE_SHARE * usual, self.velocity_limit / _SPEED_UP_S)
-        return np.asarray(np.where(declared > 0.0, declared, derived))
-
     def _lead(self, indices: IntArray) -> FloatArray:
         torque = np.abs(self.ranges['effort'][indices]).max(axis=1)
         return np.asarray(np.maximum(torque, self._damping[indices] * self.velocity_limit[indices])
                           / self._stiffness[indices])
-
-    def _inertia(self, data: mujoco.MjData) -> FloatArray:
-        """Return the magnitudes of the driven joints' block of the inertia matrix, (n, n)."""
-        inertia = np.empty((len(self.dofs), len(self.dofs)))
-        unit, column = np.zeros((2, self._physics.model.nv))
-        for index, dof in enumerate(self.dofs):
-            unit[dof] = 1.0
-            mujoco.mj_mulM(self._physics.model, data, column, unit)
-            unit[dof] = 0.0
-            inertia[index] = np.abs(column[self.dofs])
-        return inertia
 
     @property
     def velocity_limit(self) -> FloatArray:
@@ -433,10 +390,3 @@ def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray
         if not (np.isfinite(of).all() and (of > 0.0).all()):
             raise ModelError(f'the {what} of servos must be positive and finite, got {of}')
     return stiffness, damping
-
-
-def _compute_inertia_and_weight(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Compute of ``mj_forward`` only the inertia matrix and ``qfrc_gravcomp``."""
-    for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM,
-                    mujoco.mj_passive):
-        compute(model, data)

@@ -5,21 +5,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.simulation.catching_up import caught_up, Terms, terms_of
 from manip_sim.simulation.message_clock import MessageClock
 from manip_sim.simulation.profiles import (
-    braking_velocity, low_pass, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp,
-    within)
+    evenly_braked, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp, within)
 from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoal, WaitingGoals
 
-#: Time constant of each of the two low-pass stages that smooth what is caught up [s].
-_SMOOTHING_S = 0.02
-#: That of moving streams, in message intervals, and in measures of their jitter, at least.
-_SMOOTHING_INTERVALS, _SMOOTHING_JITTERS = 1.0, 20.0
 #: Multiple of a stream's own acceleration that its setpoint may use.
 _STREAM_ACCELERATION = 1.5
 #: Share of the acceleration limit with which joints come to rest that no command moves any more:
@@ -29,17 +23,6 @@ _BRAKING = 0.87
 ARRIVED = 1e-10
 #: Where the range ends is looked for this far ahead, beside the way of braking [s].
 AHEAD_S = 0.1
-
-
-class _Terms(NamedTuple):
-    """What the way that is caught up depends on from message to message, each of shape (n,)."""
-
-    #: Time constants of the low-pass stages [s].
-    smoothing_s: FloatArray
-    #: Limits of the sum of velocities, and of what is caught up beside the reference.
-    top: FloatArray
-    lowest: FloatArray
-    highest: FloatArray
 
 
 class SetpointGenerator:
@@ -100,7 +83,7 @@ class SetpointGenerator:
         self._ramp, self._bound = self._acceleration_limit.copy(), self._acceleration_limit.copy()
         self._until_s, self._next_end_s = np.full(count, np.inf), np.inf
         # The terms, and the same positions for the references; None until they are needed.
-        self._terms: _Terms | None = None
+        self._terms: Terms | None = None
         self._inside_now: tuple[FloatArray, FloatArray] | None = None
         self.now_s = self._begin_s = 0.0
         self.plan: Plan | None = None
@@ -221,18 +204,13 @@ class SetpointGenerator:
 
         Where the range would end before, they slow down evenly up to there.
         """
-        position, velocity = self.position[indices], self.velocity[indices]
-        size = np.abs(velocity)
-        ahead = np.where(velocity > 0.0, self._high[indices] - position,
-                         position - self._low[indices])
+        velocity = self.velocity[indices]
         self.set_velocity(indices, np.zeros(len(indices)))
-        needed = size**2 / (2.0 * np.maximum(ahead, 1e-6))
-        limit = _BRAKING * self._acceleration_limit[indices]
-        longest_s = (size / np.maximum(limit, needed)).max(initial=0.0)
         # They are at rest at the end of an interval, at the earliest of the first one.
-        first_s = float(self._ends_s[0, 0]) if len(self._ends_s) else 0.0
-        self._ramp[indices] = np.maximum(
-            np.maximum(size / max(longest_s, first_s, 1e-9), needed), 1e-9)
+        self._ramp[indices] = evenly_braked(
+            velocity, self.position[indices], self._low[indices], self._high[indices],
+            _BRAKING * self._acceleration_limit[indices],
+            float(self._ends_s[0, 0]) if len(self._ends_s) else 0.0)
         self._bound[indices] = np.maximum(self._bound[indices], self._ramp[indices])
         self.acceleration[indices] = -np.sign(velocity) * self._ramp[indices]
 
@@ -483,15 +461,10 @@ class SetpointGenerator:
         self._next_end_s = float(self._until_s.min(initial=np.inf))
         self._inside_now = self._terms = self.plan = None
 
-    def _get_terms(self) -> _Terms:
+    def _get_terms(self) -> Terms:
         if self._terms is None:
-            estimator, goal, top = self._estimator, self._reference_goal, self._velocity_limit
-            stream_s = np.maximum(np.maximum(_SMOOTHING_INTERVALS * estimator.interval_s,
-                                             _SMOOTHING_JITTERS * estimator.jitter_s),
-                                  _SMOOTHING_S)
-            self._terms = _Terms(
-                np.where((self._until_s < np.inf) & (goal != 0.0), stream_s, _SMOOTHING_S),
-                np.where(self._seeks, top, np.inf), -top - goal, top - goal)
+            self._terms = terms_of(self._estimator, self._until_s < np.inf, self._seeks,
+                                   self._reference_goal, self._velocity_limit)
         return self._terms
 
     def _missing(self) -> FloatArray | None:
@@ -519,12 +492,8 @@ class SetpointGenerator:
         return missing
 
     def _catch_up(self, missing: FloatArray, duration_s: float) -> None:
-        limit, terms, stages = self._acceleration_limit, self._get_terms(), self._stages
-        change = limit * duration_s
-        raw = within(braking_velocity(missing, limit, duration_s),
-                     stages[0] - change, stages[0] + change)
-        raw = within(raw, terms.lowest, terms.highest)
-        stages = low_pass(stages, raw, terms.smoothing_s, duration_s)
+        stages = caught_up(self._stages, missing, self._acceleration_limit, self._get_terms(),
+                           duration_s)
         self._catches = bool(max(np.abs(missing).max(initial=0.0), np.abs(stages).max(initial=0.0))
                              >= ARRIVED or np.count_nonzero(self._brakes))
         self._stages = stages if self._catches else np.zeros_like(stages)

@@ -29,6 +29,7 @@ from manip_sim.simulation.cartesian.reports import CartesianReport, MISSED
 from manip_sim.simulation.cartesian.settings import CartesianSettings
 from manip_sim.simulation.cartesian.targets import pose_error, Target, target_of
 from manip_sim.simulation.commands import Status
+from manip_sim.simulation.joint_accelerations import SPEED_UP_S
 from manip_sim.simulation.physics import Physics
 from manip_sim.simulation.poses import Pose
 from manip_sim.simulation.servos import Servos
@@ -42,8 +43,6 @@ _LONGEST_INTERVAL_S = 0.012
 _REACHED = np.array([1e-4] * 3 + [1e-3] * 3)
 #: And if they are slower than this share of the joint velocity limits.
 _SLOW_PACE = 0.005
-#: A twist that needs more than the velocity limits in this time is a jump [s].
-_SPEED_UP_S = 0.1
 #: Slower setpoints have come to rest [rad/s].
 _AT_REST = 1e-4
 #: The mount of an arm has moved if it is farther than this from where it was [m, rad].
@@ -195,7 +194,7 @@ class CartesianController:
         """Let a twist continue the stream of the target before, if it is one in those axes."""
         continued = before.twists if before is not None and before.axes == target.axes else None
         target.twists = continued or VelocityStream(
-            np.repeat(self.settings[command.arm].limits, 3) / _SPEED_UP_S)
+            np.repeat(self.settings[command.arm].limits, 3) / SPEED_UP_S)
         target.twists.set(*self._streams[command.arm])
         target.twists.take(
             command.twist, self._present_twist(command, target.axes, data), now_s, self.period_s,

@@ -12,13 +12,12 @@ import numpy as np
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation.cartesian.frames import rotation_of_vector, rotation_vector
+from manip_sim.simulation.joint_accelerations import SPEED_UP_S
 from manip_sim.simulation.streams import StreamEstimator
 
 _ALL = np.arange(6)
 #: Less than this is no acceleration [m/s^2, rad/s^2].
 _STEADY = 1e-3
-#: A pose that needs more than the velocity limits in this time is a jump [s].
-_SPEED_UP_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class PoseStream:
                 rotation_vector(product(pose.rotation, self._rotation.T))])
         before = self.twist(now_s) if self.moving and streams else pose.twist
         self._position, self._rotation = pose.position, pose.rotation
-        estimator.take(clock, self._sum, now_s, pose.period_s, limits / _SPEED_UP_S, pose.messages,
+        estimator.take(clock, self._sum, now_s, pose.period_s, limits / SPEED_UP_S, pose.messages,
                        pose.sent_s)
         velocity, interval_s = estimator.velocity.copy(), max(clock.interval_s, pose.period_s)
         limited = 1.0
