@@ -12,12 +12,12 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.env.spaces import action_space, observation_space
-from manip_sim.errors import DivergenceError, ManipSimError, UnknownNameError
+from manip_sim.errors import DivergenceError, UnknownNameError
 from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
+from manip_sim.models.validation import whole_number
 from manip_sim.tasks import Setting, Task
 from manip_sim.tasks.latency import LatencyLike, NO_LATENCY
 from manip_sim.tasks.observation import Observation
@@ -167,8 +167,6 @@ def checked_count(count: Any) -> int:
     """
     Return a number of environments.
 
-    :raises ManipSimError: if it is no whole number from 1
+    :raises ModelError: if it is no whole number from 1
     """
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-        raise ManipSimError(f'num_envs must be a whole number from 1, got {count!r:.60}')
-    return int(count)
+    return whole_number(count, 1, 'num_envs')

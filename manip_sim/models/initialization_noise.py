@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.validation import whole_number
 from manip_sim.quoting import shown
 
 TYPES = ('gaussian', 'uniform')
@@ -93,6 +94,4 @@ def checked_seed(seed: Any) -> int:
     """
     if seed is None:
         return int(np.random.SeedSequence().generate_state(1)[0])
-    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or seed < 0:
-        raise ModelError(f'seed must be a whole number from 0, got {shown(seed)}')
-    return int(seed)
+    return whole_number(seed, 0, 'seed')

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import math
+import numbers
+import sys
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.quoting import counted
+from manip_sim.quoting import counted, shown
 
 
 def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelError
@@ -43,14 +45,14 @@ def finite_numbers(values: ArrayLike, length: int, what: str,
     :param error: the exception to raise
     :raises ManipSimError: that exception, if they are not ``length`` finite numbers
     """
-    numbers = as_numbers(values, what, error)
-    if numbers.shape != (length,):
-        found = str(numbers.size) if numbers.ndim == 1 else f'the shape {numbers.shape}'
-        raise error(f'{what} must have {counted(length, "number")}, got {found}')
-    bad = np.flatnonzero(~np.isfinite(numbers))
+    found = as_numbers(values, what, error)
+    if found.shape != (length,):
+        got = str(found.size) if found.ndim == 1 else f'the shape {found.shape}'
+        raise error(f'{what} must have {counted(length, "number")}, got {got}')
+    bad = np.flatnonzero(~np.isfinite(found))
     if bad.size:
-        raise error(f'{what} must be finite, got {numbers[bad[0]]} at index {bad[0]}')
-    return numbers
+        raise error(f'{what} must be finite, got {found[bad[0]]} at index {bad[0]}')
+    return found
 
 
 def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
@@ -67,6 +69,35 @@ def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
     if not norm < math.inf:
         raise ModelError(f'{what} must have a finite norm')
     return quat / norm
+
+
+def whole_number(value: object, least: int, what: str, error: type[ManipSimError] = ModelError
+                 ) -> int:
+    """
+    Return a whole number.
+
+    :param least: the lowest that is allowed
+    :param what: what it is, for the message
+    :param error: the exception to raise
+    :raises ManipSimError: that exception, if it is no whole number from there
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise error(f'{what} must be a whole number from {least}, got {shown(value)}')
+    return int(value)
+
+
+def positive_number(value: object, what: str, error: type[ManipSimError] = ModelError) -> float:
+    """
+    Return a number above 0.
+
+    :param what: what it is, for the message
+    :param error: the exception to raise
+    :raises ManipSimError: that exception, if it is no finite number above 0
+    """
+    if (isinstance(value, bool) or not isinstance(value, numbers.Real)
+            or not 0 < value <= sys.float_info.max):
+        raise error(f'{what} must be positive and finite, got {shown(value)}')
+    return float(value)
 
 
 def start_by_joint(part: str, joints: list[str], qpos: Any) -> dict[str, float]:

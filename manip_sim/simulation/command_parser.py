@@ -18,7 +18,8 @@ from manip_sim.quoting import counted
 from manip_sim.simulation.commands import (
     BaseTwist, Command, GripperAction, JointSetpoint, JointTrajectory, TrajectoryStop)
 from manip_sim.simulation.gripper_controller import GripperController
-from manip_sim.simulation.joint_command_parser import check_names, JointCommandParser
+from manip_sim.simulation.joint_command_parser import (
+    as_names, check_names, JointCommandParser)
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.modes import MODES, names_of_modes
 from manip_sim.simulation.numbers import (
@@ -125,11 +126,12 @@ class CommandParser:
             follows no trajectories
         """
         joints = self._joints
-        indices = joints.indices_of(part)
-        if len(names) or len(times_s):
+        indices, names = joints.indices_of(part), as_names(names, part)
+        times = as_numbers(times_s, f'{part}: time_from_start')
+        if names or times.size:
             check_names(names, [joints.names[i] for i in indices], part)
             indices = joints.find(names)
-        if not len(times_s):
+        if not times.size:
             return TrajectoryStop(
                 robot=self._robot, parts=joints.parts_of(indices), indices=indices)
         modes = joints.modes
@@ -138,10 +140,10 @@ class CommandParser:
                 able = names_of_modes(lambda mode: mode.follows_trajectories)
                 raise CommandError(f'{part} follows trajectories in {able} mode only, '
                                    f"joint '{name}' is in {modes[i]} mode")
-        if len(times_s) > MAX_POINTS:
+        if times.size > MAX_POINTS:
             raise CommandError(f'{part}: a trajectory may have at most {MAX_POINTS} points, got '
-                               f'{len(times_s)}')
-        times = finite_numbers(times_s, len(times_s), f'{part}: time_from_start')
+                               f'{times.size}')
+        times = finite_numbers(times, times.size, f'{part}: time_from_start')
         check_times(times)
         shape = (len(times), len(names))
         wanted = _points(part, 'positions', positions, shape)

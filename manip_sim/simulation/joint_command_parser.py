@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.models.robots import RobotModel
-from manip_sim.quoting import counted, quoted
+from manip_sim.quoting import counted, quoted, shown
 from manip_sim.simulation.commands import (
     Command, GripperSetpoint, JointSetpoint, NoCommand)
 from manip_sim.simulation.gripper_joints import GripperJoints
@@ -106,12 +106,13 @@ class JointCommandParser:
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         what = part or 'joint_command'
+        names = as_names(names, what)
         given = {field: as_numbers(of, f'{what}: {field}') for field, of in fields.items()
                  if not (isinstance(of, (tuple, array)) and not of)}
         if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.
-        addressed = self._addressed(part, tuple(names), modes)
+        addressed = self._addressed(part, names, modes)
         if len(given) == 1:  # As most commands are: a number for each joint, all in one field.
             (field, numbers), = given.items()
             if numbers.shape == (len(names),) and addressed.all_use == field and (
@@ -217,6 +218,20 @@ class JointCommandParser:
                 fingers = tuple(names[i] for i in places)
                 yield _Group(frozenset([part]), np.array(places), fingers,
                              gripper.ranges(fingers), gripper.actuators_of(fingers))
+
+
+def as_names(names: Sequence[str], what: str) -> tuple[str, ...]:
+    """
+    Return the names of joints as a tuple.
+
+    :param what: what takes them, for the message
+    :raises CommandError: if they are no sequence of texts
+    """
+    given = tuple(names) if isinstance(names, Iterable) and not isinstance(names, str) else None
+    if given is None or not all([isinstance(name, str) for name in given]):
+        raise CommandError(f'{what}: names of joints must be a sequence of texts, got '
+                           f'{shown(names)}')
+    return given
 
 
 def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
+from manip_sim.models.validation import positive_number
 from manip_sim.simulation.cartesian.hands import find_frames, find_hands
 from manip_sim.simulation.cartesian.parser import CartesianParser
 from manip_sim.simulation.clock import Clock
@@ -128,12 +129,13 @@ class SimulatedRobot:
 
         :param commands: made by :attr:`parse` or :attr:`parse_cartesian`
         :param period_s: length of a control period [s]; None for that of the last one
-        :raises CommandError: if a command was made for another robot; then none takes effect
+        :raises CommandError: if a command was made for another robot, or ``period_s`` is no
+            finite number above 0; then none takes effect
         """
         for command in commands:
             self.check_own(command)
         if period_s is not None:
-            self._period_s = period_s
+            self._period_s = positive_number(period_s, 'period_s', CommandError)
         for command in commands:
             if self._late or self.sensing.settings.delays_commands:
                 count = self._clock.control_steps
@@ -285,6 +287,7 @@ class SimulatedRobot:
 
         :param part: its name; None for all joints
         :returns: each in the order of the joints' names, in SI units, shape (3 n,), a copy
+        :raises UnknownNameError: if there is no such part
         """
         return self.reader.measured(part)
 

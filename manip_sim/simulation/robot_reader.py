@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.errors import UnknownNameError
 from manip_sim.sensing.channels import JointChannel, WrenchChannel
 from manip_sim.sensing.robot_sensing import ExternalWrenchChannel, RobotSensing
 from manip_sim.simulation.clock import Clock
@@ -76,13 +77,15 @@ class RobotReader:
 
     def measured(self, part: str | None = None) -> FloatArray:
         """Return what is measured of the joints of a part, as :meth:`SimulatedRobot.measured`."""
-        if not self.sensing.settings.measures:
+        if part not in self._addresses or not self.sensing.settings.measures:
             return self.exact(part)
         rows = self.sensing.measured('joints')
         return rows if part is None else rows.reshape(3, -1)[:, self.indices_of[part]].ravel()
 
     def exact(self, part: str | None = None) -> FloatArray:
         """Return the same as :meth:`measured`, without noise and latency."""
+        if part not in self._addresses:
+            raise UnknownNameError('part', part, self.indices_of)
         qpos, dofs = self._addresses[part]
         data = self._physics.data
         return np.concatenate([data.qpos[qpos], data.qvel[dofs], self._efforts.values[dofs]])

@@ -12,8 +12,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.errors import ModelError
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.robots import RobotModel
+from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.clock import Clock
@@ -272,7 +273,8 @@ class Simulation:
         """
         Run one control period; afterwards all of the data belongs to the new instant.
 
-        :param steps: number of physics steps
+        :param steps: number of physics steps, from 1
+        :raises CommandError: if that is no whole number from 1
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
@@ -285,10 +287,11 @@ class Simulation:
 
         Each one has to be run before the next one is asked for.
 
-        :param steps: number of physics steps
+        :param steps: number of physics steps, from 1
+        :raises CommandError: as :meth:`advance`
         :raises DivergenceError: as :meth:`advance`
         """
-        return self._periods.run(steps)
+        return self._periods.run(whole_number(steps, 1, 'steps', CommandError))
 
     def advance_idle(self, steps: int, periods: int) -> None:
         """

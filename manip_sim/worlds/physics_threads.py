@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 import os
 
-from manip_sim.errors import ModelError
+from manip_sim.models.validation import whole_number
 
 
 class PhysicsThreads:
@@ -23,23 +23,26 @@ class PhysicsThreads:
     """
 
     def __init__(self, count: int | None) -> None:
-        if count is None:
-            count = _processors()
-        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise ModelError(f'threads must be a whole number from 1, or None, got {count!r}')
-        self.count = count
+        self.count = _processors() if count is None else whole_number(count, 1, 'threads')
         self._others = (
-            ThreadPoolExecutor(count - 1, 'manip_sim_worlds') if count > 1 else None)
+            ThreadPoolExecutor(self.count - 1, 'manip_sim_worlds') if self.count > 1 else None)
 
     def run(self, work: Sequence[Callable[[], None]]) -> None:
-        """Call functions, each in any of the threads, and return when all have returned."""
-        shares = [work[begin::self.count] for begin in range(self.count)]
+        """
+        Call functions, each in any of the threads, and return when all threads are done.
+
+        An exception of a function ends the work of its thread, and is raised then.
+        """
         if self._others is None or len(work) < 2:
             _call(work)
             return
-        waiting = [self._others.submit(_call, share) for share in shares[1:] if share]
-        _call(shares[0])
-        for share in waiting:
+        count = min(self.count, len(work))
+        others = [self._others.submit(_call, work[begin::count]) for begin in range(1, count)]
+        try:
+            _call(work[::count])
+        finally:
+            wait(others)
+        for share in others:
             share.result()
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import CommandError
+from manip_sim.quoting import shown
 from manip_sim.simulation.numbers import as_numbers
 
 
@@ -23,7 +24,11 @@ def chosen(where: ArrayLike | None, count: int) -> BoolArray:
     """
     if where is None:
         return np.ones(count, dtype=bool)
-    mask = np.asarray(where)
+    try:
+        mask = np.asarray(where)
+    except ValueError as error:
+        raise CommandError(f'where must be {count} truth values, one for each world, got '
+                           f'{shown(where)}') from error
     if mask.shape != (count,) or mask.dtype != np.bool_:
         raise CommandError(f'where must be {count} truth values, one for each world, got '
                            f'{mask.dtype} of shape {mask.shape}')

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import BoolArray, IntArray
-from manip_sim.errors import DivergenceError, ModelError, UnknownNameError
+from manip_sim.errors import DivergenceError, ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models.initialization_noise import checked_seed
+from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.control_period import Interval
@@ -47,14 +48,14 @@ class Worlds:
 
     def __init__(self, world: World, count: int, threads: int | None = None,
                  visual: bool = False) -> None:
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-            raise ModelError(f'count of worlds must be a whole number from 1, got {count!r}')
+        count = whole_number(count, 1, 'count of worlds')
         self._threads = PhysicsThreads(threads)
         first = Simulation(world, visual)
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
         self._control = ControlTogether()
+        self._closed = False
         self.robots = {name: RobotInWorlds([simulation.robots[name]
                                             for simulation in self.simulations])
                        for name in first.robots}
@@ -70,8 +71,13 @@ class Worlds:
         self.close()
 
     def close(self) -> None:
-        """End the threads of the physics; the worlds can be read, but no longer advanced."""
+        """End the threads of the physics; worlds can be read, no longer advanced or reset."""
+        self._closed = True
         self._threads.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise SimulationEnded('these worlds are closed')
 
     @property
     def threads(self) -> int:
@@ -117,7 +123,8 @@ class Worlds:
         :raises ValueError: if its shape differs from world to world, as that of contacts
         """
         datas = [simulation.data for simulation in self.simulations]
-        if not isinstance(getattr(datas[0], field, None), np.ndarray):
+        if not (isinstance(field, str)
+                and isinstance(getattr(datas[0], field, None), np.ndarray)):
             raise UnknownNameError('array of MjData', field, [
                 name for name in dir(datas[0])
                 if isinstance(getattr(datas[0], name), np.ndarray)])
@@ -132,10 +139,13 @@ class Worlds:
         A world that diverges is held at its last good state, at rest, until it is reset or
         restored; the others go on. See :attr:`diverged` and :attr:`reasons`.
 
-        :param steps: number of physics steps
+        :param steps: number of physics steps, from 1
         :param where: which worlds go on, shape (count,); None for all
-        :raises CommandError: if ``where`` has another shape or type
+        :raises CommandError: if ``where`` has another shape or type, or ``steps`` is no whole
+            number from 1
+        :raises SimulationEnded: after :meth:`close`
         """
+        self._check_open()
         periods = [simulation.period(steps) for simulation in self._of(where)
                    if simulation.diverged is None]
         with self._control.period():
@@ -156,7 +166,9 @@ class Worlds:
         :raises CommandError: if ``where`` has another shape or type
         :raises ModelError: if there is not one seed for each world, or one is no whole number
             from 0; no world is reset then
+        :raises SimulationEnded: after :meth:`close`
         """
+        self._check_open()
         mask, given = chosen(where, len(self)), self._seeds(seeds)
         for seed, wanted in zip(given, mask):
             if wanted and seed is not None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import pickle
 import threading
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import (
-    CommandError, DivergenceError, ManipSimError, ModelError, UnknownNameError)
+    CommandError, DivergenceError, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.composing import compose_robot
@@ -23,6 +24,7 @@ from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.spawning import plan_without
 from manip_sim.worlds import Worlds
+from manip_sim.worlds.physics_threads import PhysicsThreads
 
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
 COUNT = 3
@@ -166,7 +168,7 @@ def test_each_world_is_a_simulation_with_the_same_seed_and_commands(lasting_pair
     pair.check_equal()
 
 
-@pytest.mark.parametrize('count, threads', [(1, 1), (2, 3), (6, 2)])
+@pytest.mark.parametrize('count, threads', [(1, 1), (2, 3), (6, 2), (2, 10**9)])
 def test_any_number_of_worlds_and_threads_makes_the_same_digests(count, threads):
     pair = Pair(count=count, threads=threads)
     masks = st.none() | st.lists(st.booleans(), min_size=count, max_size=count).map(np.array)
@@ -444,13 +446,14 @@ def test_the_count_of_worlds_is_a_whole_number_from_one(count):
         Worlds(compose('Panda'), count)
 
 
-@pytest.mark.parametrize('threads', [0, 1.5, True])
+@pytest.mark.parametrize('threads', [0, -1, 1.5, True, '2'])
 def test_the_number_of_threads_is_a_whole_number_from_one(threads):
-    with pytest.raises(ModelError, match='threads must be a whole number from 1, or None, got'):
+    with pytest.raises(ModelError, match='threads must be a whole number from 1, got'):
         Worlds(compose('Panda'), 2, threads)
 
 
-@pytest.mark.parametrize('where', [[True, False], [1, 0, 1], True, [[True, False, True]]])
+@pytest.mark.parametrize('where', [
+    [True, False], [1, 0, 1], True, [[True, False, True]], [[True], [True, False], []]])
 def test_a_mask_has_a_truth_value_for_each_world(lasting_pair, where):
     worlds = lasting_pair.worlds
     before, robot = worlds.digest(), worlds.robot
@@ -461,6 +464,58 @@ def test_a_mask_has_a_truth_value_for_each_world(lasting_pair, where):
         with pytest.raises(CommandError, match='where must be 3 truth values, one for each world'):
             call()
     assert worlds.digest() == before
+
+
+@pytest.mark.parametrize('steps', [0, -1, None, 1.5, math.nan, math.inf, True, '5', 2 + 0j, [2]])
+def test_steps_that_are_none_advance_no_world(lasting_pair, steps):
+    worlds, before = lasting_pair.worlds, lasting_pair.worlds.digest()
+    for advance in (worlds.advance, worlds.simulations[0].advance):
+        with pytest.raises(CommandError, match='steps must be a whole number from 1, got'):
+            advance(steps)
+    assert worlds.digest() == before
+
+
+@pytest.mark.parametrize('period_s', [0, -1, math.nan, math.inf, True, 'x', [0.01], 10**400])
+def test_a_control_period_is_a_number_above_zero(lasting_pair, period_s):
+    worlds, before = lasting_pair.worlds, lasting_pair.worlds.digest()
+    with pytest.raises(CommandError, match='period_s must be positive and finite, got'):
+        worlds.robot.command.action('arm', np.zeros((COUNT, 7)), period_s=period_s)
+    assert worlds.digest() == before
+
+
+class _Liar(list):
+    def __len__(self):
+        return 7
+
+
+@pytest.mark.parametrize('names, message', [
+    (None, 'must be a sequence of texts, got None'), (7, 'got 7'), ('joint1', "got 'joint1'"),
+    ([1] * 7, 'got .1, 1'), ([['joint1']], 'got ..\'joint1'), ([b'joint1'], 'got .b'),
+    (_Liar(['robot0_joint1'] * 2), "joint 'robot0_joint1' is named twice"),
+    (_Liar(['robot0_joint1']), 'must have')])
+def test_names_that_are_none_command_no_world(lasting_pair, names, message):
+    worlds, before = lasting_pair.worlds, lasting_pair.worlds.digest()
+    robot, goals = worlds.robot, np.zeros((COUNT, 7))
+    for call in (lambda: robot.command.joint_command(names, goals),
+                 lambda: robot.command.trajectory('arm', names, [1.0], goals[:, None])):
+        with pytest.raises(CommandError, match=message):
+            call()
+    assert worlds.digest() == before
+
+
+@pytest.mark.parametrize('times_s', [None, 'soon', [[1.0]], [math.nan], ['a'], [10**400]])
+def test_times_that_are_none_command_no_world(lasting_pair, times_s):
+    worlds, before = lasting_pair.worlds, lasting_pair.worlds.digest()
+    names = list(worlds.robot.joint_names[:7])
+    with pytest.raises(CommandError, match='time_from_start must'):
+        worlds.robot.command.trajectory('arm', names, times_s, np.zeros((COUNT, 1, 7)))
+    assert worlds.digest() == before
+
+
+@pytest.mark.parametrize('part', ['wing', '', 3])
+def test_an_unknown_part_has_no_measured_state(lasting_pair, part):
+    with pytest.raises(UnknownNameError, match='unknown part .*available: '):
+        lasting_pair.worlds.robot.measured(part)
 
 
 @pytest.mark.parametrize('seeds, message', [
@@ -515,6 +570,38 @@ def test_states_that_do_not_fit_restore_no_world(pair):
     with pytest.raises(ModelError, match='expected 3 states, one for each world .*got None'):
         pair.worlds.restore(None)
     assert pair.worlds.digest() == after
+
+
+@pytest.mark.parametrize('threads', [1, 2])
+def test_closed_worlds_can_be_read_only(threads):
+    worlds = Worlds(compose('Panda'), 2, threads)
+    worlds.close()
+    before = worlds.digest()
+    for call in (lambda: worlds.advance(5), worlds.reset):
+        with pytest.raises(SimulationEnded, match='these worlds are closed'):
+            call()
+    assert worlds.digest() == before
+
+
+def test_a_function_that_fails_lets_all_threads_end_first():
+    threads, ends = PhysicsThreads(3), threading.Event()
+    done = []
+
+    def fail():
+        ends.set()
+        raise ValueError('failed')
+
+    def last():
+        ends.wait()
+        threading.Event().wait(0.1)
+        done.append(True)
+
+    try:
+        with pytest.raises(ValueError, match='failed'):
+            threads.run([fail, last, last])
+        assert done == [True, True]
+    finally:
+        threads.close()
 
 
 def test_threads_end_with_a_context():
