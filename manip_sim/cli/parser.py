@@ -291,9 +291,9 @@ def _add_run(commands: Any) -> None:
                         'with reset(seed) and act(observation); MODULE:FUNCTION of an '
                         'observation; a TorchScript (.pt) or ONNX file; or ros:/NAMESPACE of a '
                         'node that answers observations')
-    parser.add_argument('--policy-limit', type=positive, default=10.0, metavar='SECONDS',
-                        help='longest wall time that a node may take to answer; after that, its '
-                        'episode fails (default: 10)')
+    parser.add_argument('--policy-limit', type=positive, metavar='SECONDS',
+                        help='longest wall time of an answer of the policy; after that, its '
+                        'episode fails (default: 10 for a node, 600 for others)')
     parser.add_argument('--seeds', required=True, metavar='SEEDS',
                         help='such as 0:1000, which is 0 to 999, 0:1000:10 or 1,5,10:20')
     parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder of the run')

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import contextlib
 import importlib.util
 import itertools
+import os
 from pathlib import Path
 import signal
 import sys
@@ -41,6 +42,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 
 def _run(options: argparse.Namespace) -> tuple[str, int]:
+    options.out = options.out.absolute()
     noise, late = _noise(options)
     for option, key in (('latency_jitter', 'command_jitter'),
                         ('state_latency_jitter', 'state_jitter')):
@@ -133,7 +135,11 @@ def _run_one(options: argparse.Namespace, command_s: float, state_s: float, out:
     records = out / 'records' if options.record else None
     experiment = Experiment(setting, options.policy, records, options.policy_limit)
     # What cannot be used is said here, before anything is written.
-    period_s = experiment.create_worker().period_s
+    folder_before = Path.cwd()
+    try:
+        period_s = experiment.create_worker().period_s
+    finally:
+        os.chdir(folder_before)  # A policy may have left it.
     folder = RunFolder(out, experiment.description(), seeds, period_s)
     with folder.shard(number, count) as shard:
         if options.engine == 'ray':

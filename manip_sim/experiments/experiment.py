@@ -5,17 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+import contextlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 import platform
+import signal
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.policies import LIMIT_S, load_policy, PolicyFailure
+from manip_sim.experiments.policies import (
+    failing_as, LIMIT_S, load_policy, LOCAL_LIMIT_S, PolicyFailure, ROS)
 from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.resources import package_version
@@ -31,13 +34,20 @@ class Experiment:
     :ivar setting: task, robot, actions, latency
     :ivar policy: as for :func:`load_policy`
     :ivar records: folder for a record of each episode; None for no records
-    :ivar limit_s: how long the answer of a ROS node may take, wall time [s]
+    :ivar limit_s: how long an answer of the policy may take, wall time [s]; None for 10 s of a
+        ROS node, 600 s of any other
     """
 
     setting: Setting
     policy: str
     records: Path | None = None
-    limit_s: float = LIMIT_S
+    limit_s: float | None = None
+
+    @property
+    def policy_limit_s(self) -> float:
+        """How long an answer of the policy may take, wall time [s]."""
+        default_s = LIMIT_S if self.policy.startswith(ROS) else LOCAL_LIMIT_S
+        return default_s if self.limit_s is None else self.limit_s
 
     def description(self) -> dict[str, Any]:
         """Return what the rows depend on, as JSON can hold it."""
@@ -56,13 +66,15 @@ class Experiment:
             'versions': {'manip_sim': package_version(), 'mujoco': mujoco.mj_versionString(),
                          'numpy': np.__version__, 'python': platform.python_version()}}
 
-    def create_worker(self) -> Worker:
+    def create_worker(self, ends_with_policy: bool = False) -> Worker:
         """
         Return what runs episodes in this process.
 
+        :param ends_with_policy: let SIGALRM end this process if an answer of the policy, other
+            than a ROS node, takes too long
         :raises ManipSimError: if the task or the policy cannot be used, with what fits
         """
-        return Worker(self)
+        return Worker(self, ends_with_policy)
 
 
 class Worker:
@@ -70,14 +82,18 @@ class Worker:
     Runs the episodes of an experiment, one after the other, in one process.
 
     :param experiment: what is run
+    :param ends_with_policy: as for :meth:`Experiment.create_worker`
     :raises ManipSimError: if the task or the policy cannot be used, with what fits
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, ends_with_policy: bool = False) -> None:
         self._experiment = experiment
         self._episode: Episode = experiment.setting.create_episode()
-        self._policy: Policy = load_policy(
-            experiment.policy, self._episode, experiment.limit_s)
+        limit_s = experiment.policy_limit_s
+        self._alarm_s = (
+            limit_s if ends_with_policy and not experiment.policy.startswith(ROS) else 0.0)
+        with self._limited():
+            self._policy: Policy = load_policy(experiment.policy, self._episode, limit_s)
 
     @property
     def period_s(self) -> float:
@@ -119,17 +135,22 @@ class Worker:
             recorder.close()
         return row
 
-    def _reset_policy(self, seed: int) -> None:
+    @contextlib.contextmanager
+    def _limited(self) -> Iterator[None]:
+        """Let an alarm end this process unless the code within ends in time."""
+        signal.setitimer(signal.ITIMER_REAL, self._alarm_s)
         try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    def _reset_policy(self, seed: int) -> None:
+        with self._limited(), failing_as('reset() of the policy', PolicyFailure):
             self._policy.reset(seed)
-        except Exception as error:  # A policy may raise anything.
-            raise PolicyFailure('reset', error) from error
 
     def _act(self, observation: Any) -> Any:
-        try:
-            return self._policy.act(observation)
-        except Exception as error:
-            raise PolicyFailure('act', error) from error
+        with self._limited(), failing_as('act() of the policy', PolicyFailure):
+            return np.asarray(self._policy.act(observation))
 
     def _recorder(self, seed: int) -> Any:
         if self._experiment.records is None:

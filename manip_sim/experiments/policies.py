@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+import contextlib
 import importlib
 import importlib.util
 import inspect
 from pathlib import Path
+import signal
 import sys
 from typing import Any
 import warnings
@@ -26,23 +28,37 @@ from manip_sim.tasks.observation import IMAGE, Observation
 EXPERT = 'expert'
 #: Before the namespace of a node.
 ROS = 'ros:'
-#: How long the answer of a node may take, wall time [s].
-LIMIT_S = 10.0
+#: How long the answer of a node, and of a policy in a process of the run, may take, wall time [s].
+LIMIT_S, LOCAL_LIMIT_S = 10.0, 600.0
 _FORMS = ("'expert', MODULE:CLASS, MODULE:FUNCTION, FILE.py:CLASS, FILE.pt, FILE.onnx or "
           'ros:/NAMESPACE')
 
 
 class PolicyFailure(ManipSimError):
-    """
-    A policy raised an error.
+    """A policy raised an error."""
 
-    :param where: the method
-    :param error: what it raised
-    """
 
-    def __init__(self, where: str, error: Exception) -> None:
-        super().__init__(f'{where}() of the policy: {type(error).__name__}: '
-                         f'{one_line(str(error), 200)}')
+@contextlib.contextmanager
+def failing_as(what: str, kind: type[ManipSimError]) -> Iterator[None]:
+    """
+    Let code of a user, which may raise anything, raise one error.
+
+    :param what: what it does, for the message
+    :param kind: of the error
+    :raises ManipSimError: of that kind
+    :raises KeyboardInterrupt: by Ctrl-C, unless that is ignored
+    """
+    try:
+        yield
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and (
+                signal.getsignal(signal.SIGINT) is not signal.SIG_IGN):
+            raise
+        try:
+            text = one_line(str(error), 200)
+        except Exception:
+            text = 'it has no text'
+        raise kind(f'{what}: {type(error).__name__}: {text}') from error
 
 
 def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy:
@@ -84,7 +100,7 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S) -> Policy
 
 def _module(where: str) -> Any:
     """Import a module by its name or its file."""
-    try:
+    with failing_as(f'policy: cannot import {quoted(where)}', ModelError):
         if not where.endswith('.py'):
             if '' not in sys.path:  # As python -m does, modules of the working directory count.
                 sys.path.insert(0, '')
@@ -96,20 +112,15 @@ def _module(where: str) -> Any:
         sys.modules[spec.name] = module
         spec.loader.exec_module(module)
         return module
-    except Exception as error:  # What is imported may raise anything.
-        raise ModelError(f'policy: cannot import {quoted(where)}: {type(error).__name__}: '
-                         f'{one_line(str(error), 200)}') from error
 
 
 def _made(name: str, found: Any) -> Policy:
     if inspect.isclass(found):
-        try:
+        with failing_as(f'policy {quoted(name)} cannot be created without arguments', ModelError):
             found = found()
-        except Exception as error:
-            raise ModelError(f'policy {quoted(name)} cannot be created without arguments: '
-                             f'{type(error).__name__}: {one_line(str(error), 200)}') from error
-        missing = [method for method in ('reset', 'act')
-                   if not callable(getattr(found, method, None))]
+        with failing_as(f'policy {quoted(name)}', ModelError):
+            missing = [method for method in ('reset', 'act')
+                       if not callable(getattr(found, method, None))]
         if missing:
             raise ModelError(f'policy {quoted(name)} needs reset(seed) and act(observation); it '
                              f'has no {" and no ".join(missing)}')

@@ -21,6 +21,8 @@ from manip_sim.startup import use_one_blas_thread
 
 #: How often a seed is tried whose process dies each time.
 TRIES = 3
+#: How often processes are looked after that neither answer nor close their pipe, wall time [s].
+_LOOK_S = 1.0
 
 
 def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -> Iterator[Row]:
@@ -41,8 +43,7 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
             for worker in workers:
                 if worker.seed is None and waiting:
                     worker.begin(waiting.popleft())
-            ready = wait([worker.pipe for worker in workers if worker.seed is not None])
-            for worker in [worker for worker in workers if worker.pipe in ready]:
+            for worker in _ready([worker for worker in workers if worker.seed is not None]):
                 seed, answer = worker.seed, worker.answer()
                 assert seed is not None
                 if isinstance(answer, ManipSimError):
@@ -51,7 +52,10 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
                     yield answer
                     continue
                 died[seed] += 1
-                if died[seed] < TRIES:
+                if worker.exit_code == -signal.SIGALRM:
+                    yield Row(seed, False, 0.0, 0, '', 'the policy took longer than '
+                              f'{experiment.policy_limit_s:g} s')
+                elif died[seed] < TRIES:
                     waiting.appendleft(seed)
                 else:
                     yield Row(seed, False, 0.0, 0, '', f'its process died {TRIES} times, '
@@ -60,6 +64,15 @@ def run_in_processes(experiment: Experiment, seeds: Sequence[int], count: int) -
     finally:
         for worker in workers:
             worker.end()
+
+
+def _ready(workers: Sequence[_Worker]) -> list[_Worker]:
+    """Return workers that have answered or died; a copy of one, by a fork, may keep its pipe."""
+    while True:
+        ready = wait([worker.pipe for worker in workers], _LOOK_S)
+        found = [worker for worker in workers if worker.pipe in ready or not worker.alive]
+        if found:
+            return found
 
 
 class _Worker:
@@ -94,13 +107,18 @@ class _Worker:
     def answer(self) -> Row | ManipSimError | None:
         """Return the row of its seed, why it cannot begin, or None if it has died."""
         self.seed = None
-        try:
-            found: Row | ManipSimError = self.pipe.recv()
-            return found
-        except (EOFError, OSError):
-            self._process.join()
-            self.exit_code = self._process.exitcode
-            return None
+        with contextlib.suppress(EOFError, OSError):
+            if self.pipe.poll():
+                found: Row | ManipSimError = self.pipe.recv()
+                return found
+        self._process.join()
+        self.exit_code = self._process.exitcode
+        return None
+
+    @property
+    def alive(self) -> bool:
+        """Whether its process runs."""
+        return bool(self._process.is_alive())
 
     def restart(self) -> None:
         """Start another process in place of one that has died."""
@@ -121,10 +139,14 @@ def _serve(pipe: Connection, experiment: Experiment) -> None:
     """Run the seeds that come, until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The process that asks ends this one.
     use_one_blas_thread()
+    process = os.getpid()
     try:
-        worker = experiment.create_worker()
+        worker = experiment.create_worker(ends_with_policy=True)
         while True:
-            pipe.send(worker.run(pipe.recv()))
+            row = worker.run(pipe.recv())
+            if os.getpid() != process:  # A policy has forked; one of the two may answer.
+                os._exit(1)
+            pipe.send(row)
     except ManipSimError as error:
         pipe.send(type(error)(*error.args) if len(error.args) == 1 else ManipSimError(str(error)))
     except (EOFError, OSError):

@@ -86,7 +86,7 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     return int(value)
 
 
-def positive_number(value: object, what: str, error: type[ManipSimError] = ModelError) -> float:
+def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelError) -> float:
     """
     Return a number above 0.
 
@@ -94,7 +94,7 @@ def positive_number(value: object, what: str, error: type[ManipSimError] = Model
     :param error: the exception to raise
     :raises ManipSimError: that exception, if it is no finite number above 0
     """
-    if (isinstance(value, bool) or not isinstance(value, numbers.Real)
+    if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
             or not 0 < value <= sys.float_info.max):
         raise error(f'{what} must be positive and finite, got {shown(value)}')
     return float(value)

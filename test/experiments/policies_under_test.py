@@ -3,11 +3,16 @@
 
 """Policies that tests of runs name: good ones, and ones that fail in many ways."""
 
+import multiprocessing
 import os
 from pathlib import Path
 import signal
+import sys
+import threading
+import time
 
 import numpy as np
+import contextlib
 
 #: A file that the first process deletes before it kills itself.
 MARK = 'MANIP_SIM_TEST_MARK'
@@ -72,6 +77,121 @@ class AlwaysDeadly(Towards):
         super().reset(seed)
         if seed == 2:
             os.kill(os.getpid(), signal.SIGKILL)
+
+
+class OnceInSeedTwo(Towards):
+    """Does something else in the third period of seed 2."""
+
+    def reset(self, seed):
+        super().reset(seed)
+        self.seed = seed
+
+    def act(self, observation):
+        found = super().act(observation)
+        if self.seed == 2 and self.periods == 3:
+            other = self.otherwise()
+            return found if other is None else other
+        return found
+
+
+class Interrupts(OnceInSeedTwo):
+    def otherwise(self):
+        raise KeyboardInterrupt
+
+
+class InterruptsAtReset(Towards):
+    def reset(self, seed):
+        super().reset(seed)
+        if seed == 2:
+            raise KeyboardInterrupt
+
+
+class Exits(OnceInSeedTwo):
+    def otherwise(self):
+        sys.exit(0)
+
+
+class Speechless(OnceInSeedTwo):
+    class Error(Exception):
+        def __str__(self):
+            raise RuntimeError
+
+    def otherwise(self):
+        raise self.Error
+
+
+class Lies(OnceInSeedTwo):
+    def __array__(self, *_, **__):
+        raise RuntimeError('not an array')
+
+    def __repr__(self):
+        raise RuntimeError('no text')
+
+    def otherwise(self):
+        return self
+
+
+class Hangs(OnceInSeedTwo):
+    def otherwise(self):
+        threading.Event().wait()
+
+
+class HangsWhateverIsRaised(OnceInSeedTwo):
+    def otherwise(self):
+        while True:
+            with contextlib.suppress(BaseException):
+                threading.Event().wait()
+
+
+class HangsInTheSecondProcess(Towards):
+    def __init__(self):
+        if multiprocessing.parent_process() is not None:
+            threading.Event().wait()
+
+
+class DiesBesideACopy(OnceInSeedTwo):
+    def otherwise(self):
+        if os.fork():
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(20)  # With what was open.
+        os._exit(0)
+
+
+class Forks(OnceInSeedTwo):
+    def otherwise(self):
+        os.fork()
+
+
+class Moves(Towards):
+    """Changes the working directory wherever it can."""
+
+    def __init__(self):
+        os.chdir(os.environ[MARK])
+
+    def reset(self, seed):
+        os.chdir(os.environ[MARK])
+        super().reset(seed)
+
+
+class Writes(Towards):
+    """Overwrites what it is given."""
+
+    def act(self, observation):
+        found = super().act(observation)
+        for array in observation.values():
+            array[...] = 9
+        return found
+
+
+class ExitsAtOnce:
+    def __init__(self):
+        sys.exit(0)
+
+
+class WithAReset(Towards):
+    @property
+    def reset(self):
+        raise RuntimeError('no reset')
 
 
 class WithoutAct:

@@ -153,6 +153,56 @@ def test_a_policy_that_fails_costs_its_episode(tmp_path, capsys):
     assert '1 x act() of the policy: ZeroDivisionError: one' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize('policy, error', [
+    ('Interrupts', 'act() of the policy: KeyboardInterrupt: '),
+    ('Exits', 'act() of the policy: SystemExit: 0'),
+    ('Speechless', 'act() of the policy: Error: it has no text'),
+    ('Lies', 'act() of the policy: RuntimeError: not an array'),
+    ('InterruptsAtReset', 'reset() of the policy: KeyboardInterrupt: ')])
+def test_whatever_a_policy_raises_costs_one_episode_only(whole, tmp_path, capfd, policy, error):
+    assert run(tmp_path / 'raises', policy=policy, seeds='1:4', worlds='1') == 1
+    found = rows(tmp_path / 'raises')
+    assert found[1]['error'] == error
+    assert [found[0], found[2]] == [rows(whole)[1], rows(whole)[3]]
+    assert 'Traceback' not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize('policy', ['Hangs', 'HangsWhateverIsRaised', 'HangsInTheSecondProcess'])
+def test_a_policy_that_hangs_is_ended(tmp_path, policy):
+    assert run(tmp_path / 'hangs', '--policy-limit', '2', policy=policy, seeds='2:3') == 1
+    assert [row['error'] for row in rows(tmp_path / 'hangs')] == [
+        'the policy took longer than 2 s']
+
+
+def test_a_process_that_dies_is_noticed_though_a_copy_of_it_lives(tmp_path):
+    assert run(tmp_path / 'copies', policy='DiesBesideACopy', seeds='1:4', worlds='1') == 1
+    assert [row['error'] for row in rows(tmp_path / 'copies')] == [
+        '', 'its process died 3 times, exit code -9', '']
+
+
+def test_a_copy_that_a_policy_forks_gives_no_second_row(whole, tmp_path):
+    assert run(tmp_path / 'forks', policy='Forks', seeds='1:4', worlds='1') == 0
+    assert rows(tmp_path / 'forks') == rows(whole)[1:4]
+
+
+def test_a_policy_that_changes_the_folder_moves_no_file(whole, tmp_path, monkeypatch):
+    pytest.importorskip('mcap', reason='mcap is not installed')
+    for name in ('here', 'there'):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / 'here')
+    monkeypatch.setenv('MANIP_SIM_TEST_MARK', str(tmp_path / 'there'))
+    Path('moving.py').write_text(POLICIES.read_text())
+    assert run(Path('moved'), '--record', policy='moving.py:Moves', seeds='1:4', worlds='1') == 0
+    assert rows(tmp_path / 'here' / 'moved') == rows(whole)[1:4]
+    assert len([*(tmp_path / 'here' / 'moved' / 'records').iterdir()]) == 3
+    assert not [*(tmp_path / 'there').iterdir()]
+
+
+def test_a_policy_that_writes_into_its_observation_changes_no_row(whole, tmp_path):
+    assert run(tmp_path / 'writes', policy='Writes', seeds='0:3', worlds='1') == 0
+    assert rows(tmp_path / 'writes') == rows(whole)[:3]
+
+
 def test_a_process_that_dies_loses_nothing(whole, tmp_path, monkeypatch):
     mark = tmp_path / 'mark'
     mark.touch()
@@ -218,6 +268,8 @@ def test_latency_is_a_part_of_the_run(whole, tmp_path):
     ({'more': ['--action', 'osc']}, "unknown action 'osc': did you mean 'osc_pose'"),
     ({'policy': 'WithoutAct'}, 'it has no act'),
     ({'policy': 'NeedsArguments'}, 'cannot be created without arguments: TypeError'),
+    ({'policy': 'ExitsAtOnce'}, 'cannot be created without arguments: SystemExit: 0'),
+    ({'policy': 'WithAReset'}, ': RuntimeError: no reset'),
     ({'policy': 'NUMBER'}, 'must be a class or a function, got int'),
     ({'policy': 'Toward'}, "did you mean 'Towards'"),
     ({'policy': 'no_such_module:Policy'}, 'cannot import'),

@@ -490,7 +490,7 @@ class _Liar(list):
 
 @pytest.mark.parametrize('names, message', [
     (None, 'must be a sequence of texts, got None'), (7, 'got 7'), ('joint1', "got 'joint1'"),
-    ([1] * 7, 'got .1, 1'), ([['joint1']], 'got ..\'joint1'), ([b'joint1'], 'got .b'),
+    ([1] * 7, 'got .1, 1'), ([['joint1']], "got ..'joint1"), ([b'joint1'], 'got .b'),
     (_Liar(['robot0_joint1'] * 2), "joint 'robot0_joint1' is named twice"),
     (_Liar(['robot0_joint1']), 'must have')])
 def test_names_that_are_none_command_no_world(lasting_pair, names, message):
