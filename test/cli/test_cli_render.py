@@ -128,6 +128,15 @@ def test_what_cannot_be_rendered_is_one_line(arguments, what, rejected):
     assert not Path('picture.png').exists()
 
 
+def test_a_robot_that_is_not_visible_has_no_picture(mjcf, rejected):
+    file = mjcf('<body name="base"><geom size="0.05" group="3"/><body name="link" pos="0 0 1">'
+                '<joint name="joint"/><geom size="0.02" group="3"/></body></body>',
+                '<actuator><motor name="motor" joint="joint"/></actuator>')
+    assert 'without visible shapes (group 0 to 2) there is no picture' in rejected(
+        'render', 'picture.png', '--robot', str(file))
+    assert not Path('picture.png').exists()
+
+
 def test_an_unknown_way_to_render_is_one_line(command, tmp_path):
     done = command('render', tmp_path / 'a.png', MUJOCO_GL='nonsense')
     assert done.returncode == 1
