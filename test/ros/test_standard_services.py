@@ -244,19 +244,6 @@ def test_simulation_that_diverged_can_be_reset_only(standard):
     assert standard.set_state(PLAYING) == (OK, '')
 
 
-#: By the definitions of messages and services in github.com/ros-simulation/simulation_interfaces.
-NUMBERS = {
-    ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
-    SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2],
-    ScopeCode: [0, 1, 2, 255], Category: [0, 1], BoundsType: [0],
-    Feature: [0, 1, 8, 9, 10, 11, 20, 22, 24, 25, 26, 31, 32]}
-
-
-@pytest.mark.parametrize('codes', NUMBERS, ids=lambda codes: codes.__name__)
-def test_numbers_are_those_that_clients_know(codes):
-    assert [int(code) for code in codes] == NUMBERS[codes]
-
-
 def test_entities_are_found_by_name_and_category(standard):
     assert standard.entities().entities == ['robot0_base', 'cube']
     assert standard.entities('^c').entities == ['cube']
