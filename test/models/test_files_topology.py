@@ -237,3 +237,28 @@ def test_several_roots_with_sizes_of_user_data_are_one_robot_without_a_warning(t
     robot = load_robot(tmp_path / 'arm.xml')
     assert "new root body 'root' that holds 'rack', 'base'" in robot.inferred
     assert robot.compile().njnt == 7
+
+
+def parts_of(file):
+    """Return the number of joints by part."""
+    parts = Simulation(compose(str(file))).robot.parts
+    return {name: len(part.joints) for name, part in parts.items() if part.atomic == (name,)}
+
+
+def test_each_of_two_arms_has_a_hand_where_only_its_branches_say_so():
+    assert parts_of(FILES / 'two_unnamed_hands.xml') == {
+        'torso': 1, 'right': 3, 'left': 3, 'right/gripper': 6, 'left/gripper': 6}
+
+
+def test_arms_without_sides_in_their_names_have_those_of_their_places():
+    file = FILES / 'two_arms_without_sides.urdf'
+    assert parts_of(file) == {'right': 4, 'left': 4, 'right/gripper': 2, 'left/gripper': 2}
+    robot = load_robot(file)
+    assert robot.eef_name == {'right': 'robot0_unit_1_link4', 'left': 'robot0_unit_2_link4'}
+    assert any('have no side' in sentence for sentence in robot.inferred)
+
+
+def test_a_floating_robot_loads_without_the_furniture_and_objects_beside_it():
+    file = FILES / 'floating_beside_a_shelf.xml'
+    assert parts_of(file) == {'arm': 2}
+    assert "left out: 2 bodies of the world body ('shelf', 'book')" in load_robot(file).inferred

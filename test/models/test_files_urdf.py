@@ -262,3 +262,33 @@ def test_of_several_materials_of_a_shape_the_first_is_read(tmp_path):
                         '<material name="b"><color rgba="0 1 0 1"/></material></visual>')
     assert '"b"' in text
     load_robot(write(tmp_path / 'arm.urdf', text))
+
+
+@pytest.mark.parametrize(('element', 'one', 'other'), [
+    ('visual', '<origin xyz="0 0 0.3"/>', '<origin xyz="0 0 0.7"/>'),
+    ('collision', '<origin xyz="0 0 0.3"/>', '<origin xyz="0 0 0.7"/>')])
+def test_of_an_element_that_is_there_twice_the_first_is_read(tmp_path, element, one, other):
+    shape = '<geometry><box size="0.1 0.1 0.1"/></geometry>'
+    text = URDF.replace('<link name="upper">', f'<link name="upper"><{element}>{one}{shape}'
+                        f'{other}{shape}</{element}>')
+    model = load_robot(write(tmp_path / 'arm.urdf', text)).compile()
+    boxes = [geom for geom in range(model.ngeom) if np.allclose(model.geom_size[geom], 0.05)]
+    assert [model.geom_pos[geom][2] for geom in boxes] == [0.3]
+
+
+def test_a_mesh_that_a_renamed_package_lacks_is_left_out_beside_others(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    mesh_file(tmp_path / 'acme' / 'meshes' / 'link.stl')
+    (begin, end) = with_mesh('package://old_name/meshes/link.stl').split('<link name="upper">')
+    lost = '<collision><geometry><mesh filename="package://{}/meshes/lost.stl"/></geometry>' \
+        '</collision>'
+    for package in ('old_name', 'other_name'):
+        file = write(tmp_path / 'acme' / 'urdf' / f'{package}.urdf',
+                     f'{begin}<link name="upper">{lost.format(package)}{end}')
+        if package == 'old_name':
+            robot = load_robot(file)
+            assert robot.compile().nmesh == 1
+            assert any('nothing touches these links' in told for told in robot.inferred)
+        else:
+            with pytest.raises(ModelError, match="package 'other_name' is neither"):
+                load_robot(file)

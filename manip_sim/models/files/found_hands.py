@@ -18,6 +18,8 @@ _HAND_WORDS = {'gripper', 'grip', 'grasp', 'claw', 'hand', 'gl', 'pinch'}
 FINGERS = 3
 #: Groups of fingers that share more than this fraction of the joints before them are one hand.
 _SHARED = 0.5
+#: Fingers that hang on chains of at least so many joints of their own are of several hands.
+_LEAST_OF_ARM = 3
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ def hand_below(tree: BodyTree, body: int) -> FoundHand:
 
 def find_hands(tree: BodyTree) -> list[FoundHand]:
     """
-    Return the hands of a robot, at most one for each side.
+    Return the hands of a robot, at most one for each side, or for each arm without a side.
 
     The body of a hand is the last one that carries all joints with a finger's name, or with a
     gripper's if none has a finger's, and the joints that are coupled to them.
@@ -69,9 +71,10 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
                 by_side[side] = of_side
     hands = []
     for joints in by_side.values():
-        body = _common_carrier(tree, tree.coupled(joints))
-        if body:
-            hands.append(hand_below(tree, _with_branches(tree, body)))
+        for of_hand in _by_arm(tree, tree.coupled(joints)):
+            body = _common_carrier(tree, of_hand)
+            if body:
+                hands.append(hand_below(tree, _with_branches(tree, body)))
     return [hand for hand in hands if hand.joints]
 
 
@@ -154,6 +157,21 @@ def _by_side(tree: BodyTree, joints: Iterable[int]) -> dict[str | None, set[int]
     if len(found) > 1 and _is_one_hand(tree, found.values()):
         return {None: set().union(*found.values())}
     return found
+
+
+def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:
+    """Return joints of fingers by the arm that carries them, if they hang on several."""
+    carrier = _common_carrier(tree, joints)
+    branches: dict[int, set[int]] = {}
+    for joint in joints:
+        way = [*tree.path(tree.parent(int(tree.model.jnt_bodyid[joint]))), 0]
+        branches.setdefault(way[len(tree.path(carrier))], set()).add(joint)
+    groups = list(branches.values())
+    shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
+                        for body in (carrier, *(_common_carrier(tree, g) for g in groups)))
+    is_several = len(groups) > 1 and min(lengths) >= _LEAST_OF_ARM and (
+        shared <= _SHARED * min(lengths))
+    return groups if is_several else [set(joints)]
 
 
 def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:

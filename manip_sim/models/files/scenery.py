@@ -152,13 +152,14 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
     model = tree.model
     driven = set().union(*(tree.driven(actuator) for actuator in range(model.nu)))
     objects, roots = [], list(spec.worldbody.bodies)
-    moving = [body.name for body in roots if tree.joints(tree.below(model.body(body.name).id))]
+    articulated = [body for body in roots if any(
+        map(tree.is_scalar, tree.joints(tree.below(model.body(body.name).id))))]
     for body in roots:
         below = sorted(tree.below(model.body(body.name).id))
         joints = tree.joints(below)
         empty = not joints and not model.body_geomnum[below].any()
         is_object = _is_free(body) and not driven.intersection(joints)
-        is_furniture = not joints and len(moving) == 1
+        is_furniture = not joints and len(articulated) == 1
         if (body.mocap or empty or is_furniture
                 or (is_object and (driven or len(roots) > 1))):
             objects.append(body)

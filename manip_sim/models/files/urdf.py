@@ -30,6 +30,10 @@ _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
 _HEAD = 4096
+#: Elements of which an element has one.
+_SINGLE = {'visual': ('origin', 'geometry', 'material'), 'collision': ('origin', 'geometry'),
+           'inertial': ('origin', 'mass', 'inertia'),
+           'joint': ('origin', 'axis', 'parent', 'child', 'limit', 'dynamics', 'mimic')}
 
 
 def is_urdf(file: Path) -> bool:
@@ -56,16 +60,17 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_mes
     mimic joint is coupled by an equality constraint.
 
     :param xacro_args: arguments of a xacro file, by name
-    :param needs_meshes: reject a file if none of its meshes is found, or a package of theirs
+    :param needs_meshes: reject a file if none of its meshes is found, or all of a package
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     :raises ModelError: if it cannot be read, or meshes that it needs are not found
     """
     robot = _parse(file, _text(file, xacro_args or {}))
     notes = [*_find_meshes(robot, file, needs_meshes), *_drop_empty_shapes(robot),
              *make_physical(robot)]
-    for visual in robot.iter('visual'):
-        for material in visual.findall('material')[1:]:  # MuJoCo reads one.
-            visual.remove(material)
+    for element in list(robot.iter()):  # Other readers take the first, too; MuJoCo refuses two.
+        for tag in _SINGLE.get(element.tag, ()):
+            for repeated in element.findall(tag)[1:]:
+                element.remove(repeated)
     compiler = _compiler(robot)
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true')):
@@ -121,13 +126,14 @@ def _find_meshes(robot: ElementTree.Element, file: Path, needed: bool) -> list[s
     """
     Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
 
-    :raises ModelError: if a package, or all meshes, are missing, and they are needed
+    :raises ModelError: if all meshes, or all of a package, are missing, and they are needed
     """
     extension = robot.find('mujoco/compiler')
     folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
     unread: dict[str, list[str]] = {'visual': [], 'collision': []}
     missing: list[_Missing] = []
     read = 0
+    packages_read: set[str | None] = set()
     for link in robot.iter('link'):
         for shape in [*link.findall('visual'), *link.findall('collision')]:
             mesh = shape.find('geometry/mesh')
@@ -136,18 +142,19 @@ def _find_meshes(robot: ElementTree.Element, file: Path, needed: bool) -> list[s
             try:
                 found, why = _converted(_resolve(mesh.get('filename', ''), folder, file, link))
             except _Missing as error:
-                if needed and error.is_package:
-                    raise
                 missing.append(error)
                 found, why = None, error.why
             if found is None:
                 unread[shape.tag].append(f'{quoted(mesh.get("filename"))} ({why})')
                 link.remove(shape)
             else:
+                packages_read.add(_package_of(mesh))
                 mesh.set('filename', str(found))
                 read += 1
-    if missing and not read and needed:  # The folder or the package is wrong.
-        raise missing[0]
+    for lost_one in missing if needed else ():
+        # The folder or the package is wrong, unless other meshes of it are beside the file.
+        if not read or (lost_one.package is not None and lost_one.package not in packages_read):
+            raise lost_one
     lost = {'visual': '', 'collision': '; nothing touches these links there'}
     return [f'left out: {len(names)} {tag} shapes of files that cannot be read, such as '
             f'{names[0]}{lost[tag]}' for tag, names in unread.items() if names]
@@ -199,13 +206,18 @@ class _Missing(ModelError):
 
     :param where: which one, for the message
     :param why: what is not there
-    :param is_package: whether it is the whole package
+    :param package: the package if all of it is missing
     """
 
-    def __init__(self, where: str, why: str, is_package: bool) -> None:
+    def __init__(self, where: str, why: str, package: str | None) -> None:
         super().__init__(f"{where}: {why}; 'meshes: none' in a YAML file loads the model without "
                          'the shapes that are missing')
-        self.why, self.is_package = why, is_package
+        self.why, self.package = why, package
+
+
+def _package_of(mesh: ElementTree.Element) -> str | None:
+    match = _PACKAGE.fullmatch(mesh.get('filename', ''))
+    return None if match is None else match[1]
 
 
 def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> Path:
@@ -226,12 +238,12 @@ def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> 
             folder for folder in file.resolve().parents[:2] if (folder / rest).is_file()]
         if not roots:
             raise _Missing(where, f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or '
-                           'ROS_PACKAGE_PATH nor a folder above the file', True)
+                           'ROS_PACKAGE_PATH nor a folder above the file', package)
         candidates = [root / rest for root in roots]
     for candidate in candidates:
         if candidate.is_file() or _readable(candidate) not in (None, candidate):
             return candidate.resolve()
-    raise _Missing(where, f'no such file: {candidates[0]}', False)
+    raise _Missing(where, f'no such file: {candidates[0]}', None)
 
 
 def _elsewhere(path: Path, file: Path) -> Iterator[Path]:

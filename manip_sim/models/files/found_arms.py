@@ -1,0 +1,182 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find where the arms of a robot's file end, and the hands that only its branches show."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+
+from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
+from manip_sim.models.files.found_hands import FINGERS, FoundHand, hand_below
+from manip_sim.quoting import quoted_names
+
+_END_WORDS = {'tool', 'flange', 'tcp', 'ee', 'eef', 'hand', 'gripper', 'attachment', 'pinch'}
+#: A chain of at most this fraction of the joints of the longest one is not an arm.
+_ARM_SHARE = 0.5
+#: Arms whose roots are nearer to each other along y are not beside each other [m].
+_BESIDE_M = 0.05
+
+
+@dataclass(frozen=True)
+class FoundArm:
+    """
+    Where an arm ends.
+
+    :ivar kind: ``body`` or ``site``
+    :ivar name: of that body or site
+    :ivar hand: the hand that the arm carries in the same file, or None
+    :ivar why: how it was found, for messages
+    """
+
+    kind: str
+    name: str
+    hand: FoundHand | None
+    why: str
+
+
+def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand],
+              notes: list[str]) -> dict[str, FoundArm]:
+    """
+    Return the arms by ``right`` and ``left``; a single one is ``right``.
+
+    :param subsystems: by id of the joint
+    :param notes: gets a sentence if there are several chains whose sides are not clear: no arms
+    """
+    hands = [*hands, *_hands_of_chains(tree, subsystems, hands)]
+    joints = _joints_of_arms(tree, subsystems, hands)
+    tips = _longest_chains(tree, tree.ends(joints), joints)
+    by_side = _by_side(tree, tips, joints, notes)
+    arms = {side: _end_of(tree, tip, hands, len(by_side)) for side, tip in by_side.items()}
+    return {side: arms[side] for side in ('right', 'left') if side in arms}
+
+
+def _longest_chains(tree: BodyTree, tips: Iterable[int], joints: Collection[int]) -> list[int]:
+    length = {tip: _length(tree, tip, joints) for tip in tips}
+    longest = max(length.values(), default=0)
+    return [tip for tip, count in length.items() if count > _ARM_SHARE * longest]
+
+
+def _joints_of_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
+                    ) -> set[int]:
+    of_hands = {joint for hand in hands for joint in hand.joints}
+    # What else moves on the link that a hand hangs on, such as a camera, is beyond the arm's end.
+    rigid = tree.model.body_weldid.tolist()
+    ends = {rigid[hand.body] for hand in hands} - {0}
+    of_hands |= {j for j in subsystems if ends.intersection(
+        rigid[body] for body in tree.path(tree.parent(int(tree.model.jnt_bodyid[j]))))}
+    of_hands |= _joints_of_objects(tree)
+    return {j for j, part in subsystems.items()
+            if part == 'arm' and j not in of_hands and tree.is_scalar(j)}
+
+
+def _joints_of_objects(tree: BodyTree) -> set[int]:
+    """Return the joints of roots of which one body moves, if those of another root are a chain."""
+    model = tree.model
+    of_root = {body: tree.joints(sorted(tree.below(body)))
+               for body in range(1, model.nbody) if tree.parent(body) == 0}
+    single = {body for body, joints in of_root.items()
+              if len({int(model.jnt_bodyid[joint]) for joint in joints}) == 1}
+    if not any(joints for body, joints in of_root.items() if body not in single):
+        return set()
+    return {joint for body in single for joint in of_root[body]}
+
+
+def _hands_of_chains(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[FoundHand]
+                     ) -> list[FoundHand]:
+    """Return the hands whose fingers, without names of fingers, are the chains of other arms."""
+    joints = _joints_of_arms(tree, subsystems, hands)
+    found: list[FoundHand] = []
+    groups = [_longest_chains(tree, tree.ends(joints), joints)]
+    while groups:
+        tips = groups.pop()
+        if len(tips) < 2:
+            continue
+        carrier = tree.common(tips)
+        branches: dict[int, list[int]] = {}
+        for tip in tips:
+            branches.setdefault(tree.path(tip)[len(tree.path(carrier))], []).append(tip)
+        shared = _length(tree, carrier, joints)
+        whole = max(_length(tree, tip, joints) for tip in tips)
+        # No robot has three arms on a link that moves, but fingers may have more joints than a
+        # wrist.
+        if shared > _ARM_SHARE * whole or (shared and len(branches) >= FINGERS):
+            found.append(hand_below(tree, carrier))
+        else:
+            groups += branches.values()
+    return found
+
+
+def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: list[str]
+             ) -> dict[str, int]:
+    """Return the tip of the longest chain by side, preferring end names; one alone is right."""
+    if len(tips) <= 1:
+        return dict.fromkeys(['right'], tips[0]) if tips else {}
+    found: dict[str | None, list[int]] = {}
+
+    def rank(tip: int) -> tuple[int, bool]:
+        return _length(tree, tip, joints), any(
+            words_of(tree.name(body)) & _END_WORDS for body in tree.below(tip))
+
+    for tip in sorted(tips, key=rank, reverse=True):
+        found.setdefault(side_of(map(tree.name, tree.path(tip))), []).append(tip)
+    ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
+                    for of_side in found.values())
+    if set(found) == {None} and not ambiguous:  # The others are rods beside an arm.
+        return {'right': found[None][0]}
+    if set(found) == {None} and len(tips) == 2:
+        sides = _by_place(tree, tips)
+        if sides:
+            notes.append("the arms' names have no side: left is the one that stands further left, "
+                         'along y')
+            return sides
+    if set(found) != {'right', 'left'} or ambiguous:
+        names = quoted_names([tree.name(tip) for tip in tips])
+        notes.append(f'no arms: {len(tips)} chains of joints could be, they end at {names}; '
+                     "declare 'arms' with the 'mount' of 'right' and 'left' in a YAML file")
+        return {}
+    return {side: of_side[0] for side, of_side in found.items() if side is not None}
+
+
+def _by_place(tree: BodyTree, tips: list[int]) -> dict[str, int]:
+    """Return which of two tips belongs to the chain that begins further along y; none if equal."""
+    model = tree.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    shared = len(tree.path(tree.common(tips)))
+    places = [float(data.xpos[tree.path(tip)[shared], 1]) for tip in tips]
+    if abs(places[0] - places[1]) < _BESIDE_M:
+        return {}
+    left = int(places[1] > places[0])
+    return {'right': tips[1 - left], 'left': tips[left]}
+
+
+def _length(tree: BodyTree, body: int, joints: Collection[int]) -> int:
+    """Return how many of the given joints move a body."""
+    return len(set(tree.joints(tree.path(body))) & set(joints))
+
+
+def _end_of(tree: BodyTree, tip: int, hands: Collection[FoundHand], count: int) -> FoundArm:
+    below = tree.below(tip)
+    hand = next((hand for hand in hands if hand.body in below), None)
+    if hand is not None:
+        return FoundArm('body', tree.name(hand.body), hand, 'it carries a hand')
+    model = tree.model
+    sites = [str(model.site(i).name) for i in range(model.nsite) if model.site_bodyid[i] in below]
+    bodies = [tree.name(body) for body in sorted(below, reverse=True)]
+    for kind, names, words in (
+            ('body', bodies, {'hand'}), ('site', sites, {'attachment'}),
+            ('body', bodies, _END_WORDS), ('site', sites, _END_WORDS)):
+        named = [name for name in names if words_of(name) & words]
+        exact = [name for name in named if kind == 'body' and name in ('right_hand', 'left_hand')]
+        if words == {'hand'}:
+            named = exact
+        if named:
+            return FoundArm(kind, named[0], None, 'by its name')
+    leaves = [body for body in below if len(tree.below(body)) == 1]
+    if len(leaves) == 1:
+        return FoundArm('body', tree.name(leaves[0]), None, 'the last body')
+    return FoundArm('body', tree.name(tip), None, 'the last body that moves')
