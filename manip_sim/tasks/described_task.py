@@ -116,9 +116,18 @@ class DescribedTask(Task, registered=False):
             if (key in joints) == isinstance(start.position.low, list):
                 self._reject(f'start of {quoted(key)}: position must be '
                              + ('one number [m or rad]' if key in joints else 'x, y, z [m]'))
+            if key in joints:
+                self._check_range(model.joint(key), key, start)
             if isinstance(start.yaw.low, list):
                 self._reject(f'start of {quoted(key)}: yaw must be one number [rad]')
         self._joints = {key for key in self._described.starts if key in joints}
+
+    def _check_range(self, joint: Any, key: str, start: Start) -> None:
+        low, high = joint.range
+        if bool(joint.limited) and not low <= start.position.low <= start.position.high <= high:
+            self._reject(f'start of {quoted(key)}: position must be from {low:g} to {high:g}, the '
+                         f'range of the joint, got {start.position.low:g} to '
+                         f'{start.position.high:g}')
 
     def _known(self, kind: str, names: Iterable[str], available: list[str]) -> None:
         for name in names:

@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from manip_sim.errors import describe_choices, ModelError
+from manip_sim.models.object_descriptions import Coordinate
 from manip_sim.models.objects import create_object, ObjectModel
 from manip_sim.models.strict_descriptions import (
     BaseModel, BeforeValidator, checked, ConfigDict, Field, model_validator, Number, StrictBool)
 from manip_sim.quoting import quoted, shown
 
-_Finite = Annotated[Number, Field(allow_inf_nan=False)]
 _Positive = Annotated[Number, Field(gt=0.0, allow_inf_nan=False)]
 #: A bound; infinite for none.
 _Bound = Annotated[Number, Field()]
-_Point = Annotated[list[_Finite], Field(min_length=3, max_length=3)]
+_Point = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 _Bounds = Annotated[list[_Bound], Field(min_length=3, max_length=3)]
 _Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 #: What the end effector and the gripper of the task's arm are called in conditions.
@@ -38,7 +38,7 @@ class Condition(_Strict):
     :ivar weight: of how nearly it holds, in the reward
     """
 
-    weight: _Positive = 1.0
+    weight: Annotated[Number, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = 1.0
 
     @model_validator(mode='after')
     def _check_order(self) -> Condition:
@@ -139,12 +139,12 @@ class Range(_Strict):
     """
     Evenly distributed numbers.
 
-    :ivar low: the least, a number or three
+    :ivar low: the least, a number or three, of at most 10 000 m or rad
     :ivar high: the greatest
     """
 
-    low: Union[_Finite, _Point]
-    high: Union[_Finite, _Point]
+    low: Union[Coordinate, _Point]
+    high: Union[Coordinate, _Point]
 
     @model_validator(mode='after')
     def _check(self) -> Range:

@@ -15,12 +15,11 @@ import yaml
 pytest.importorskip('pydantic', minversion='2', reason='pydantic 2 is not installed')
 
 from manip_sim.cli.main import main  # noqa: E402
-from manip_sim.errors import ModelError, UnknownNameError  # noqa: E402
+from manip_sim.errors import ManipSimError, ModelError, UnknownNameError  # noqa: E402
 from manip_sim.models.sources import set_model_path  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.tasks import create_task, Episode, task_names  # noqa: E402
 from manip_sim.tasks.placing import place  # noqa: E402
-from manip_sim.tasks.task_description import Described  # noqa: E402
 
 PLATE = """
 instruction: Put the red cube onto the green disc, and let go of it.
@@ -225,6 +224,12 @@ def changed(**values):
     ({'start': {'cube': {'position': {'low': [0, 0, 1], 'high': [0, 0, 0]}}}},
      "'low' must not be above 'high'"),
     ({'start': {'cube': {}}}, "start of 'cube': needs 'position'"),
+    ({'start': {'cube': {'position': [0, 0, 1e5]}}}, "start of 'cube': position: 'low'"),
+    ({'start': {'cube': {'position': [0, 0, 1], 'yaw': {'low': -1e308, 'high': 1e308}}}},
+     "start of 'cube': yaw: 'low' must be at least -10000, got -1e+308"),
+    ({'start': {'robot0_joint1': {'position': 100}}},
+     'position must be from -2.8973 to 2.8973, the range of the joint, got 100 to 100'),
+    ({'reward': [{'speed': 'cube', 'below': 1, 'weight': 1e308}]}, "'weight' must be at most"),
     ({'apart': 5.0}, 'none of 1000 starts has all things apart by 5 m'),
     ({'success': []}, "'success' must have at least 1 of them"),
     ({'success': [{'distnce': ['cube', 'disc'], 'below': 1}]}, "did you mean 'distance'"),
@@ -270,8 +275,12 @@ def test_no_description_raises_anything_but_one_line(data):
     if not isinstance(values, dict):
         return
     try:
-        Described(values, 'task plate', name='plate')
-    except ModelError as error:
+        task = create_task('plate', description={'name': 'plate', **values})
+        episode = Episode(task, Simulation(task.world))
+        episode.reset(0)
+        episode.step(np.zeros(episode.actions.size))
+        assert math.isfinite(episode.reward)
+    except ManipSimError as error:
         assert '\n' not in str(error) and len(str(error)) < 1000
 
 
