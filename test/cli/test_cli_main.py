@@ -98,6 +98,8 @@ def test_a_long_text_is_told_by_its_beginning(here):
     (('check', '--base', 'Retink'), "'base': unknown value 'Retink': did you mean"),
     (('check', '--arena', 'tabel'), "'arena': unknown value 'tabel': did you mean 'table'"),
     (('check', '--arena', 'tabel', '--arena-param', 'a=1'), "unknown arena 'tabel'"),
+    (('check', '--arena', 'table', '--arena-param', 'friction=x'),
+     "friction must be a number, got 'x'"),
     (('check', '--arena', 'table', '--arena-param', 'cub=true'),
      "unknown parameter of arena 'table' 'cub': did you mean 'cube'"),
     (('check', '--arena', 'table', '--arena-param', 'cube=maybe'),

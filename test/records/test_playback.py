@@ -315,6 +315,13 @@ def test_what_a_record_of_a_node_lacks_is_one_line(episode, tmp_path, capsys):
         entries_in([tmp_path / 'no_joints.mcap'])
 
 
+def test_an_entry_that_is_not_in_the_record_any_more_is_told(recording):
+    for entry in (Entry(recording, 99), Entry(recording, 0, node='sim'), Entry(recording, 5)):
+        with pytest.raises(RecordError, match='the record has changed$'):
+            entry.read()
+    assert len(Entry(recording, 1).read().times) > 1
+
+
 def test_records_of_one_name_in_two_folders_can_both_be_chosen(show, recording, tmp_path):
     for folder in 'ab':
         (tmp_path / folder).mkdir()

@@ -19,6 +19,7 @@ from test_log import Lines
 
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.log import RejectionLog
+from manip_sim.viewer.ros.readers import PolledExecutor
 
 
 @pytest.fixture
@@ -164,3 +165,29 @@ def test_it_ends_with_its_context(node, log):
     thread.join(timeout=300.0)
     assert not thread.is_alive()
     executor.shutdown()
+
+
+def test_a_callback_of_the_viewer_that_raises_is_told_and_the_next_message_taken(node, log):
+    came = []
+
+    def take(message):
+        came.append(message.data)
+        if message.data == 'bad':
+            raise RuntimeError('not today')
+    node.create_subscription(String, 'topic', take, 10)
+    publisher = node.create_publisher(String, 'topic', 10)
+    executor = PolledExecutor(log, context=node.context)
+    executor.add_node(node)
+    end = time.monotonic() + START_S
+    while not publisher.get_subscription_count():
+        assert time.monotonic() < end, 'timed out'
+    for text in ('bad', 'good'):
+        publisher.publish(String(data=text))
+    while len(came) < 2:
+        assert time.monotonic() < end, 'timed out'
+        executor.run_ready()
+    executor.shutdown()
+    executor.run_ready()
+    assert came == ['bad', 'good']
+    assert log.failed['callbacks'] == 1
+    assert [line for line in log._logger.texts if 'topic: RuntimeError: not today' in line]

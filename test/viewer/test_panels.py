@@ -331,6 +331,8 @@ def test_a_file_without_poses_is_rejected(tmp_path, text, reason):
         Poses(file)
     with pytest.raises(ManipSimError, match='no such folder'):
         Poses(tmp_path / 'nowhere' / 'poses.json')
+    with pytest.raises(ManipSimError, match='^cannot read .*: Is a directory$'):
+        Poses(tmp_path)
 
 
 def test_what_cannot_be_saved_changes_nothing_and_is_explained(rig, tmp_path):

@@ -10,9 +10,10 @@ import pytest
 rclpy = pytest.importorskip('rclpy', reason='the sender needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from geometry_msgs.msg import PoseStamped, Twist  # noqa: E402
 import numpy as np  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import SetBool  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from manip_sim.viewer.page.diagnosis import ShownStatus  # noqa: E402
@@ -121,6 +122,56 @@ def test_a_service_is_called_when_it_is_there_and_missed_when_it_is_not(node):
         executor.spin_once(timeout_sec=0.02)
     executor.shutdown()
     assert (called, paused, told[2:]) == ([True, False], [True], ['pause: not now'])
+
+
+@pytest.mark.parametrize('command, service', [
+    ('step', 'step'), ('reset', 'reset'), ('tare', 'tare_wrench')])
+def test_each_button_calls_its_service(node, command, service):
+    called = []
+    sender = CommandSender(node, 'cell/sim', {}, pytest.fail)
+    sender.prepare({})
+
+    def answer(_, response):
+        called.append(service)
+        response.success = True
+        return response
+    node.create_service(Trigger, f'/cell/sim/{service}', answer)
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    assert sender._clients[service].wait_for_service(30.0)
+    getattr(sender, command)()
+    end = time.monotonic() + 30.0
+    while not called:
+        assert time.monotonic() < end
+        executor.spin_once(timeout_sec=0.02)
+    executor.shutdown()
+
+
+def test_a_base_is_driven_and_a_hand_sent_in_the_frame_of_its_pose(node):
+    taken = {Twist: [], PoseStamped: []}
+    sender = CommandSender(node, 'sim', {('/left/', 'right'): 'left/world'}, pytest.fail)
+    topics = {'/left/base/cmd_vel': Twist, '/left/right/target_pose': PoseStamped,
+              '/right/target_pose': PoseStamped}
+    sender.prepare(topics)
+    for topic, kind in topics.items():
+        node.create_subscription(kind, topic, taken[kind].append, 10)
+    sender.drive('/left/', (0.1, -0.2, 0.3))
+    for space in ('/left/', '/'):
+        sender.reach(space, 'right', np.array([1.0, 2.0, 3.0]), np.array([0.5, -0.5, 0.1, 0.7]))
+    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    end = time.monotonic() + 30.0
+    while not taken[Twist] or len(taken[PoseStamped]) < 2:
+        assert time.monotonic() < end
+        sender.send_waiting()
+        executor.spin_once(timeout_sec=0.02)
+    executor.shutdown()
+    twist = taken[Twist][0]
+    assert (twist.linear.x, twist.linear.y, twist.angular.z) == (0.1, -0.2, 0.3)
+    assert {pose.header.frame_id for pose in taken[PoseStamped]} == {'left/world', 'world'}
+    at, turn = taken[PoseStamped][0].pose.position, taken[PoseStamped][0].pose.orientation
+    assert [at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z] == [
+        1.0, 2.0, 3.0, 0.5, -0.5, 0.1, 0.7]
 
 
 def test_a_pull_does_not_wait_for_a_node_that_takes_it_and_its_end_tells_people(node):

@@ -64,10 +64,11 @@ class PolledExecutor(SingleThreadedExecutor):
     An executor that runs callbacks when it is polled, not when messages come.
 
     :param log: counts and logs what callbacks raise
+    :param arguments: of the executor
     """
 
-    def __init__(self, log: RejectionLog) -> None:
-        super().__init__()
+    def __init__(self, log: RejectionLog, **arguments: Any) -> None:
+        super().__init__(**arguments)
         self._log = log
 
     def run_ready(self) -> None:
