@@ -241,6 +241,19 @@ def test_requests_that_cannot_be_served_change_nothing(spawning, client, fields,
     assert entities_of(node) == before and list(node.simulation.robots) == ['robot0']
 
 
+def test_to_a_simulation_that_has_diverged_a_robot_comes_after_a_reset_only(spawning, client):
+    node = spawning()
+    node.thread.call(lambda: node.simulation.data.qvel.fill(1e9))
+    client.spin_until(lambda: node.simulation.diverged is not None)
+    answer = ask(client, 'spawn_entity', name='left', resource_string=UR5E,
+                 position=[0.0, 2.0, 0.0])
+    assert not answer.successful and answer.reason.endswith('; reset it first')
+    assert list(node.simulation.robots) == ['robot0'] and not topics_below(node, 'left')
+    assert client.call(Trigger, 'manip_sim/reset').success
+    come(client)
+    assert list(node.simulation.robots) == ['robot0', 'left']
+
+
 def test_names_and_files(spawning, client, tmp_path):
     node = spawning()
     (tmp_path / 'ur.yaml').write_text('{robot: UR5e, gripper: none, name: mine}')
