@@ -3,6 +3,7 @@
 
 """What panels send when people use them, and when they follow the robot."""
 
+import math
 import time
 from types import SimpleNamespace
 
@@ -247,6 +248,13 @@ def test_a_target_is_sent_while_it_is_dragged_and_follows_the_hand_else(rig):
     for moved, followed in ((hand + 5e-5, False), (hand + 1e-3, True)):
         target.follow(now_s + 5.0, moved, upright, paused=False)
         np.testing.assert_array_equal(control.position, moved if followed else hand)
+    for angle, followed in ((1e-4, False), (0.1, True), (0.1 + 1e-3, True)):
+        before = control.wxyz
+        turned = np.array([math.cos(angle / 2.0), 0.0, 0.0, math.sin(angle / 2.0)])
+        target.follow(now_s + 6.0, hand, turned, paused=False)
+        np.testing.assert_array_equal(control.wxyz, turned if followed else before)
+    target.remove()
+    assert control.removed
 
 
 def test_images_are_asked_for_only_while_they_are_shown(rig):
