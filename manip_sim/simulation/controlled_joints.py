@@ -22,6 +22,8 @@ from manip_sim.simulation.trajectory import Trajectory
 
 #: A trajectory that would have to be slowed down more than this is rejected.
 _MAX_SLOWDOWN = 1000.0
+#: How often it is slowed down further at most; two are nearly always enough.
+_MOST_ROUNDS = 10
 #: Words in the names of the joints of a mobile base that moves along x, y and turns about z.
 _TWIST_JOINTS = ('forward', 'side', 'yaw')
 
@@ -145,16 +147,24 @@ class ControlledJoints:
         :raises CommandError: if it is much too fast, or its spline is not finite
         """
         position, velocity = self._setpoints.position[indices], self._setpoints.velocity[indices]
-        trajectory.begin_at(position, velocity, elapsed_s)
-        highest, limit = trajectory.highest_velocity(), self._servos.velocity_limit[indices]
-        factor = float((highest / limit).max(initial=0.0))
-        if factor <= 1.0 + 1e-6:
-            return trajectory, 1.0
-        if factor > _MAX_SLOWDOWN:
-            worst = int(np.argmax(highest / limit))
-            raise CommandError(f"joint '{self.names[indices[worst]]}' would have to move at "
-                               f'{highest[worst]:g} per second, its limit is {limit[worst]:g}')
-        return trajectory.slowed(factor, elapsed_s), factor
+        limit, slowed, whole = self._servos.velocity_limit[indices], trajectory, 1.0
+        slowed.begin_at(position, velocity, elapsed_s)
+        # The velocity at which the motion begins stays, so once may not be enough, and then
+        # little is gained by the same again.
+        for _ in range(_MOST_ROUNDS):
+            highest = slowed.highest_velocity()
+            factor = float((highest / limit).max(initial=0.0))
+            if factor <= 1.0 + 1e-6:
+                break
+            whole *= factor if whole == 1.0 else factor**2
+            if whole > _MAX_SLOWDOWN:
+                worst = int(np.argmax(highest / limit))
+                raise CommandError(
+                    f"joint '{self.names[indices[worst]]}' would have to move at "
+                    f'{highest[worst]:g} per second, its limit is {limit[worst]:g}')
+            slowed = trajectory.slowed(whole, elapsed_s)
+            slowed.begin_at(position, velocity)
+        return slowed, whole
 
     def limited(self, part: str) -> int:
         """

@@ -11,6 +11,11 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 
+#: A range that goes on no farther ends here [rad or m].
+_NO_WAY = 1e-9
+#: Multiple of the limit from which on braking is too late for it; less may be rounding.
+_LATE = 1.01
+
 
 def within(values: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
     """Return values clipped to a range; np.clip takes several times as long for few of them."""
@@ -145,7 +150,30 @@ def evenly_braked(velocity: FloatArray, position: FloatArray, low: FloatArray, h
     :returns: above 0 [rad/s^2 or m/s^2], shape (n,)
     """
     size, ahead = np.abs(velocity), np.where(velocity > 0.0, high - position, position - low)
-    needed = size**2 / (2.0 * np.maximum(ahead, 1e-6))
+    shortest_s = max(shortest_s, 1e-9)
+    needed = np.minimum(size**2 / (2.0 * np.maximum(ahead, 1e-6)), size / shortest_s)
     longest_s = (size / np.maximum(limit, needed)).max(initial=0.0)
-    return np.asarray(np.maximum(
-        np.maximum(size / max(longest_s, shortest_s, 1e-9), needed), 1e-9))
+    return np.asarray(np.maximum(np.maximum(size / max(longest_s, shortest_s), needed), 1e-9))
+
+
+def change_before_the_end(begin: FloatArray, below: FloatArray, above: FloatArray,
+                          limit: FloatArray, interval_s: float) -> FloatArray:
+    """
+    Return how much velocities may change in an interval.
+
+    That is what the limit allows, except where the range would end before they are at rest: there
+    they slow down evenly up to its end.
+
+    :param begin: velocity at the beginning of the interval [rad/s or m/s], shape (n,)
+    :param below: how far the range goes on below the present position [rad or m], shape (n,)
+    :param above: how far it goes on above it [rad or m], shape (n,)
+    :param limit: of the acceleration [rad/s^2 or m/s^2], shape (n,)
+    :param interval_s: [s]
+    """
+    change, size = limit * interval_s, np.abs(begin)
+    ahead = np.where(begin > 0.0, above, below)
+    needed = size**2 / (2.0 * np.maximum(ahead, _NO_WAY))
+    late = needed > _LATE * limit
+    if not np.count_nonzero(late):
+        return change
+    return np.where(late, np.maximum(change, np.minimum(needed * interval_s, size)), change)

@@ -11,7 +11,8 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.catching_up import caught_up, Terms, terms_of
 from manip_sim.simulation.message_clock import MessageClock
 from manip_sim.simulation.profiles import (
-    evenly_braked, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp, within)
+    change_before_the_end, evenly_braked, Plan, plan_ramps, ramp, velocity_before_the_end,
+    way_of_ramp, within)
 from manip_sim.simulation.streams import RampEstimator, StreamEstimator, WaitingGoal, WaitingGoals
 
 #: Multiple of a stream's own acceleration that its setpoint may use.
@@ -143,11 +144,16 @@ class SetpointGenerator:
         """
         Set position and velocity of setpoints, which come to rest from there.
 
+        Beyond an end of the range, they stop at it.
+
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        self.position[indices] = np.clip(position, self._low[indices], self._high[indices])
-        self.velocity[indices], self.acceleration[indices] = velocity, 0.0
+        low, high = self._low[indices], self._high[indices]
+        self.position[indices] = np.clip(position, low, high)
+        self.velocity[indices] = np.clip(velocity, np.where(position < low, 0.0, -np.inf),
+                                         np.where(position > high, 0.0, np.inf))
+        self.acceleration[indices] = 0.0
         self.set_velocity(indices, np.zeros(len(indices)))
 
     def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float,
@@ -393,11 +399,11 @@ class SetpointGenerator:
         # A velocity that was commanded has been limited before.
         top = self._get_terms().top
         velocity = within(plain, -top, top)
-        if near:
-            velocity = velocity_before_the_end(
-                velocity, begin, self.position - self._low, self._high - self.position,
-                self._bound, duration_s)
         change = self._bound * duration_s
+        if near:
+            ranges = self.position - self._low, self._high - self.position
+            velocity = velocity_before_the_end(velocity, begin, *ranges, self._bound, duration_s)
+            change = change_before_the_end(begin, *ranges, self._bound, duration_s)
         velocity = within(velocity, begin - change, begin + change)
         held = velocity != plain
         if np.count_nonzero(held):

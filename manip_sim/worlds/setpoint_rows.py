@@ -13,8 +13,8 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.simulation.profiles import (
-    braking_velocity, low_pass, Plan, plan_ramps, ramp, velocity_before_the_end, way_of_ramp,
-    within)
+    braking_velocity, change_before_the_end, low_pass, Plan, plan_ramps, ramp,
+    velocity_before_the_end, way_of_ramp, within)
 from manip_sim.simulation.setpoints import AHEAD_S, ARRIVED, SetpointGenerator
 from manip_sim.worlds.shared_goals import SharedGoals
 
@@ -288,11 +288,13 @@ class SetpointRows(SetpointGenerator):
         plain = reference + caught_up
         top = self._get_terms().top
         velocity = within(plain, -top, top)
-        if np.count_nonzero(near):
-            velocity = np.where(near[:, None], velocity_before_the_end(
-                velocity, begin, self.position - self._low, self._high - self.position,
-                self._bound, duration_s), velocity)
         change = self._bound * duration_s
+        if np.count_nonzero(near):
+            ranges = self.position - self._low, self._high - self.position
+            velocity = np.where(near[:, None], velocity_before_the_end(
+                velocity, begin, *ranges, self._bound, duration_s), velocity)
+            change = np.where(near[:, None], change_before_the_end(
+                begin, *ranges, self._bound, duration_s), change)
         velocity = within(velocity, begin - change, begin + change)
         if not limited.all():
             velocity = np.where(limited, velocity, reference)

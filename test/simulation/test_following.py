@@ -323,3 +323,18 @@ def test_joints_may_come_in_any_order(op):
     op.follow('arm', [J5, J1], [0.8], [[at[J5] + 0.1, at[J1] + 0.2]])
     op.run(1.2)
     np.testing.assert_allclose(op.where(J1, J5), [at[J1] + 0.2, at[J5] + 0.1], atol=1e-4)
+
+
+@pytest.mark.parametrize('velocities', [None, [[0.5]]])
+@pytest.mark.parametrize('goal', [-0.5, 0.3, 1.1])
+def test_trajectory_that_begins_in_motion_keeps_to_the_velocity_limit_too(op, goal, velocities):
+    op.follow('arm', [J1], [1.0], [[1.0]], [[2.0]])
+    op.run(0.95)
+    assert op.simulation.robot.joints._setpoints.velocity[0] > 1.5
+    command = op.follow('arm', [J1], [0.05], [[goal]], velocities)
+    assert command.slowed > 1.5
+    speeds = []
+    op.run(command.trajectory.end_s, lambda: speeds.append(
+        op.simulation.robot.joints._setpoints.velocity[0]))
+    # It takes hardly longer than it has to.
+    assert 0.75 * 2.175 < np.abs(speeds).max() <= 1.01 * 2.175

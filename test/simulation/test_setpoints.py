@@ -328,10 +328,45 @@ def test_placed_setpoint_comes_to_rest_from_its_velocity():
     assert not setpoints.moving
 
 
-def test_setpoint_is_placed_within_its_range():
+@pytest.mark.parametrize('velocity', [1.5, -1.5, 0.0])
+def test_setpoint_is_placed_within_its_range_where_nothing_moves_on(velocity):
+    setpoints = generator(2, low=-1.0, high=1.0)
+    setpoints.place(np.arange(2), np.array([1.3, -1.3]), np.full(2, velocity))
+    np.testing.assert_array_equal(setpoints.position, [1.0, -1.0])
+    np.testing.assert_array_equal(setpoints.velocity, [min(velocity, 0.0), max(velocity, 0.0)])
+
+
+@pytest.mark.parametrize('sign', [-1.0, 1.0])
+@pytest.mark.parametrize('begins', [
+    lambda setpoints: setpoints.set_velocity(ONE, np.zeros(1)),
+    lambda setpoints: setpoints.come_back(ONE, np.array([0.2])),
+    lambda setpoints: setpoints.go_to(ONE, np.array([0.2]), PERIOD_S),
+    lambda setpoints: setpoints.go_at(ONE, setpoints.velocity, PERIOD_S),
+    lambda setpoints: setpoints.brake(ONE),
+], ids=['stop', 'come back', 'go to', 'go on', 'brake'])
+def test_setpoint_too_fast_for_the_rest_of_its_range_slows_down_evenly_in_it(begins, sign):
     setpoints = generator(low=-1.0, high=1.0)
-    setpoints.place(ONE, np.array([1.3]), np.zeros(1))
-    assert setpoints.position[0] == 1.0
+    # 0.5 m are left, and braking with the limit would take 1 m.
+    setpoints.place(ONE, np.array([0.5 * sign]), np.array([4.0 * sign]))
+    begins(setpoints)
+    course = Course(setpoints).advance(*INTERVALS_S * 40)
+    assert np.abs(course.position).max() <= 1.0
+    braking = sign * course.velocity > 0.5
+    np.testing.assert_allclose(course.acceleration[braking][1:], -16.0 * sign, rtol=0.02)
+    at_end = sign * course.position > 1.0 - 1e-6
+    assert at_end.any() and (sign * course.velocity[at_end] <= 1e-3).all()
+
+
+@pytest.mark.parametrize('first_s', [0.004, 0.002])
+@pytest.mark.parametrize('sign', [-1.0, 1.0])
+def test_setpoint_that_brakes_at_the_end_of_its_range_rests_after_one_interval(sign, first_s):
+    setpoints = generator(low=-1.0, high=1.0)
+    setpoints.begin_period(np.array([[first_s], [0.01]]))
+    setpoints.follow(ONE, np.array([sign]), np.array([2.0 * sign]), np.zeros(1))
+    setpoints.brake(ONE)
+    assert setpoints.acceleration[0] == pytest.approx(-2.0 * sign / first_s)
+    setpoints.advance(first_s)
+    assert (setpoints.position[0], setpoints.velocity[0]) == (sign, 0.0)
 
 
 def test_setpoint_that_moves_brakes_and_comes_back():

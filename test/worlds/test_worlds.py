@@ -270,6 +270,27 @@ def test_joints_that_arrive_stop_at_ends_or_are_held_back_do_so_in_each_world(pa
     assert mode == 'velocity' or not all(moving)
 
 
+def test_joints_too_fast_for_the_rest_of_their_ranges_slow_down_alike_in_each_world(pair):
+    start(pair, 'position')
+    names = pair.simulations[0].robot.joint_names[:7]
+    joints = pair.simulations[0].robot.joints
+    highest = joints.clamps(np.arange(7))[:, 1]
+    ends = np.array([0.0, 0.3, 0.0])[:, None] + np.where(np.arange(7) == 3, highest, 0.0)
+    speeds = np.where(np.arange(7) == 3, 2.1, 0.0) * np.ones((3, 1))
+    pair._both('trajectory', ('arm', names, [2.0], ends[:, None], speeds[:, None]), None)
+    while joints._setpoints.position[3] < highest[3] - 0.05:
+        pair.advance(5)
+    assert joints._setpoints.velocity[3] > 2.0  # With its limit it would take 0.17 rad to stop.
+    braking = []
+    for _ in range(20):
+        goals = pair.worlds.robot.measured('arm')[:, :7] + np.where(np.arange(7) == 3, -1, 0.01)
+        pair._both('joint_command', (names,), None, position=goals)
+        pair.advance(5)
+        braking.append(joints._setpoints.acceleration[3] / joints._servos.acceleration_limit[3])
+        pair.check_equal()
+    assert min(braking) < -2.0
+
+
 @pytest.mark.parametrize('mode', ['position', 'velocity'])
 def test_streams_whose_messages_are_late_or_lost_are_the_same_in_each_world(pair, mode):
     start(pair, mode)
