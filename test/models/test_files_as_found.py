@@ -89,7 +89,9 @@ def test_an_srdf_that_cannot_be_read_is_ignored_and_reported(tmp_path, srdf):
 @pytest.mark.parametrize('inertia', [
     'ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="2e-6" ixz="0" iyz="0"',
     'ixx="-1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"',
-    'ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"'])
+    'ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"',
+    'ixx="3e-20" iyy="5e-20" izz="1e-20" ixy="1e-21" ixz="0" iyz="0"',
+    'ixx="1e-4" iyy="1e-4" izz="1.4e-12" ixy="0" ixz="9.6e-9" iyz="-9e-9"'])
 @pytest.mark.parametrize('kind', ['fixed', 'revolute'])
 def test_an_inertia_that_no_body_has_becomes_one_that_a_body_can_have(tmp_path, inertia, kind):
     text = SMALL.format(f'<inertial><mass value="0.1"/><inertia {inertia}/></inertial>', kind)

@@ -194,6 +194,8 @@ def test_long_fingers_on_a_wrist_are_a_hand(tmp_path):
                     for axis in ('1 0 0', '0 1 0', '0 0 1'))
     (tmp_path / 'turned.xml').write_text(text.replace(
         '</worldbody>', f'<body name="object">{other}<geom size="0.02"/></body></worldbody>'))
+    (tmp_path / 'lifted.xml').write_text(text.replace('wr0', 'shoulder_lift'))
+    assert load_robot(tmp_path / 'lifted.xml').arm_joints == ['robot0_shoulder_lift', 'robot0_wr1']
     for file in ('hand.xml', 'turned.xml'):
         robot = load_robot(tmp_path / file)
         assert robot.arm_joints == ['robot0_wr0', 'robot0_wr1']
@@ -262,3 +264,41 @@ def test_a_floating_robot_loads_without_the_furniture_and_objects_beside_it():
     file = FILES / 'floating_beside_a_shelf.xml'
     assert parts_of(file) == {'arm': 2}
     assert "left out: 2 bodies of the world body ('shelf', 'book')" in load_robot(file).inferred
+
+
+def test_a_letter_in_the_name_of_a_robot_is_no_side(tmp_path):
+    text = (FILES / 'two_unnamed_hands.xml').read_text().replace('name="', 'name="r2/')
+    (tmp_path / 'r2.xml').write_text(text.replace('_zero', '_thumb'))
+    assert parts_of(tmp_path / 'r2.xml') == {
+        'torso': 1, 'right': 3, 'left': 3, 'right/gripper': 6, 'left/gripper': 6}
+
+
+LIMB = '<body name="{0}1"><joint name="{0}1" axis="0 1 0"/><geom size="0.02"/>{1}</body>'
+
+
+def test_chains_that_branch_again_are_not_the_fingers_of_a_hand_alone(tmp_path):
+    branching = LIMB.format('a', LIMB.format('b', '') + LIMB.format('c', ''))
+    limbs = branching + LIMB.format('d', '') + LIMB.format('e', '')
+    (tmp_path / 'body.xml').write_text(
+        f'<mujoco><worldbody><body name="root"><geom size="0.1"/>{limbs}</body></worldbody>'
+        '</mujoco>')
+    assert not hasattr(load_robot(tmp_path / 'body.xml'), 'own_hands')
+
+
+def test_a_single_joint_beside_those_of_a_base_is_no_arm(tmp_path):
+    limbs = LIMB.format('laser', '') + LIMB.format('wheel_a', '') + LIMB.format('wheel_b', '')
+    (tmp_path / 'cart.xml').write_text(
+        f'<mujoco><worldbody><body name="root"><geom size="0.1"/>{limbs}</body></worldbody>'
+        '</mujoco>')
+    assert parts_of(tmp_path / 'cart.xml') == {'base': 2, 'other': 1}
+
+
+def test_joints_beside_a_floating_robot_are_left_out_with_their_actuators(tmp_path):
+    text = (FILES / 'floating_beside_a_shelf.xml').read_text()
+    text = text.replace('</worldbody>', LIMB.format('unused', '') + '</worldbody>').replace(
+        '</actuator>', '<motor joint="unused1"/></actuator>')
+    (tmp_path / 'robot.xml').write_text(text)
+    robot = load_robot(tmp_path / 'robot.xml')
+    assert parts_of(tmp_path / 'robot.xml') == {'arm': 2}
+    assert robot.compile().nu == 2
+    assert any("'unused1'" in sentence for sentence in robot.inferred)

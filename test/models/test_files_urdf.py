@@ -292,3 +292,24 @@ def test_a_mesh_that_a_renamed_package_lacks_is_left_out_beside_others(tmp_path,
         else:
             with pytest.raises(ModelError, match="package 'other_name' is neither"):
                 load_robot(file)
+
+
+def test_a_package_that_its_folder_does_not_name_is_found_beside_the_file(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    mesh_file(tmp_path / 'small' / 'link.stl')
+    write(tmp_path / 'small' / 'package.xml', '<package><name>acme_small</name></package>')
+    file = write(tmp_path / 'config' / 'urdf' / 'arm.urdf',
+                 with_mesh('package://acme_small/link.stl'))
+    assert load_robot(file).compile().nmesh == 1
+
+
+def test_a_mesh_without_volume_may_show_something_but_not_weigh(tmp_path):
+    corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0.1, 0.1, 0)]
+    faces = [(0, 2, 1), (1, 2, 3)]
+    (tmp_path / 'flat.stl').write_bytes(b'\0' * 80 + struct.pack('<I', 2) + b''.join(
+        struct.pack('<12fH', 0, 0, 0, *corners[a], *corners[b], *corners[c], 0)
+        for a, b, c in faces))
+    visual = '<visual><geometry><mesh filename="flat.stl"/></geometry></visual>'
+    file = write(tmp_path / 'arm.urdf', URDF.replace(
+        '<link name="upper">', f'<link name="upper">{visual}'))
+    assert load_robot(file).compile().nmesh == 1

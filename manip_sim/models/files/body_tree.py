@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 import re
 
 import mujoco
@@ -25,7 +25,9 @@ def words_of(name: str) -> set[str]:
 def side_of(names: Iterable[str]) -> str | None:
     """Return ``left`` or ``right``, the side in the first name that has words of one side only."""
     for name in names:
-        sides = {_SIDES[word] for word in words_of(name) if word in _SIDES}
+        words = words_of(name)
+        # A letter may be of something else, as in r2/left_arm.
+        sides = words & {'left', 'right'} or {_SIDES[word] for word in words if word in _SIDES}
         if len(sides) == 1:
             return sides.pop()
     return None
@@ -87,6 +89,16 @@ class BodyTree:
                 break
             last = level[0]
         return last
+
+    def sides(self, bodies: Sequence[int]) -> list[str | None]:
+        """
+        Return the sides of bodies by the names on the ways to them.
+
+        What the ways share counts last, as the name of a robot that is called r2.
+        """
+        shared = len(self.path(self.common(bodies)))
+        names = [list(map(self.name, self.path(body))) for body in bodies]
+        return [side_of(way[shared:]) or side_of(way[:shared]) for way in names]
 
     def driven(self, actuator: int) -> set[int]:
         """Return the joints that an actuator acts on, directly, by a tendon or at a site."""

@@ -14,11 +14,13 @@ from manip_sim.models.robots.subsystems import classify
 #: Words for a subsystem besides those of ``classify``, in the order in which they are tried.
 _WORDS = {
     'base': {'wheel', 'wheels', 'caster', 'castor'},
-    'head': {'neck', 'eye', 'camera', 'cam'},
+    'head': {'neck', 'eye', 'eyes', 'camera', 'cam'},
     'legs': {'leg', 'legs', 'hip', 'knee', 'ankle', 'ank', 'foot', 'toe', 'thigh', 'calf', 'shin',
              'shank', 'tarsus', 'plantar', 'achilles', 'abduction', 'hx', 'hy', 'kn', 'haa', 'hfe',
              'kfe', 'ffe', 'faa', 'hr'},
     'torso': {'waist', 'spine', 'abdomen', 'lift', 'trunk', 'chest', 'column'}}
+#: Words of an arm, also beside those above, as in ``shoulder_lift``.
+_OF_ARM = {'shoulder', 'elbow', 'wrist'}
 #: Joints of a root that moves in the plane are named after an axis: x, y, theta.
 _AXIS = re.compile(r'(?:^|_)(x|y|th|theta)$')
 
@@ -51,6 +53,8 @@ def _by_name(name: str) -> str:
     if subsystem != 'arm':
         return subsystem
     words = words_of(name)
+    if words & _OF_ARM:
+        return 'arm'
     return next((part for part, known in _WORDS.items() if words & known), 'arm')
 
 

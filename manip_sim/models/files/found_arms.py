@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
+from manip_sim.models.files.body_tree import BodyTree, words_of
 from manip_sim.models.files.found_hands import FINGERS, FoundHand, hand_below
 from manip_sim.quoting import quoted_names
 
@@ -49,6 +49,9 @@ def find_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     hands = [*hands, *_hands_of_chains(tree, subsystems, hands)]
     joints = _joints_of_arms(tree, subsystems, hands)
     tips = _longest_chains(tree, tree.ends(joints), joints)
+    if not hands and {'base', 'torso', 'head', 'legs'} & set(subsystems.values()) and all(
+            _length(tree, tip, joints) < 2 for tip in tips):
+        return {}  # Such as a laser that turns.
     by_side = _by_side(tree, tips, joints, notes)
     arms = {side: _end_of(tree, tip, hands, len(by_side)) for side, tip in by_side.items()}
     return {side: arms[side] for side in ('right', 'left') if side in arms}
@@ -121,8 +124,9 @@ def _by_side(tree: BodyTree, tips: list[int], joints: Collection[int], notes: li
         return _length(tree, tip, joints), any(
             words_of(tree.name(body)) & _END_WORDS for body in tree.below(tip))
 
-    for tip in sorted(tips, key=rank, reverse=True):
-        found.setdefault(side_of(map(tree.name, tree.path(tip))), []).append(tip)
+    ranked = sorted(tips, key=rank, reverse=True)
+    for tip, side in zip(ranked, tree.sides(ranked)):
+        found.setdefault(side, []).append(tip)
     ambiguous = any(len(of_side) > 1 and rank(of_side[0]) == rank(of_side[1])
                     for of_side in found.values())
     if set(found) == {None} and not ambiguous:  # The others are rods beside an arm.

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from manip_sim.models.files.body_tree import BodyTree, side_of, words_of
+from manip_sim.models.files.body_tree import BodyTree, words_of
 
 #: Words that only parts of hands have, and words that a wrist with a hand may have too.
 _FINGER_WORDS = {'finger', 'fingers', 'thumb', 'knuckle', 'jaw', 'carriage'}
@@ -116,7 +116,7 @@ def lone_hand(tree: BodyTree, subsystems: Mapping[int, str], hands: Collection[F
     carrier = _common_carrier(tree, scalar)
     moved = {int(tree.model.jnt_bodyid[joint]) for joint in scalar}
     first = [body for body in moved if not moved.intersection(tree.path(tree.parent(body)))]
-    if carrier and len(first) >= FINGERS:
+    if carrier and len(first) >= FINGERS and len(tree.ends(scalar)) == len(first):
         return hand_below(tree, carrier)
     return None
 
@@ -149,10 +149,10 @@ def _name(tree: BodyTree, joint: int) -> str:
 
 
 def _by_side(tree: BodyTree, joints: Iterable[int]) -> dict[str | None, set[int]]:
+    every = list(joints)
+    carriers = [tree.parent(int(tree.model.jnt_bodyid[joint])) for joint in every]
     found: dict[str | None, set[int]] = {}
-    for joint in joints:
-        carrier = tree.parent(int(tree.model.jnt_bodyid[joint]))
-        side = side_of(map(tree.name, tree.path(carrier)))
+    for joint, side in zip(every, tree.sides(carriers)):
         found.setdefault(side, set()).add(joint)
     if len(found) > 1 and _is_one_hand(tree, found.values()):
         return {None: set().union(*found.values())}

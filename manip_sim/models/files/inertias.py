@@ -15,6 +15,8 @@ from manip_sim.quoting import quoted_names
 
 #: Of a moving link whose file gives none, and the least moment of inertia [kg, kg m^2].
 _LEAST_KG, _LEAST_INERTIA = 1e-4, 1e-8
+#: Moments up to this one, or up to this share of the greatest, may be zero to MuJoCo [kg m^2].
+_ZERO, _ZERO_SHARE = 1e-15, 1e-7
 _PAIRS = [''.join(pair) for pair in combinations_with_replacement('xyz', 2)]
 
 
@@ -45,7 +47,8 @@ def make_physical(robot: ElementTree.Element) -> list[str]:
         if needs_mass:
             mass.set('value', repr(_LEAST_KG))
             weightless.append(name)
-        if moments.min() < 0.0 or (moments.min() <= 0.0 and (kilograms > 0.0 or needs_mass)):
+        zero = max(_ZERO, _ZERO_SHARE * moments.max())
+        if moments.min() < 0.0 or (moments.min() <= zero and (kilograms > 0.0 or needs_mass)):
             _write(inertia, axes * np.maximum(moments, _LEAST_INERTIA) @ axes.T)
             projected.append(name)
     notes = []

@@ -12,6 +12,8 @@ import re
 
 from manip_sim.resources import PACKAGE, share_directory
 
+#: How many folders above a file may have packages in them that are called something else.
+_LEVELS = 6
 _NAME = re.compile(r'<name>\s*(\S+?)\s*</name>')
 
 
@@ -28,10 +30,15 @@ def package_folders(package: str, file: Path) -> Iterator[Path]:
              os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if prefix]
     for entry in os.environ.get('ROS_PACKAGE_PATH', '').split(os.pathsep):
         found += [Path(entry), Path(entry) / package] if entry else []
-    for folder in file.resolve().parents:
+    above = file.resolve().parents
+    for folder in above:
         found += [folder, folder / package]
-    return (folder for folder in found if folder.is_dir()
-            and (folder.name == package or _own_name(folder) == package))
+    named = [folder for folder in found if folder.is_dir()
+             and (folder.name == package or _own_name(folder) == package)]
+    # Beside those above the file; far above it are no packages of the same repository.
+    return iter(named or (other.parent for folder in above[:_LEVELS]
+                          for other in sorted(folder.glob('*/package.xml'))
+                          if _own_name(other.parent) == package))
 
 
 def _own_name(folder: Path) -> str | None:

@@ -32,7 +32,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
 
     Left out are lights and grounds of the world body, its cameras, other shapes and sites if the
     only root is free, mocap bodies (without a sentence), empty bodies, free bodies without
-    actuators if there are other roots, and roots without joints if only one other has some.
+    actuators if there are other roots, roots without joints if only one other has some, and,
+    with their actuators, roots of which one body moves beside a robot that floats.
 
     :param spec: the ``mujoco.MjSpec``, without keyframes; changed in place
     :param model: the same, compiled
@@ -154,13 +155,17 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
     objects, roots = [], list(spec.worldbody.bodies)
     articulated = [body for body in roots if any(
         map(tree.is_scalar, tree.joints(tree.below(model.body(body.name).id))))]
+    floats = any(_is_free(body) and driven.intersection(
+        tree.joints(tree.below(model.body(body.name).id))) for body in roots)
     for body in roots:
         below = sorted(tree.below(model.body(body.name).id))
         joints = tree.joints(below)
         empty = not joints and not model.body_geomnum[below].any()
         is_object = _is_free(body) and not driven.intersection(joints)
-        is_furniture = not joints and len(articulated) == 1
-        if (body.mocap or empty or is_furniture
+        # Some robots keep the joints that a variant lacks on bodies beside it.
+        is_dummy = floats and not _is_free(body) and len({*model.jnt_bodyid[joints]}) == 1
+        is_furniture = not joints and (floats or len(articulated) == 1)
+        if (body.mocap or empty or is_furniture or is_dummy
                 or (is_object and (driven or len(roots) > 1))):
             objects.append(body)
     return objects if len(objects) < len(roots) else []

@@ -77,10 +77,19 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_mes
         compiler.set(attribute, value)
     compiler.attrib.pop('meshdir', None)
     spec = spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
+    _let_visual_meshes_be_flat(spec)
     for joint in robot.iter('joint'):
         _complete_joint(spec, joint, file)
     notes += _give_mass(spec, robot)
     return spec, notes
+
+
+def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
+    """Let meshes without volume be read that only show something; shapes that collide weigh."""
+    colliding = {geom.meshname for geom in spec.geoms if geom.contype or geom.conaffinity}
+    for mesh in spec.meshes:
+        if mesh.name not in colliding:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
 def _text(file: Path, xacro_args: Mapping[str, str]) -> str:
