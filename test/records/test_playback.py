@@ -110,6 +110,25 @@ def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, fr
         player._quantity.options)
 
 
+def test_an_episode_without_numbers_has_no_plot_and_the_next_one_has_it_again(player,
+                                                                             monkeypatch):
+    read = Entry.read
+
+    def bare(entry):
+        shown = read(entry)
+        if entry.number == 1:
+            shown.plots = {}
+        return shown
+    monkeypatch.setattr(Entry, 'read', bare)
+    for _ in range(2):
+        player._jump('Next')
+        assert player._plot is None and player._quantity.options == ('nothing',)
+        player.update(0.0)
+        player._jump('Previous')
+        assert player._plot is not None and 'reward' in player._quantity.options
+        player.update(0.0)
+
+
 def test_playing_goes_on_to_the_end_at_its_speed(player, frames):
     player._timeline._speed.value = '4'
     player._timeline._play.value = True

@@ -393,6 +393,9 @@ def test_plots_leave_room_for_the_numbers_beside_them_alone(rig):
     plot = rig.gui.found['position [rad]']
     assert sum(plot.padding[1::2]) + plot.axes[1]['size'] <= 64
     assert plot.scales['x']['range'] == (-10.0, 0.0)
+    # What hardly moves is a flat line in the middle, not noise that fills the plot.
+    low, high = (plot.scales['y']['range'][end]['soft'] for end in ('min', 'max'))
+    assert 0.01 <= high <= 0.1 and low == -high
     later = latest()
     later.joints['/left/'] = JointStates(
         ['robot0_a', 'robot0_b'], np.array([0.5, 0.7]), np.zeros(2), np.zeros(2), 1.0)
