@@ -110,8 +110,7 @@ def test_plots_show_the_numbers_of_the_record_and_the_present_instant(player, fr
         player._quantity.options)
 
 
-def test_an_episode_without_numbers_has_no_plot_and_the_next_one_has_it_again(player,
-                                                                             monkeypatch):
+def test_an_episode_without_numbers_has_no_plot_but_the_next_one_has(player, monkeypatch):
     read = Entry.read
 
     def bare(entry):

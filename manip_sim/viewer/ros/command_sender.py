@@ -150,9 +150,7 @@ class CommandSender:
 
         def answered(future: Any) -> None:
             answer = future.result()
-            if answer is None:
-                self._notify(f'{name}: the node does not answer')
-            elif answer.success:
+            if answer.success:
                 done()
             else:
                 self._notify(f'{name}: {answer.message}')
