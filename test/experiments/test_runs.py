@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed')
 pytest.importorskip('tqdm', reason='tqdm is not installed')
@@ -69,7 +69,7 @@ def test_the_summary_says_how_often_and_how_sure(whole):
     found = summary(whole)
     successes = sum(row['success'] for row in rows(whole))
     assert (found['episodes'], found['complete'], found['successes']) == (6, True, successes)
-    interval = stats.binomtest(successes, 6).proportion_ci(method='wilson')
+    interval = scipy.stats.binomtest(successes, 6).proportion_ci(method='wilson')
     np.testing.assert_allclose(found['success_rate_95'], interval, atol=1e-6)
     assert found['task'] == 'reach' and found['seeds'] == '0:6'
     assert {'manip_sim', 'mujoco', 'numpy', 'python'} == set(found['versions'])
@@ -77,7 +77,7 @@ def test_the_summary_says_how_often_and_how_sure(whole):
 
 @pytest.mark.parametrize('successes, count', [(0, 1), (1, 1), (3, 10), (870, 1000), (200, 200)])
 def test_the_interval_is_that_of_wilsons_score(successes, count):
-    expected = stats.binomtest(successes, count).proportion_ci(method='wilson')
+    expected = scipy.stats.binomtest(successes, count).proportion_ci(method='wilson')
     np.testing.assert_allclose(wilson_interval(successes, count), expected, atol=1e-6)
 
 

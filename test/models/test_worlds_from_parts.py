@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import mujoco
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.models import compose, create_object, load_arena, placements
@@ -333,7 +333,7 @@ def test_turns_are_evenly_distributed_up_to_the_greatest(most):
     sizes = {'a': Extent(0.1, 0.0, np.array([1.0, 0, 0, 0]))}
     turns = [2 * math.atan2(quat[3], quat[0]) for _, quat in (
         draw_places([one], sizes, seed)['a'] for seed in range(400))]
-    assert stats.kstest(turns, stats.uniform(-most, 2 * most).cdf).pvalue > 1e-3
+    assert scipy.stats.kstest(turns, scipy.stats.uniform(-most, 2 * most).cdf).pvalue > 1e-3
 
 
 @settings(deadline=None, max_examples=100)
