@@ -35,6 +35,11 @@ _MOST_FILES = 60
 _FURTHER_CASES_S = 3.0
 #: When the time is over, as of :func:`time.time`; for the workers of pytest.
 _END = 'TEST_FAST_END'
+#: Steps to a module that a test does not come to by imports.
+_NOT_IMPORTED = 4
+#: Imports: a module and names in parentheses or on a line, or modules.
+_IMPORT = re.compile(r'(?m)^ *(?:from ([\w.]+) import (?:\(([^)]*)\)|(.+))|import (.+))')
+_NAME = re.compile(rf'\b{PACKAGE}(?:\.\w+)*')
 
 
 def git(*words: str) -> list[str]:
@@ -58,12 +63,12 @@ def changed_lines(since: str) -> dict[str, list[int]]:
 
 
 @cache
-def tree_of(file: Path) -> ast.Module:
-    """Return the syntax tree of a file, an empty one if it has none."""
+def text_of(file: Path) -> str:
+    """Return the text of a file without lines of comments, none if it cannot be read."""
     try:
-        return ast.parse(file.read_text())
-    except (OSError, SyntaxError, UnicodeDecodeError):
-        return ast.parse('')
+        return re.sub(r'(?m)^ *#.*', '', file.read_text())
+    except (OSError, UnicodeDecodeError):
+        return ''
 
 
 @cache
@@ -77,51 +82,60 @@ def file_of(name: str) -> Path | None:
 
 
 @cache
+def imports_of(file: Path) -> tuple[tuple[str, str | None], ...]:
+    """Return the modules that a file imports, each with a name from it, or with None."""
+    found: list[tuple[str, str | None]] = []
+    for module, several, one, modules in _IMPORT.findall(text_of(file)):
+        listed = re.sub('#.*', '', several or one or modules).split(',')
+        names = [words.split()[0] for words in listed if words.strip()]
+        found += [(module, name) if module else (name, None) for name in names]
+    return tuple(found)
+
+
+@cache
 def defining(module: str, name: str) -> Path | None:
     """Return the file of what a module, or the package that passes it on, has by a name."""
     of_submodule = file_of(f'{module}.{name}')
     if of_submodule is not None:
         return of_submodule
     init = ROOT.joinpath(*module.split('.'), '__init__.py')
-    for node in ast.walk(tree_of(init)):
-        if isinstance(node, ast.ImportFrom) and node.module != module and any(
-                (alias.asname or alias.name) == name for alias in node.names):
-            return defining(node.module or '', name)
+    for source, passed_on in imports_of(init):
+        if passed_on == name and source != module:
+            return defining(source, name)
     return init if init.is_file() else file_of(module)
 
 
 @cache
 def used_by(file: Path) -> frozenset[Path]:
-    """Return the files of what a file imports, runs by name, and of its conftest."""
-    found: set[Path | None] = set()
-    for node in ast.walk(tree_of(file)):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            found.update(defining(node.module, alias.name) if node.module.startswith(PACKAGE)
-                         else _beside(file, node.module) for alias in node.names)
-        elif isinstance(node, ast.Import):
-            found.update(file_of(alias.name) or _beside(file, alias.name) for alias in node.names)
-        elif (isinstance(node, ast.Constant) and isinstance(node.value, str)
-              and PACKAGE in node.value):
-            # Programs in processes of their own.
-            found.update(map(file_of, re.findall(rf'\b{PACKAGE}(?:\.\w+)*', node.value)))
+    """Return the files of what a file imports, names in other text, and of its conftest."""
+    found = {(file_of(module) if name is None else defining(module, name))
+             if module.startswith(PACKAGE) else beside(file.parent, module)
+             for module, name in imports_of(file)}
+    # Programs in processes of their own.
+    found.update(map(file_of, _NAME.findall(_IMPORT.sub('', text_of(file)))))
     if 'test' in file.relative_to(ROOT).parts[:1]:
         found.update(folder / 'conftest.py' for folder in file.parents
                      if folder.is_relative_to(ROOT / 'test'))
     return frozenset(path for path in found if path is not None and path.is_file()) - {file}
 
 
-def _beside(file: Path, name: str) -> Path | None:
+@cache
+def beside(folder: Path, name: str) -> Path | None:
     """Return a module of the tests that is not in the package."""
-    places = [folder / f'{name}.py' for folder in file.parents if folder.is_relative_to(ROOT)]
+    places = [at / f'{name}.py' for at in (folder, *folder.parents) if at.is_relative_to(ROOT)]
     return next((place for place in places if place.is_file()), None)
 
 
 def steps_to(target: Path, tests: Iterable[Path]) -> dict[Path, int]:
     """Return by how many steps of imports tests come to a file; those that never do are absent."""
     users: dict[Path, set[Path]] = {}
+    # What a package passes on is used where it is defined; whoever names the package uses both.
+    package = '.'.join(target.parent.relative_to(ROOT).parts) if target.stem == '__init__' else ''
     files, waiting = set(tests), deque(tests)
     while waiting:
         file = waiting.popleft()
+        if any(module == package for module, _ in imports_of(file)):
+            users.setdefault(target, set()).add(file)
         for used in used_by(file):
             users.setdefault(used, set()).add(file)
             if used not in files:
@@ -140,7 +154,11 @@ def steps_to(target: Path, tests: Iterable[Path]) -> dict[Path, int]:
 def names_at(file: Path, lines: Iterable[int]) -> set[str]:
     """Return the public functions and classes that lines of a module are in."""
     wanted = set(lines)
-    return {node.name for node in ast.walk(tree_of(file))
+    try:
+        tree = ast.parse(text_of(file))
+    except SyntaxError:
+        return set()
+    return {node.name for node in ast.walk(tree)
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
             and not node.name.startswith('_')
             and wanted.intersection(range(node.lineno, (node.end_lineno or node.lineno) + 1))}
@@ -167,12 +185,12 @@ def distances(name: str, lines: Iterable[int], tests: list[Path]) -> dict[Path, 
     steps, names = steps_to(file, tests), names_at(file, lines)
     found = {}
     for test in tests:
-        if test not in steps:
-            continue
-        room = test.relative_to(ROOT / 'test').parts[0]
-        named = sum(bool(re.search(rf'\b{re.escape(word)}\b', texts[test])) for word in names)
-        found[test] = (steps[test] - 3.0 * _is_named_as(test, file) - (room in parts)
-                       - min(named, 3))
+        room, alike = test.relative_to(ROOT / 'test').parts[0], _is_named_as(test, file)
+        # What is found by its name at run time, such as a command, is imported by nobody.
+        if test in steps or alike or (not steps.keys() & set(tests) and room in parts):
+            named = sum(bool(re.search(rf'\b{re.escape(word)}\b', texts[test])) for word in names)
+            found[test] = (steps.get(test, _NOT_IMPORTED) - 3.0 * alike - (room in parts)
+                           - min(named, 3))
     return found
 
 
@@ -237,6 +255,11 @@ class TimeLimit:
         if item.nodeid not in self._first and self._further[item.path] > _FURTHER_CASES_S:
             pytest.skip('make test-fast has run other cases of this test')
 
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        reporter = session.config.pluginmanager.get_plugin('terminalreporter')
+        if reporter is not None and not {'passed', 'failed', 'error'} & reporter.stats.keys():
+            session.exitstatus = pytest.ExitCode.NO_TESTS_COLLECTED
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the plugin, in the workers too."""
@@ -247,7 +270,7 @@ def main() -> int:
     """
     Choose tests and run them.
 
-    :returns: the exit code of pytest; 0 if nothing has changed
+    :returns: the exit code of pytest; 0 if nothing has changed, 5 if no test has run
     """
     parser = argparse.ArgumentParser(prog='make test-fast', description=__doc__)
     parser.add_argument('--since', metavar='REVISION', help='what changes are against; by default '
@@ -267,11 +290,14 @@ def main() -> int:
         print(*chosen, sep='\n')
         return 0
     os.chdir(ROOT)
-    return subprocess.run([
+    code = subprocess.run([
         sys.executable, '-m', 'pytest', '-q', '-r', 'fE', '-p', 'fast', '--numprocesses', '2',
         '--dist', 'loadfile', '--no-loadscope-reorder', *chosen], check=False,
         env={**os.environ, _END: str(end_s), 'PYTHONPATH': os.pathsep.join(
             [str(ROOT / 'test'), os.environ.get('PYTHONPATH', '')])}).returncode
+    if code == pytest.ExitCode.NO_TESTS_COLLECTED:
+        print("no test has run: give them more time, such as FAST_ARGS='--seconds 60'")
+    return code
 
 
 if __name__ == '__main__':

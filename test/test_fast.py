@@ -32,11 +32,19 @@ def first(count, *changed):
     ('manip_sim/ros/diagnostics.py', 'test_diagnostics.py'),
     ('manip_sim/viewer/page/joint_panel.py', 'test_panels.py'),
     ('manip_sim/cli/tables.py', 'test_cli_tables.py'),
+    ('manip_sim/cli/check.py', 'test_cli_check.py'),
+    ('manip_sim/records/__init__.py', 'test_interrupted.py'),
+    ('manip_sim/ros/main.py', 'test_process.py'),
     ('manip_sim/examples/hand_over.py', 'test_hand_over.py'),
     ('docs/reference/command.md', 'test_reference_pages.py'),
     ('test/cli/test_cli_main.py', 'test_cli_main.py')])
 def test_the_tests_of_a_file_are_near_to_it(changed, wanted):
     assert wanted in first(6, changed)
+
+
+def test_each_module_has_tests():
+    modules = (fast.ROOT / 'manip_sim').rglob('*.py')
+    assert not [module for module in modules if not first(1, str(module.relative_to(fast.ROOT)))]
 
 
 def test_each_changed_file_has_its_turn():
@@ -58,7 +66,7 @@ def test_lines_that_differ_and_new_files_are_found(tmp_path, monkeypatch):
 
 
 def run(folder, seconds, *arguments):
-    """Return the outcomes of tests in a folder, by name, in the order in which they run."""
+    """Return exit code and outcomes of tests in a folder, by name, in the order they run."""
     done = subprocess.run(
         [sys.executable, '-m', 'pytest', '-v', '-p', 'fast', '-p', 'no:cacheprovider',
          '--rootdir', str(folder), '-c', os.devnull, *arguments],
@@ -66,7 +74,7 @@ def run(folder, seconds, *arguments):
         env={**os.environ, 'TEST_FAST_END': str(time.time() + seconds),
              'PYTHONPATH': str(Path(fast.__file__).parent)})
     lines = [line.split()[:2] for line in done.stdout.splitlines() if '::' in line]
-    return {name.partition('::')[2]: outcome for name, outcome in lines}
+    return done.returncode, {name.partition('::')[2]: outcome for name, outcome in lines}
 
 
 def test_one_case_of_each_test_comes_before_further_cases_and_none_after_the_time(tmp_path):
@@ -76,7 +84,10 @@ def test_one_case_of_each_test_comes_before_further_cases_and_none_after_the_tim
 def test_{name[5]}_many(n): pass
 def test_{name[5]}_single(): pass
 """)
-    assert list(run(tmp_path, 100.0, 'test_b.py', 'test_a.py').items()) == [
+    code, outcomes = run(tmp_path, 100.0, 'test_b.py', 'test_a.py')
+    assert code == 0 and list(outcomes.items()) == [
         (f'test_{file}_{test}', 'PASSED') for file in 'ba'
         for test in ('many[1]', 'single', 'many[2]')]
-    assert set(run(tmp_path, -1.0, 'test_b.py').values()) == {'SKIPPED'}
+    code, outcomes = run(tmp_path, -1.0, 'test_b.py')
+    assert set(outcomes.values()) == {'SKIPPED'}
+    assert code == pytest.ExitCode.NO_TESTS_COLLECTED  # No success where nothing has run.
