@@ -12,26 +12,21 @@ from pathlib import Path
 import subprocess
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from manip_sim.errors import ManipSimError, UnknownNameError
-from manip_sim.ros.messages import nanoseconds_of
+from manip_sim.errors import ManipSimError
 from manip_sim.testing.controllers import Controllers
 from manip_sim.testing.evidence import save_evidence
 from manip_sim.testing.history import (
     joint_history, JointHistory, wrench_history, WrenchHistory)
+from manip_sim.testing.recorded_topics import RecordedTopics
 from manip_sim.testing.served_node import NodeInProcess, NodeProcess, ServedNode
 
-#: What is recorded, by the name of the type of the topic.
-_RECORDED = {f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}': kind
-             for kind in (JointState, WrenchStamped, PoseStamped, TwistStamped)}
 #: How many control periods pass at once: fewer than the messages that a publisher keeps.
 _AT_ONCE = 5
 #: How often the node, ten times a second, repeats a state until the test gives it up as stalled.
@@ -40,7 +35,6 @@ _PATIENCE = 600
 _LOOK_S = 0.05
 #: A question that has no answer after so many looks is asked again.
 _LOOKS = 100
-_MOST_MESSAGES = 100_000
 
 
 class SimulationStalled(ManipSimError):
@@ -88,10 +82,9 @@ class SimulationUnderTest:
         self._executor.add_node(self.node)
         self._publishers: dict[str, Any] = {}
         self._clients: dict[tuple[Any, str], Any] = {}
-        self._messages: dict[str, list[Any]] = {}
-        self._subscriptions: dict[str, Any] = {}
+        self._recorded = RecordedTopics(self.node)
         self._controllers = Controllers(domain)
-        self._now_ns = self._repeats = 0
+        self._now_ns = 0
         try:
             self._begin()
         except BaseException:
@@ -104,35 +97,20 @@ class SimulationUnderTest:
         spaces = [f'{name}/' for name in values[1].string_array_value if name] or ['']
         wanted = [f'/{space}joint_states' for space in spaces]
         self._spin_until(lambda: all(map(self.node.count_publishers, wanted)))
-        for topic, types in self.node.get_topic_names_and_types():
-            if types[0] in _RECORDED and self.node.count_publishers(topic):
-                self._record(topic, _RECORDED[types[0]])
+        self._recorded.begin()
         self._states = wanted
         self._wait_for_the_start()
 
     def _wait_for_the_start(self) -> None:
         # Topics of a robot without an arm, or of objects that come later, have no message yet.
-        self._spin_until(lambda: self._repeats > 2 and all(
-            self._messages[topic] for topic in self._states))
-        self._topics = [topic for topic, messages in self._messages.items() if messages]
-        self._now_ns = nanoseconds_of(self._messages[self._states[0]][0].header.stamp)
+        self._spin_until(lambda: self._recorded.repeats > 2 and all(
+            self._recorded.messages(topic) for topic in self._states))
+        self._topics = self._recorded.with_messages()
+        self._now_ns = self._recorded.stamp_ns(self._states[0], 0)
 
     def _parameters(self, *names: str) -> Any:
         return self.call(GetParameters, 'manip_sim/get_parameters',
                          GetParameters.Request(names=list(names)), again=True).values
-
-    def _record(self, topic: str, message_type: Any) -> None:
-        messages = self._messages[topic] = []
-
-        def take(message: Any) -> None:
-            stamp_ns = nanoseconds_of(message.header.stamp)
-            if not messages or stamp_ns > nanoseconds_of(messages[-1].header.stamp):
-                messages.append(message)
-                self._repeats = 0
-            else:
-                self._repeats += topic.endswith('/joint_states') and topic.count('/') == 1
-        self._subscriptions[topic] = self.node.create_subscription(
-            message_type, topic, take, 1000)
 
     # ------------------------------------------------------------------ time
 
@@ -180,19 +158,18 @@ class SimulationUnderTest:
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked()
         self._set('pause_at', end_ns * 1e-9)
-        self._repeats = 0
+        self._recorded.repeats = 0
         # What counts is that time passes: DDS may lose the answer.
         self._ask(SetBool, 'manip_sim/pause', SetBool.Request(data=False))
         self._wait_for_states(end_ns, self._check_not_stalled)
 
     def _wait_for_states(self, end_ns: int, check: Callable[[], None]) -> None:
         self._spin_until(lambda: all(
-            nanoseconds_of(self._messages[topic][-1].header.stamp) >= end_ns
-            for topic in self._topics), check)
+            self._recorded.stamp_ns(topic) >= end_ns for topic in self._topics), check)
         self._now_ns = end_ns
 
     def _check_not_stalled(self) -> None:
-        if self._repeats > _PATIENCE:
+        if self._recorded.repeats > _PATIENCE:
             parts = ('lock-step waits for a command of the parts in lockstep_parts'
                      if self._lockstep else 'is it paused by somebody else, or has it diverged?')
             raise SimulationStalled(f'the simulation stands still at {self.time_s:.3f} s: {parts}')
@@ -237,12 +214,7 @@ class SimulationUnderTest:
         :raises ManipSimError: if the node was not started with ``as_process=True``
         """
         self.server.kill()
-        # Subscriptions may still hold messages of the node that was killed.
-        for topic, subscription in list(self._subscriptions.items()):
-            message_type = subscription.msg_type
-            self.node.destroy_subscription(subscription)
-            self._record(topic, message_type)
-        self._repeats = 0
+        self._recorded.begin_anew()
         self.server = NodeProcess(self._given)
         self._wait_for_the_start()
         # DDS knows the services of the node that was killed for some time yet.
@@ -257,15 +229,11 @@ class SimulationUnderTest:
         :param topic: such as ``right/eef_pose``; joint states, wrenches, poses and twists
         :raises UnknownNameError: if there is no such topic
         """
-        name = f'/{topic.lstrip("/")}'
-        if name not in self._messages:
-            raise UnknownNameError('recorded topic', topic, [t[1:] for t in self._messages])
-        return list(self._messages[name])
+        return self._recorded.messages(topic)
 
     def recorded(self, message_type: Any) -> list[str]:
         """Return the names of the recorded topics of a type of messages that have a message."""
-        return [name[1:] for name, messages in self._messages.items()
-                if messages and isinstance(messages[0], message_type)]
+        return [name[1:] for name in self._recorded.with_messages(message_type)]
 
     def nodes(self) -> list[str]:
         """Return the full names of the nodes in the domain; one that is there twice is twice."""
