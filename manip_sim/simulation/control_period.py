@@ -97,7 +97,22 @@ class ControlPeriods:
         self._check_not_diverged()
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
-        yield from self._begin(steps)
+        period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
+        for robot in self._robots:
+            robot.begin_period(period_s, ends_s)
+        physics = self._steps
+        untouched = physics.begin() and self._rest and physics.stays_untouched
+        if untouched:
+            yield Interval((), period_s, partial(physics.run_untouched, steps))
+            untouched = physics.was_untouched
+            if not untouched:
+                physics.undo()
+        if not untouched:
+            yield from self._intervals(steps)
+        self._end(steps)
+
+    def _end(self, steps: int) -> None:
+        """End a period; hold the last good state if the physics has diverged in it."""
         reason = self._steps.divergence.reason()
         if reason is None:
             self._steps.end_period(steps, steps * self._timestep_s)
@@ -138,20 +153,6 @@ class ControlPeriods:
     def _check_not_diverged(self) -> None:
         if self.diverged is not None:
             raise DivergenceError(f'{self.diverged}; its last good state is held until reset()')
-
-    def _begin(self, steps: int) -> Iterator[Interval]:
-        period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
-        for robot in self._robots:
-            robot.begin_period(period_s, ends_s)
-        physics = self._steps
-        untouched = physics.begin() and self._rest and physics.stays_untouched
-        if untouched:
-            yield Interval((), period_s, partial(physics.run_untouched, steps))
-            untouched = physics.was_untouched
-            if not untouched:
-                physics.undo()
-        if not untouched:
-            yield from self._intervals(steps)
 
     def _intervals(self, steps: int) -> Iterator[Interval]:
         """Divide a period into intervals, each of which control begins."""
@@ -195,7 +196,8 @@ class ControlPeriods:
 
     def _compute(self, steps: int, ends: bool) -> None:
         """Compute the physics of an interval, and all of the new instant if a period ends."""
-        self._free_roots.apply()
+        if self._free_roots.is_needed:
+            self._free_roots.apply()
         self._steps.run(steps)
         if ends:
             self._steps.finish()

@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import mujoco
+import numpy as np
 
 from manip_sim.models.world import World
+from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation.free_base import FreeRoots
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
@@ -42,6 +44,17 @@ class EpisodeStart:
         self.seed = world.seed
         self.randomized = Randomized(None, physics, {})
         self._keyframe, self._changes = world.keyframe, False
+
+    def let_draw(self, sensing: Mapping[str, RobotSensing]) -> None:
+        """
+        Let episodes draw what the ``randomization`` of the world says.
+
+        :param sensing: what is measured of each robot, by name
+        """
+        self.randomized = Randomized(
+            self.world.randomization, self._physics, sensing,
+            [name for robot in self.world.robots for name, law in robot.velocity_laws.items()
+             if np.isfinite(law.stribeck_velocity)])
 
     @property
     def keyframe(self) -> str:

@@ -54,6 +54,7 @@ class FreeRoots:
     :param physics: of the world
     :param roots: names of the root bodies of the robots
     :ivar roots: the same; robots that come or go have to change it before the model is replaced
+    :ivar is_needed: whether there is weight to give back
     """
 
     def __init__(self, physics: Physics, roots: Iterable[str]) -> None:
@@ -68,14 +69,9 @@ class FreeRoots:
         self._dofs = np.flatnonzero(
             np.isin(model.body_rootid[model.dof_bodyid], list(free_trees))
             & (model.jnt_actgravcomp[joint] == 0))
-
-    @property
-    def is_needed(self) -> bool:
-        """Whether there is weight to give back."""
-        return self._dofs.size > 0
+        self.is_needed = self._dofs.size > 0
 
     def apply(self) -> None:
         """Apply the weight as of the last ``mj_forward`` or step."""
-        if self._dofs.size:
-            data = self._physics.data
-            data.qfrc_applied[self._dofs] = -data.qfrc_gravcomp[self._dofs]
+        data = self._physics.data
+        data.qfrc_applied[self._dofs] = -data.qfrc_gravcomp[self._dofs]

@@ -45,15 +45,20 @@ class Ledger:
 
         :param indices: of the joints; None for those that it names
         """
-        indices = command.indices if indices is None else indices
-        self.release(indices, Status.REPLACED)
-        self._own(indices, command.handle)
+        self._pass_on(command.indices if indices is None else indices, command.handle,
+                      Status.REPLACED)
 
     def release(self, indices: IntArray, status: Status, reason: str = '') -> None:
         """Take joints from the commands that own or await them; end those that have none left."""
-        self._own(indices, CommandHandle(Status.ABORTED, reason))
-        self.running = list(_without(self.running, indices, status, reason))
-        self.waiting = list(_without(self.waiting, indices, status, reason))
+        self._pass_on(indices, CommandHandle(Status.ABORTED, reason), status, reason)
+
+    def _pass_on(self, indices: IntArray, owner: CommandHandle, status: Status, reason: str = ''
+                 ) -> None:
+        self._own(indices, owner)
+        if self.running:
+            self.running = list(_without(self.running, indices, status, reason))
+        if self.waiting:
+            self.waiting = list(_without(self.waiting, indices, status, reason))
 
     def _own(self, indices: IntArray, handle: CommandHandle) -> None:
         for index in indices.tolist():

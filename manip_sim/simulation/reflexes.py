@@ -97,8 +97,10 @@ class Reflexes:
 
         :param command: for this robot
         """
+        if not self.tripped or isinstance(command, NoCommand):
+            return None
         stopped = [part for part in self.tripped if part in command.parts]
-        if not stopped or isinstance(command, NoCommand):
+        if not stopped:
             return None
         return (f'{stopped[0]} was stopped by a reflex: {self.tripped[stopped[0]]}; '
                 'call reset_reflex')

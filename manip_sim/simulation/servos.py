@@ -59,12 +59,14 @@ class Servos:
     :ivar passive_damping: of the joints themselves [N m s/rad or N s/m], shape (n,)
     :ivar lead: how far a setpoint may be ahead of its joint [rad or m], shape (n,)
     :ivar reach: the same, infinite for sources of effort, whose setpoints are not used
+    :ivar follows: whether any joint follows its setpoint
+    :ivar any_gives_effort: whether any actuator is a source of effort
     :raises ModelError: if two actuators drive one joint, or one is neither motor nor servo
     """
 
     #: Where results are written, and what follows from the rest.
     not_in_digest = ('_effort_force', '_all_accelerations', '_places', '_all_compensated',
-                     '_geared', '_sources', 'reach')
+                     '_geared', '_sources', 'reach', 'follows', 'any_gives_effort')
 
     def __init__(self, physics: Physics, actuators: Sequence[str],
                  joints: Sequence[str]) -> None:
@@ -100,7 +102,8 @@ class Servos:
             self.velocity_limit, self.position_clamp())
         self.lead = self._lead(np.arange(len(ids)))
         self._gives_effort = np.zeros(len(ids), dtype=bool)
-        self._sources, self.reach = 0, self.lead
+        self._sources = 0
+        self._find_reach()
         physics.on_change(self._find_places)
         physics.on_change(self._make_room)
         model.actuator_biastype[ids] = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -181,18 +184,9 @@ class Servos:
             self._set_gains(changed)
 
     def _find_reach(self) -> None:
+        self.follows, self.any_gives_effort = self._sources < len(self._ids), self._sources > 0
         self.reach = np.where(self._gives_effort, np.inf, self.lead) if self._sources else (
             self.lead)
-
-    @property
-    def follows(self) -> bool:
-        """Whether any joint follows its setpoint."""
-        return self._sources < len(self._ids)
-
-    @property
-    def any_gives_effort(self) -> bool:
-        """Whether any actuator is a source of effort."""
-        return self._sources > 0
 
     def any_gives_effort_of(self, indices: IntArray) -> bool:
         """Tell whether any of some actuators is a source of effort."""

@@ -10,7 +10,6 @@ import pickle
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.robots import RobotModel
@@ -61,6 +60,7 @@ class Simulation:
     :ivar pulls: springs that pull bodies
     :ivar episode_start: where resets lead to
     :ivar states: what saved states consist of
+    :ivar timestep_s: length of a physics step [s]
     :ivar start_defects: what is wrong with the start, a sentence for each defect
     """
 
@@ -71,7 +71,7 @@ class Simulation:
         # Report divergence instead of letting MuJoCo reset silently.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._clock = Clock(round(self.model.opt.timestep * 1e9))
-        self._timestep_s = float(self.model.opt.timestep)
+        self.timestep_s = float(self.model.opt.timestep)
         self._free_roots = FreeRoots(self.physics, [robot.root_body for robot in world.robots])
         self.episode_start = EpisodeStart(world, self.physics, self.surroundings, self._free_roots)
         self.episode_start.place()
@@ -82,7 +82,7 @@ class Simulation:
             self.physics, self._clock, self.efforts, self._present.tools, self._present.laws)
         self.pulls = Pulls(self.physics, self._clock)
         self._periods = ControlPeriods(
-            self._steps, self.robots, self._free_roots, self.pulls, self._clock, self._timestep_s)
+            self._steps, self.robots, self._free_roots, self.pulls, self._clock, self.timestep_s)
         self.instruments = MeasuredInstruments(self.physics, self.robots)
         self.sensors = self.instruments.sensors
         self.physics.on_change(self._find_entities)
@@ -91,17 +91,13 @@ class Simulation:
         self.lidars = Lidars(
             self.physics, world.lidars if self.robots else (),
             lambda body: self.instruments.sensing_of(int(self.model.body(body).id)))
-        self.episode_start.randomized = Randomized(
-            world.randomization, self.physics,
-            {robot.name: robot.sensing for robot in self.robots.values()},
-            [name for robot in world.robots for name, law in robot.velocity_laws.items()
-             if np.isfinite(law.stribeck_velocity)])
+        self.episode_start.let_draw(
+            {name: robot.sensing for name, robot in self.robots.items()})
         if self.randomized.draws:
             self._randomize(world.seed, None)
         self._settle()
         self._reset(world.seed)
-        self.start_defects = check_start(
-            self.model, self.data, self._free_roots.roots)
+        self.start_defects = check_start(self.model, self.data, self._free_roots.roots)
 
     def _find_entities(self) -> None:
         spawned = set(self.spawned_robots)
@@ -234,11 +230,6 @@ class Simulation:
         self._reset()
         self.episode_start.settle([gripper.part for robot in self.robots.values()
                                    for gripper in robot.grippers.values()])
-
-    @property
-    def timestep_s(self) -> float:
-        """Length of a physics step [s]."""
-        return self._timestep_s
 
     @property
     def time_s(self) -> float:
