@@ -68,14 +68,7 @@ class PendingCommands:
         """
         Keep validated commands.
 
-        :param commands: of one robot
-        :param stamp_ns: in lock-step, stamp of the state that they answer, else when they were
-            sent, by any clock [ns]; 0: not given
-        :param robot: its name; None: the only robot
-        :returns: the handle of each command
-        :raises CommandError: if a command was made for another robot; in lock-step, if that is not
-            the present state, or if all commands for it have come already
-        :raises UnknownNameError: if there is no such robot
+        Arguments, results and errors are those of ``SimulationThread.submit``.
         """
         name, buffers = self._simulation.robot.name if robot is None else robot, self._buffers
         if name not in buffers or name not in self._simulation.robots:

@@ -14,13 +14,12 @@ from typing import Any, TypeVar
 from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.runtime.calls import Calls
 from manip_sim.runtime.inbox import Inbox
-from manip_sim.runtime.journal import Journal
+from manip_sim.runtime.noted_operations import NotedOperations
 from manip_sim.runtime.observers import Look, Observer, Observers
 from manip_sim.runtime.pacing import Pacer, Progress
 from manip_sim.runtime.pending_commands import BusyParts, PendingCommands
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.commands import Command, CommandHandle, Status
-from manip_sim.simulation.operations import Operations
 from manip_sim.simulation.robot_spawning import RobotsPlan
 from manip_sim.simulation.surroundings import ARENA
 
@@ -79,12 +78,11 @@ class SimulationThread:
         self._repeat_at = 0.0
         #: Whether observers are being called, and whether one has changed the state meanwhile.
         self._showing = self._show_again = False
-        self._next: dict[str, tuple[Any, ...]] = {}
         self._waits_for_arena = waits_for_arena
         #: For the next reset; None: the start stays.
         self._seed: int | None = None
-        self._operations = Operations(simulation, steps)
-        self.journal = Journal(simulation)
+        self._operations = NotedOperations(simulation, steps, self._report)
+        self.journal = self._operations.journal
         #: When to pause [ns]; 0: never.
         self._pause_at_ns = 0
         #: How many control periods may be run at once if nothing but physics happens in them.
@@ -220,16 +218,7 @@ class SimulationThread:
         :raises ManipSimError: if it cannot be done
         :raises SimulationEnded: as :meth:`call`
         """
-        return self.call(lambda: self._operate(operation, *arguments, using=using))
-
-    def _operate(self, operation: str, *arguments: Any, using: Any = None) -> Any:
-        failed = True
-        try:
-            result = self._operations.run(operation, *arguments, using=using)
-            failed = False
-            return result
-        finally:
-            self.journal.operation(operation, arguments, failed)
+        return self.call(lambda: self._operations.run(operation, *arguments, using=using))
 
     def call(self, function: Callable[[], T], unknown: str = '') -> T:
         """
@@ -275,22 +264,11 @@ class SimulationThread:
         :raises CommandError: in lock-step, if that is not the present state
         """
         self._commands.check_stamp(stamp_ns)
-        with self._lock:
-            self._next[key] = operation, *arguments
+        self._operations.add(key, operation, *arguments)
 
     @property
     def _misses_arena(self) -> bool:
-        return self._waits_for_arena and not any(key.startswith(f'{ARENA}/') for key in self._next)
-
-    def _run_next(self) -> None:
-        if self._next:
-            with self._lock:
-                waiting, self._next = self._next, {}
-            for key, operation in waiting.items():
-                try:
-                    self._operate(*operation)
-                except Exception as error:  # What it was for may have gone since.
-                    self._report(key, error)
+        return self._waits_for_arena and not self._operations.awaits(f'{ARENA}/')
 
     def pause(self, paused: bool) -> None:
         """
@@ -338,9 +316,9 @@ class SimulationThread:
         :raises ModelError: if the start cannot be drawn from a new seed; then nothing changes
         """
         def change() -> None:
-            self._operate('reset', self._seed, restart_time)
+            self._operations.run('reset', self._seed, restart_time)
             self._commands.clear('the simulation was reset')
-            self._next.clear()
+            self._operations.clear()
             self._seed = None
             self.at_start = True
             self._show_new()
@@ -353,7 +331,7 @@ class SimulationThread:
     @property
     def objects(self) -> list[list[Any]]:
         """The objects, as :attr:`Operations.objects`."""
-        return self._operations.objects
+        return self._operations.operations.objects
 
     def restart_by(self, restart: Callable[[int | None], None]) -> None:
         """
@@ -361,7 +339,7 @@ class SimulationThread:
 
         :param restart: takes the seed of the start, or None to keep the start
         """
-        self._operations.restart = restart
+        self._operations.operations.restart = restart
 
     def set_seed(self, seed: int) -> None:
         """
@@ -391,9 +369,9 @@ class SimulationThread:
         :raises ModelError: if objects have come or gone since
         """
         def change() -> str:
-            digest: str = self._operate('restore')
+            digest: str = self._operations.run('restore')
             self._commands.clear('a saved state was restored')
-            self._next.clear()
+            self._operations.clear()
             self.at_start = False
             self._show_new()
             return digest
@@ -459,7 +437,7 @@ class SimulationThread:
 
     def _period(self, most: int = 1) -> None:
         """Run a control period, or up to ``most`` while idle and without observers."""
-        self._run_next()
+        self._operations.run_waiting()
         # They may have been withdrawn meanwhile.
         taken = [(name, command) for name, command in self._commands.take()
                  if command.handle.is_active]

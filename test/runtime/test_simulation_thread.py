@@ -122,7 +122,7 @@ def test_an_operation_of_a_period_that_fails_is_told_and_the_simulation_goes_on(
 
     def fail():
         raise KeyError('gone')
-    thread._operations._named = {
+    thread._operations.operations._named = {
         'fail': fail, 'note': lambda: done.append(simulation.step_count - begin)}
     thread.start()
     begin = simulation.step_count
@@ -145,7 +145,8 @@ def test_a_reset_that_cannot_draw_its_start_changes_nothing():
     command = thread._simulation.robot.parse.action('arm', [0.1] * 7)
     (handle,) = thread.submit([command])
     done = []
-    thread._operations._named = {**thread._operations._named, 'note': lambda: done.append(1)}
+    operations = thread._operations.operations
+    operations._named = {**operations._named, 'note': lambda: done.append(1)}
     thread.at_next_period('pull/cube', 'note')
     with pytest.raises(ModelError, match='no room with 3'):
         thread.reset()
