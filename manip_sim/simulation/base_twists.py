@@ -42,27 +42,30 @@ class BaseTwists:
         :param period_s: length of a control period [s]
         :param drives: whether the base follows a twist now, so that this may continue a stream
         """
-        indices = command.indices
+        joints = command.joints
         if self._stream is None or not drives:
-            self._stream = VelocityStream(self._servos.acceleration_limit[indices])
-        self._stream.set(*self._setpoints.stream_settings(int(indices[0])))
-        yaw = float(data.qpos[self._servos.qpos[indices[2]]])
-        present = _turned(self._setpoints.velocity[indices], -yaw)
+            self._stream = VelocityStream(self._servos.acceleration_limit[joints])
+        self._stream.set(*self._setpoints.stream_settings(int(joints[0])))
+        present = _turned(self._setpoints.velocity[joints], -self._yaw(command, data))
         self._stream.take(
             command.twist, present, now_s, period_s, command.messages, command.sent_s)
 
     def follow(self, command: BaseTwist, data: mujoco.MjData, now_s: float, duration_s: float
                ) -> None:
         """
-        Set velocities of setpoints; the slide joints of the base do not turn with it.
+        Set velocities of the setpoints that the twist still owns.
+
+        The slide joints of the base do not turn with it.
 
         :param now_s: simulation time since the last reset [s]
         :param duration_s: length of the interval [s]
         """
         assert self._stream is not None
-        twist = self._stream.at(now_s + duration_s)
-        yaw = float(data.qpos[self._servos.qpos[command.indices[2]]])
-        self._setpoints.ramp_to(command.indices, _turned(twist, yaw), duration_s)
+        velocity = _turned(self._stream.at(now_s + duration_s), self._yaw(command, data))
+        self._setpoints.ramp_to(command.indices, velocity[command.columns], duration_s)
+
+    def _yaw(self, command: BaseTwist, data: mujoco.MjData) -> float:
+        return float(data.qpos[self._servos.qpos[command.joints[2]]])
 
 
 def _turned(twist: FloatArray, yaw: float) -> FloatArray:

@@ -188,8 +188,8 @@ class CommandParser:
         inside, clamped = clamp(values, self._joints.twist_clamps(indices, modes))
         return BaseTwist(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
-            twist=inside, clamped=clamped, clamped_example=clamped_example(
-                ('linear.x', 'linear.y', 'angular.z'), values, inside))
+            twist=inside, joints=indices, columns=np.arange(3), clamped=clamped,
+            clamped_example=clamped_example(('linear.x', 'linear.y', 'angular.z'), values, inside))
 
 
 def _points(part: str, field: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:

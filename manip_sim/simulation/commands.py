@@ -192,12 +192,19 @@ class TrajectoryStop(Command):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseTwist(Command):
     """
-    A velocity of a mobile base in its own frame; ``indices`` are the joints x, y and yaw.
+    A velocity of a mobile base in its own frame.
 
     :ivar twist: along x [m/s], along y [m/s], about z [rad/s], shape (3,)
+    :ivar joints: the joints x, y and yaw of the base, shape (3,)
+    :ivar columns: which of these each of ``indices`` is
     """
 
     twist: FloatArray
+    joints: IntArray
+    columns: IntArray
+
+    def _only(self, kept: BoolArray) -> BaseTwist:
+        return replace(self, indices=self.indices[kept], columns=self.columns[kept])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

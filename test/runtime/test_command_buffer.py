@@ -132,7 +132,8 @@ def test_goals_that_wait_go_before_a_trajectory_that_starts_later():
 
 
 @pytest.mark.parametrize('newer', [setpoint({0: 2.0}), trajectory(0), BaseTwist(
-    robot=ROBOT, parts=RIGHT, indices=np.array([0]), twist=np.zeros(3))])
+    robot=ROBOT, parts=RIGHT, indices=np.array([0]), twist=np.zeros(3), joints=np.arange(3),
+    columns=np.array([0]))])
 def test_command_that_begins_at_once_replaces_those_of_every_kind(newer):
     for older in (setpoint({0: 1.0}), trajectory(0), trajectory(0, start_ns=10**9)):
         buffer = CommandBuffer()

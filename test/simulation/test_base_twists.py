@@ -83,3 +83,23 @@ def test_a_reset_forgets_the_stream():
     driven.simulation.reset()
     fresh.simulation.reset()
     assert driven.simulation.digest() == fresh.simulation.digest()
+
+
+@pytest.mark.parametrize('name', ['PandaOmron', 'Tiago'])
+@pytest.mark.parametrize('taken', [[0], [1], [2], [0, 1], [1, 2], [0, 1, 2]])
+def test_joints_taken_by_a_newer_command_leave_the_others_to_the_twist(name, taken):
+    base, twist = Base(name), (0.3, 0.0, 0.4)
+    base.drive(0.5, 20, lambda t: twist)
+    joints = np.array(base.robot.parts['base'].driven_joints)
+    base.robot.apply(*base.robot.parse.joint_command(joints[taken], velocity=[0.1] * len(taken)),
+                     period_s=PERIOD_S)
+    base.drive(0.4, 20, lambda t: None)
+    yaw = base.simulation.data.joint(joints[2]).qpos[0]
+    expected = np.array([0.3 * np.cos(yaw), 0.3 * np.sin(yaw), 0.4])
+    expected[taken] = 0.1
+    assert base.speeds[-1] == pytest.approx(expected, abs=0.01)
+    # The next twist has them all again.
+    base.drive(0.5, 20, lambda t: twist)
+    yaw = base.simulation.data.joint(joints[2]).qpos[0]
+    assert base.speeds[-1] == pytest.approx(
+        [0.3 * np.cos(yaw), 0.3 * np.sin(yaw), 0.4], abs=0.01)
