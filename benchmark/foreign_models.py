@@ -7,13 +7,14 @@ Load the models of Menagerie and robosuite unmodified, and print a table of what
     MENAGERIE_ROOT=~/mujoco_menagerie python3 benchmark/foreign_models.py
     python3 benchmark/foreign_models.py --robosuite FOLDER   # unpacked wheels, else as installed
     python3 benchmark/foreign_models.py panda ur5            # only names with one of these words
-    python3 benchmark/foreign_models.py --folder FOLDER      # a folder of repositories
+    python3 benchmark/foreign_models.py --folder FOLDER      # with clones, FOLDER/OWNER/NAME
 
-With ``--folder``, every URDF, xacro and MJCF file of a whole robot below it is loaded as it is,
-without arguments; ``--each`` limits the files of one repository. Files with less than three joints
-that move, MJCF files without actuators or that MuJoCo does not compile, and xacro files that need
-arguments, are left out. Percentages by class and the causes of failures follow the rows:
+With ``--folder``, the files that ``foreign_models.yaml`` lists are loaded as they are in clones of
+their repositories at the commits that it names, which you put into a folder; with ``--load``, it
+goes no further than to load them. Percentages by class and the causes of failures follow the rows:
 
+- inferred: whether the parts have the joints that the list says, which was written by hand.
+- lost: how many sentences tell of collision shapes that were left out.
 - holds: the start pose, for 5 s within 5 mrad or 5 mm; bare: whether the bare MJCF model does, or
   no if the torque limits of a URDF do not carry the robot.
 - follows: each arm a sine as below, or as well as it does if bodies may pass through each other.
@@ -49,14 +50,13 @@ import re
 import sys
 import tempfile
 from typing import Any
-import zlib
 
 import mujoco
 import numpy as np
+import yaml
 
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose, load_gripper, load_robot
-from manip_sim.models.files.xacro_expansion import expanded
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.simulation.simulation import Simulation
 
@@ -439,43 +439,55 @@ def check(kind: str, file: Path) -> dict[str, Any]:
     return row
 
 
-def find_in_folder(folder: Path) -> Iterator[Path]:
-    """Yield the models of whole robots in a folder of repositories."""
-    for file in sorted(folder.rglob('*')):
-        if file.suffix not in ('.xml', '.mjcf', '.urdf', '.xacro') or re.search(
-                r'(macro|scene|ros2_control|gazebo|transmission|material)', file.name):
+def find_in_folder(folder: Path, words: list[str]) -> Iterator[tuple[str, str, dict[str, int]]]:
+    """
+    Yield repository, path (behind that of a xacro file its arguments) and joints by part.
+
+    ``ROS_PACKAGE_PATH`` names the packages of other repositories that a repository needs.
+    """
+    listed = yaml.safe_load(Path(__file__).with_suffix('.yaml').read_text())
+    for repository, entry in listed.items():
+        if not (folder / repository).is_dir():
+            raise SystemExit(f'{folder / repository} is missing')
+        if words and not any(word in repository for word in words):
             continue
-        text = file.read_text(errors='replace')
-        # Files of macros do not name the robot, and parts that others include have no actuators.
-        if (re.search(r'<robot[^>]*\sname=', text) if file.suffix in ('.urdf', '.xacro') else
-                '<mujoco' in text[:4000] and re.search('<(actuator|include)', text)):
-            yield file
+        os.environ['ROS_PACKAGE_PATH'] = os.pathsep.join(
+            str(file.parent) for other in entry.get('packages', ())
+            for file in sorted((folder / other).rglob('package.xml')))
+        for path, parts in entry['files'].items():
+            yield repository, path, parts
 
 
-def check_as_found(file: Path) -> dict[str, Any]:
-    """Return whether a model loads and holds its start pose, its parts, and what is wrong."""
-    row: dict[str, Any] = {'class': 'MJCF' if file.suffix in ('.xml', '.mjcf') else
-                           'xacro' if file.suffix == '.xacro' else 'URDF', 'reason': []}
+def check_as_found(name: str, moves: bool) -> dict[str, Any]:
+    """
+    Return whether a model loads and holds its start pose, its parts, and what is wrong.
+
+    :param name: path, behind that of a xacro file its arguments
+    :param moves: whether to simulate it, too
+    """
+    row: dict[str, Any] = {'reason': []}
+    if moves and class_of(name) == 'MJCF':
+        try:
+            row['bare'] = bare_holds(Path(name))[1]
+        except Exception as error:
+            row['reason'].append(f'MuJoCo: {" ".join(str(error).split())[:200]}')
     try:
-        if not _is_robot(file, row):
-            return {'class': None}
-        robot = load_robot(file)
+        robot = load_robot(name)
         row['loads'] = True
         free = any(int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE)
                    for joint in robot.spec.joints)
         simulation = Simulation(compose(robot, position=None if free else (0.0, 0.0, 1.5)))
     except ManipSimError as error:
-        if 'cannot be expanded by xacro' in str(error):
-            return {'class': 'does not expand', 'reason': [str(error)[-120:]]}
         return {**row, 'loads': False, 'reason': [str(error)]}
-    row['parts'] = ', '.join(f'{name} {len(part.joints)}'
-                             for name, part in simulation.robot.parts.items()
-                             if part.atomic == (name,))
+    row['parts'] = {part: len(found.joints) for part, found in simulation.robot.parts.items()
+                    if found.atomic == (part,) and found.joints}
     row['lost'] = sum('nothing touches' in sentence for sentence in robot.inferred)
+    if not moves:
+        return row
     row['holds'], why = holds(simulation, 5.0)
     if not row['holds']:
         row['reason'] = [why, *(defect[:90] for defect in simulation.start_defects[:1])]
-    if row['class'] != 'MJCF' and any('its actuator' in d for d in simulation.start_defects):
+    if class_of(name) != 'MJCF' and any('its actuator' in d for d in simulation.start_defects):
         row['bare'] = False
     if (simulation.model.jnt_type == 0).any():
         simulation = _hung(simulation)
@@ -529,66 +541,55 @@ def _grips(simulation: Simulation, part: str, row: dict[str, Any]) -> bool:
     return bool(good)
 
 
-def _is_robot(file: Path, row: dict[str, Any]) -> bool:
-    """Return whether a file has three joints that move; note whether the bare model holds."""
-    if row['class'] == 'MJCF':
-        try:
-            model, row['bare'] = bare_holds(file)
-        except Exception:
-            return False
-        return bool(model.nu and (model.jnt_type >= 2).sum() >= 3)
-    text = expanded(file, {}) if row['class'] == 'xacro' else file.read_text(errors='replace')
-    return len(re.findall(r'<joint[^>]*type="(revolute|prismatic|continuous)"', text)) >= 3
+def class_of(name: str) -> str:
+    """Return ``MJCF``, ``URDF`` or ``xacro``."""
+    return 'xacro' if '.xacro' in name else 'URDF' if name.endswith('.urdf') else 'MJCF'
 
 
-def check_folder(folder: Path, words: list[str], each: int) -> None:
+def check_folder(folder: Path, words: list[str], moves: bool) -> None:
     """
-    Print a row for each model of a folder, percentages by class, and the causes.
+    Print a row for each listed model in a folder, percentages by class, and the causes.
 
-    :param each: how many files of a repository at most
+    :param moves: whether to simulate them, too
     """
     rows = []
-    columns = ('class', 'loads', 'bare', 'holds', 'follows', 'grips', 'parts')
+    columns = ('loads', 'inferred', 'lost', 'bare', 'holds', 'follows', 'grips', 'parts')
     print(f'| model | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 2)}')
-    repositories: dict[str, list[Path]] = {}
-    for file in find_in_folder(folder):
-        repositories.setdefault(file.relative_to(folder).parts[0], []).append(file)
-    for repository, files in repositories.items():
-        if words and not any(word in repository for word in words):
-            continue
-        # A fixed order that does not begin with the files of one folder.
-        files.sort(key=lambda file: zlib.crc32(file.relative_to(folder).as_posix().encode()))
-        found = 0
-        for file in files:
-            if found == each:
-                break
-            row = in_process('as found', file)
-            if row.get('class', '') is None:
-                continue
-            found += row.get('class') != 'does not expand'
-            row['repository'] = repository
-            rows.append(row)
-            marks = ' | '.join(str(_MARKS.get(row.get(c), row.get(c))) for c in columns)
-            print(f'| {file.relative_to(folder).as_posix()} | {marks} | '
-                  f'{"; ".join(row["reason"])[:300]} |', flush=True)
+    for repository, path, expected in find_in_folder(folder, words):
+        row = in_process('as found' if moves else 'as loaded', str(folder / repository / path))
+        row.update(repository=repository)
+        row['class'] = class_of(path)
+        if 'parts' in row:
+            row['inferred'] = row['parts'] == expected
+            if not row['inferred']:
+                row['reason'].append(f'inferred instead of {expected}')
+        rows.append(row)
+        marks = ' | '.join(_mark(row.get(column)) for column in columns)
+        print(f'| {repository}/{path} | {marks} | {"; ".join(row["reason"])[:300]} |', flush=True)
     _sum_up(rows)
+
+
+def _mark(value: Any) -> str:
+    """Return what a row shows of a value."""
+    if isinstance(value, dict):
+        return ', '.join(f'{part} {joints}' for part, joints in value.items())
+    return _MARKS[value] if value is None or isinstance(value, bool) else str(value)
 
 
 def _sum_up(rows: list[dict[str, Any]]) -> None:
     """Print percentages by class, and the causes of failures."""
     print(f'\n{len(rows)} models of {len({row["repository"] for row in rows})} repositories')
-    for kind in ('MJCF', 'URDF', 'xacro', 'does not expand', None):
-        own = [row for row in rows if row.get('class') == kind]
+    for kind in ('MJCF', 'URDF', 'xacro'):
+        own = [row for row in rows if row['class'] == kind]
         loaded = [row for row in own if row.get('loads')]
-        if own:
-            print(f'{kind or "crash or time-out"}: {len(own)} files, {len(loaded)} load '
-                  f'({len(loaded) / len(own):.0%})')
-            able = [row for row in loaded if row.get('bare') is not False]
-            for column in ('holds', 'follows', 'grips'):
-                counted = [row for row in (able if column == 'holds' else loaded)
-                           if row.get(column) is not None]
-                good = sum(bool(row[column]) for row in counted)
-                print(f'  {good} of {len(counted)} {column}')
+        able = [row for row in loaded if row.get('bare') is not False]
+        print(f'{kind}: {len(own)} files')
+        for column, among in (('loads', own), ('inferred', own), ('holds', able),
+                              ('follows', loaded), ('grips', loaded)):
+            counted = [row for row in among if among is own or row.get(column) is not None]
+            good = sum(bool(row.get(column)) for row in counted)
+            share = f' ({good / len(counted):.0%})' if counted else ''
+            print(f'  {column}: {good} of {len(counted)}{share}')
     causes = Counter(_cause(row['reason'][0]) for row in rows
                      if row['reason'])
     for cause, count in causes.most_common():
@@ -639,16 +640,17 @@ def _hang(model: Any) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _worker(kind: str, file: Path, out: Any) -> None:
+def _worker(kind: str, file: Any, out: Any) -> None:
     logging.disable(logging.WARNING)
     mujoco.set_mju_user_warning(lambda message: None)
     try:
-        out.put(check_as_found(file) if kind == 'as found' else check(kind, file))
+        out.put(check(kind, file) if kind in ('robot', 'hand')
+                else check_as_found(file, kind == 'as found'))
     except Exception as error:
         out.put({'reason': [f'{type(error).__name__}: {str(error)[:120]}'], 'bare': True})
 
 
-def in_process(kind: str, file: Path) -> dict[str, Any]:
+def in_process(kind: str, file: Path | str) -> dict[str, Any]:
     """Return the row of a model from a process of its own."""
     # Not spawned: to import all of it again takes longer than most models need.
     context: Any = multiprocessing.get_context(
@@ -671,11 +673,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('words', nargs='*', help='parts of model names (default: all)')
     parser.add_argument('--robosuite', type=Path, help='where the wheels are unpacked')
-    parser.add_argument('--folder', type=Path, help='of repositories with models of any kind')
-    parser.add_argument('--each', type=int, default=1000, help='files of a repository at most')
+    parser.add_argument('--folder', type=Path, help='with clones of the listed repositories')
+    parser.add_argument('--load', action='store_true', help='only load the models of the folder')
     arguments = parser.parse_args()
     if arguments.folder is not None:
-        check_folder(arguments.folder, arguments.words, arguments.each)
+        check_folder(arguments.folder, arguments.words, not arguments.load)
         return
     columns = ('bare', 'bare_holds', 'loads', 'same', 'holds', 'position', 'velocity')
     print(f'| model | kind | {" | ".join(columns)} | reason |\n|{"---|" * (len(columns) + 3)}')

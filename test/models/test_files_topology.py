@@ -286,19 +286,20 @@ def test_chains_that_branch_again_are_not_the_fingers_of_a_hand_alone(tmp_path):
 
 
 def test_a_single_joint_beside_those_of_a_base_is_no_arm(tmp_path):
-    limbs = LIMB.format('laser', '') + LIMB.format('wheel_a', '') + LIMB.format('wheel_b', '')
+    limbs = ''.join([LIMB.format('tilt', LIMB.format('wheel_c', '')), *(
+        LIMB.format(name, '') for name in ('laser', 'wheel_a', 'wheel_b'))])
     (tmp_path / 'cart.xml').write_text(
         f'<mujoco><worldbody><body name="root"><geom size="0.1"/>{limbs}</body></worldbody>'
         '</mujoco>')
-    assert parts_of(tmp_path / 'cart.xml') == {'base': 2, 'other': 1}
+    assert parts_of(tmp_path / 'cart.xml') == {'base': 4, 'other': 1}
 
 
 def test_joints_beside_a_floating_robot_are_left_out_with_their_actuators(tmp_path):
     text = (FILES / 'floating_beside_a_shelf.xml').read_text()
     text = text.replace('</worldbody>', LIMB.format('unused', '') + '</worldbody>').replace(
-        '</actuator>', '<motor joint="unused1"/></actuator>')
+        '</actuator>', '<position joint="unused1" kp="1000" kv="10"/></actuator>')
     (tmp_path / 'robot.xml').write_text(text)
     robot = load_robot(tmp_path / 'robot.xml')
     assert parts_of(tmp_path / 'robot.xml') == {'arm': 2}
-    assert robot.compile().nu == 2
+    assert robot.compile().nu == 2 and robot.joints == ['robot0_shoulder', 'robot0_elbow']
     assert any("'unused1'" in sentence for sentence in robot.inferred)

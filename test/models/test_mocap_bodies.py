@@ -128,3 +128,18 @@ def test_without_a_place_in_the_world_they_are_left_out(tmp_path):
         '<body name="stand"><geom size="0.1"/></body></worldbody></mujoco>')
     for load in (load_base, load_gripper):
         assert "left out: mocap bodies 'marker'" in load(tmp_path / 'stand.xml').inferred
+
+
+@pytest.mark.parametrize('constraint', [
+    '<connect body1="target" body2="hand" anchor="0 0 0"/>',
+    '<connect site1="goal" site2="at_hand"/>', '<weld site1="at_hand" site2="goal"/>'])
+def test_a_constraint_that_mocap_bodies_do_not_keep_is_told(tmp_path, constraint):
+    robot = load_robot(described(tmp_path, '', [
+        ('<weld name="pull" body1="target" body2="hand" solref="0.01 1"/>', constraint),
+        ('<body name="hand"',
+         '<body name="before"><site name="at_hand"/></body><body name="hand"'),
+    ]))
+    body = 'before' if 'at_hand' in constraint else 'hand'
+    assert ('left out: constraints other than welds of bodies that tie '
+            f"'{body}' to mocap bodies") in robot.inferred
+    assert not any('left out: constraints' in said for said in load_robot(FILE).inferred)

@@ -19,7 +19,7 @@ from manip_sim.models.quaternion import relative_quat_wxyz
 from manip_sim.models.spec_edits import attach, delete_elements, rename_body
 from manip_sim.quoting import quoted_names
 
-_WELD = int(mujoco.mjtEq.mjEQ_WELD)
+_WELD, _CONNECT = int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)
 _BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 #: What names of shapes and materials of mocap bodies begin with, behind the robot's prefix.
 _APART = 'mocap_'
@@ -77,6 +77,7 @@ class MocapBodies:
     :ivar poses: position [m] and quaternion w, x, y, z at the start, by name, shape (7,)
     :ivar welds: between them and other bodies
     :ivar from_keyframe: whether a keyframe says where they start
+    :ivar unheld: names of other bodies that constraints other than welds of bodies tie to them
     """
 
     spec: Any
@@ -84,6 +85,7 @@ class MocapBodies:
     poses: dict[str, FloatArray]
     welds: tuple[Weld, ...]
     from_keyframe: bool
+    unheld: tuple[str, ...]
 
     def notes(self) -> list[str]:
         """Return what a user has to know of them, in sentences."""
@@ -93,6 +95,9 @@ class MocapBodies:
         if held:
             said.append(f'welds pull {quoted_names(held)} to mocap bodies, against commands of '
                         "joints; 'mocap: false' in a YAML file leaves these bodies out")
+        if self.unheld:
+            said.append('left out: constraints other than welds of bodies that tie '
+                        f'{quoted_names(list(self.unheld))} to mocap bodies')
         return said
 
     def at_start(self, model: mujoco.MjModel, start: Mapping[str, float]) -> MocapBodies:
@@ -169,7 +174,20 @@ def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | Non
         poses[name] = np.concatenate([position, quat])
     return MocapBodies(_alone(spec, set(bodies)), tuple(bodies), poses, tuple(
         _weld(model, equality) for equality in range(model.neq) if _ties(model, equality)),
-        key is not None)
+        key is not None, tuple(_unheld(model)))
+
+
+def _unheld(model: mujoco.MjModel) -> list[str]:
+    """Return which other bodies connect constraints and welds of sites tie to mocap bodies."""
+    found = []
+    for equality in np.flatnonzero(np.isin(model.eq_type, (_WELD, _CONNECT))).tolist():
+        ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
+        if int(model.eq_objtype[equality]) != _BODY:
+            ends = model.site_bodyid[ends].tolist()
+        others = [end for end in ends if model.body_mocapid[end] < 0]
+        if len(others) == 1 and others[0] and not _ties(model, equality):
+            found.append(str(model.body(others[0]).name))
+    return found
 
 
 def _ties(model: mujoco.MjModel, equality: int) -> bool:

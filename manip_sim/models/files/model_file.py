@@ -161,6 +161,11 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     # Sizes for the file's model alone; MuJoCo would warn in composing if those of parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
+    if any(spec.joint(name) is None for name in start):
+        model = compile_alone(spec, str(file))
+        start = {name: place for name, place in start.items() if spec.joint(name) is not None}
+        named = {key: {name: place for name, place in places.items() if name in start}
+                 for key, places in named.items()}
     return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named, mocap)
 
 

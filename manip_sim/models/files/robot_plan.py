@@ -157,6 +157,10 @@ def _sort_others(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, 
         if (part == 'arm' and joint not in own and str(model.joint(joint).name) not in declared
                 and not tree.below(int(model.jnt_bodyid[joint])) & loops):
             subsystems[joint] = 'other'
+            carried = [subsystems.get(j) for j in tree.joints(
+                sorted(tree.below(int(model.jnt_bodyid[joint])))) if j != joint]
+            if carried and set(carried) == {'base'}:  # Such as one that rolls all wheels.
+                subsystems[joint] = 'base'
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
