@@ -67,6 +67,8 @@ class GripperActuators:
 
     def _find_joints(self) -> None:
         model = self._physics.model
+        # That of a restored state is a copy, which the part does not change.
+        self.ids = self._part.actuator_ids
         self._act = model.actuator_actadr[self.ids]
         self.couplings = JointCouplings(model, [model.joint(j).id for j in self._part.joints])
         self.terms = [self._length_terms(i) for i in range(len(self.ids))]

@@ -231,6 +231,22 @@ def test_a_later_robot_goes_on_when_one_before_it_is_deleted():
     np.testing.assert_array_equal(later_robot(True), later_robot(False))
 
 
+@pytest.mark.parametrize('kind', ['SO101', 'Panda'])
+def test_a_later_gripper_goes_on_when_one_before_it_is_deleted_after_a_restored_state(kind):
+    digests = []
+    for restores in (False, True):
+        simulation = Simulation(World([compose_robot('Panda')], create_arena('empty')))
+        simulation.spawn_robot(robot_at('before', 2.0, kind))
+        robot = simulation.spawn_robot(robot_at('last', -2.0, 'Panda'))
+        if restores:
+            simulation.restore(simulation.save())
+        simulation.delete_robot(simulation.spawned_robots[0])
+        robot.apply(robot.parse.action('right/gripper', [1.0]), period_s=0.01)
+        run(simulation, 20)
+        digests.append(simulation.digest())
+    assert digests[0] == digests[1]
+
+
 def test_a_constraint_that_is_off_stays_off():
     simulation = with_cubes()
     first = simulation.spawn_robot(robot_at('first', 3.0))
