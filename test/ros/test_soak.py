@@ -13,11 +13,12 @@ SOAK = Path(__file__).parent.parent / 'soak' / 'soak.py'
 def test_the_soak_scripts_run_and_lose_nothing():
     done = subprocess.run(
         [sys.executable, str(SOAK), '--only', 'malformed', 'floods', 'stops', 'starts',
-         'time', 'requests', 'viewer', 'spawns', 'actions', '--messages', '500',
+         'time', 'requests', 'viewer', 'spawns', 'actions', 'changes', '--messages', '500',
          '--flood', '0.1', '--stops', '2', '--starts', '4', '--hours', '0.003',
-         '--requests', '300', '--viewer', '300', '--spawns', '150', '--goals', '500'],
+         '--requests', '300', '--viewer', '300', '--spawns', '150', '--goals', '500',
+         '--changes', '60'],
         capture_output=True, text=True, timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line for line in done.stdout.splitlines() if line.startswith('|')]
-    assert len(rows) == 2 + 12
+    assert len(rows) == 2 + 13
     assert done.stdout.splitlines()[-1] == '0 lost'

@@ -22,6 +22,7 @@ import traceback
 _TEST = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(_TEST), str(_TEST / 'ros'), str(_TEST / 'soak')]
 
+from changes_load import changes  # noqa: E402
 from handler_loads import actions, spawns  # noqa: E402
 import loads  # noqa: E402
 from request_loads import requests  # noqa: E402
@@ -50,8 +51,10 @@ def main() -> int:
                         help='malformed messages to the viewer')
     parser.add_argument('--spawns', type=int, default=5_000, help='random requests to spawn')
     parser.add_argument('--goals', type=int, default=20_000, help='random goals of actions')
+    parser.add_argument('--changes', type=int, default=1_000,
+                        help='random changes of a world whose robots come and go')
     parser.add_argument('--only', nargs='*', help='malformed, floods, clients, stops, starts, '
-                        'time, requests, viewer, spawns, actions')
+                        'time, requests, viewer, spawns, actions, changes')
     options = parser.parse_args()
     parts = {
         'malformed': lambda: [loads.malformed(options.messages, options.seed)],
@@ -63,7 +66,8 @@ def main() -> int:
         'requests': lambda: requests(options.requests, options.seed),
         'viewer': lambda: [viewer(options.viewer, options.seed)],
         'spawns': lambda: [spawns(options.spawns, options.seed)],
-        'actions': lambda: [actions(options.goals, options.seed)]}
+        'actions': lambda: [actions(options.goals, options.seed)],
+        'changes': lambda: [changes(options.changes, options.seed)]}
     lost = 0
     rows = []
     for name, part in parts.items():
