@@ -174,6 +174,15 @@ def test_a_policy_that_hangs_is_ended(tmp_path, policy):
         'the policy took longer than 2 s']
 
 
+def test_the_timer_of_a_process_that_runs_a_policy_itself_is_left_alone():
+    before = signal.setitimer(signal.ITIMER_REAL, 3600.0)
+    try:
+        Experiment(Setting('reach'), f'{POLICIES}:Towards').create_worker().run(0)
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, *before)
+
+
 def test_a_process_that_dies_is_noticed_though_a_copy_of_it_lives(tmp_path):
     assert run(tmp_path / 'copies', policy='DiesBesideACopy', seeds='1:4', worlds='1') == 1
     assert [row['error'] for row in rows(tmp_path / 'copies')] == [
