@@ -10,7 +10,6 @@ from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -59,10 +58,7 @@ class Parameters:
                 problem = _problem(spec, given)
                 if problem:
                     raise ParameterError(problem)
-            try:
-                self._node.declare_parameter(spec.name, spec.default, _descriptor(spec))
-            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-                raise ParameterError(f"parameter '{spec.name}': {error}") from error
+            self._node.declare_parameter(spec.name, spec.default, _descriptor(spec))
 
     def undeclare(self, scope: Scope) -> None:
         """Remove all parameters of a robot, and those of the QoS of its topics."""

@@ -411,6 +411,27 @@ def test_late_images_show_what_was_there_beside_the_present_ones(serve_seen, cli
     assert (present[14] != present[10]).any()
 
 
+def test_the_first_image_of_a_reader_that_comes_later_is_as_late_as_others(serve_seen, client):
+    serve_seen(latency__image=0.04, **LATE)
+    exact = listen(client, 'truth/front/color/image_raw')
+    states, name, late = client.listen(JointState, 'joint_states'), client.state().name[0], []
+    for period in range(1, 60):
+        wanted = 10_000_000 * period
+        client.spin_until(lambda t=wanted: nanoseconds(states[-1]) == t)
+        if period % 2 == 0:
+            client.spin_until(lambda t=wanted: exact and nanoseconds(exact[-1]) == t)
+        if period == 9:
+            client.node.create_subscription(Image, 'front/color/image_raw', late.append,
+                                            qos_profile_sensor_data)
+        if late:
+            break
+        client.publish('joint_command', JointState(name=[name], position=[0.1]))
+    present = {nanoseconds(image): pixels(image) for image in exact}
+    stamp = nanoseconds(late[0])
+    np.testing.assert_array_equal(pixels(late[0]), present[stamp - 40_000_000])
+    assert (present[stamp] != present[stamp - 40_000_000]).any()
+
+
 def test_noisy_images_are_the_exact_ones_with_the_noise_of_their_instant(serve_seen, client):
     serve_seen(noise__pixel=8.0, noise__depth=0.005, seed=6, **LATE)
     color, depth, exact_color, exact_depth = in_lockstep(
