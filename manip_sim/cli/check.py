@@ -73,7 +73,8 @@ def _defects_of_file(file: Path) -> list[StartDefect]:
     return find_start_defects(model, data, roots)
 
 
-def _robots(model: mujoco.MjModel) -> list[str]:
+def _robots(model: mujoco.MjModel) -> list[int]:
     """Return the root bodies of trees with joints other than free ones, so not of objects."""
     jointed = model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]
-    return [model.body(root).name for root in np.unique(model.body_rootid[jointed]).tolist()]
+    # By their ids, since they may have no names.
+    return [int(root) for root in np.unique(model.body_rootid[jointed])]

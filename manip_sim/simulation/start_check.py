@@ -42,14 +42,14 @@ def check_start(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
     return [defect.text for defect in find_start_defects(model, data, roots)]
 
 
-def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str]
+def find_start_defects(model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str | int]
                        ) -> list[StartDefect]:
     """
     Find overlaps, blocked joints, joints outside their range and drive defects at the start.
 
     :param model: the compiled ``mujoco.MjModel``
     :param data: the ``mujoco.MjData`` at the start, after ``mj_forward``; only read
-    :param roots: the root bodies of the robots
+    :param roots: the root bodies of the robots, by their names or ids
     :returns: overlaps first, the deepest before others; empty if nothing is wrong
     """
     own = _bodies_below(model, [model.body(root).id for root in roots])

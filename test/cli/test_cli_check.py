@@ -33,6 +33,15 @@ def test_each_defect_of_a_composition_comes_with_what_mends_it(here):
                          'gripper0_right_.')
 
 
+def test_a_robot_without_names_is_checked_too(here, mjcf):
+    file = mjcf('<geom type="plane" size="1 1 0.1"/><body><geom size="0.01"/>'
+                '<body pos="0 0.5 0.04"><joint name="a" axis="0 1 0" range="-2 2"/>'
+                '<geom size="0.05" mass="1"/></body></body>', SERVO)
+    code, text, errors = here('check', file)
+    assert (code, errors) == (1, '')
+    assert '10.0 mm inside' in text
+
+
 def test_a_robot_that_stands_in_the_table_is_told_to_move(here):
     code, text, _ = here('check', '--arena', 'table', '--base', 'none', '--position', '0', '0',
                          '0.4')

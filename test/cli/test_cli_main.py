@@ -190,6 +190,16 @@ def test_characters_that_the_terminal_does_not_have_are_escaped(command, tmp_pat
     assert done.returncode == 1 and 'gr\\xfcn.xml' in done.stderr
 
 
+@pytest.mark.parametrize(('encoding', 'text'), [
+    ('ascii', b'gr\\xfcn'), ('latin-1', b'gr\xfcn'), ('utf-8', b'gr\xc3\xbcn')])
+def test_an_output_is_in_the_encoding_of_the_terminal(encoding, text, environment, mjcf):
+    file = mjcf('<body><joint name="joint"/><geom size="0.1"/></body>', name='grün')
+    done = subprocess.run(
+        [sys.executable, '-m', 'manip_sim.cli', 'check', file], capture_output=True, timeout=300.0,
+        env={**environment, 'PYTHONIOENCODING': encoding, 'PYTHONUTF8': '0'})
+    assert done.stderr == b'' and text in done.stdout
+
+
 def test_what_nobody_expected_is_one_line_too(environment):
     def run(*options):
         return subprocess.run([sys.executable, *options, '-c', FAILING, 'list'], text=True,
