@@ -396,7 +396,12 @@ def test_a_sweep_over_latencies_is_one_command_that_repeats_to_the_last_bit(
         assert run(tmp_path / name, '--state-latency', '0,0.4', seeds='0:2', worlds='1') == 0
         lines = capsys.readouterr().out.splitlines()
         assert any('latency of a state' in line for line in lines)
-        assert [line.split()[0] for line in lines if ' of 2 ' in line] == ['0', '0.4']
+        told = {line.split()[0]: line for line in lines if ' of 2 ' in line}
+        assert list(told) == ['0', '0.4']
+        for late, line in told.items():
+            summary = json.loads((tmp_path / name / f'latency_{late}/summary.json').read_text())
+            time_s = summary['median_time_of_success_s']
+            assert (' - ' if time_s is None else f' {time_s:.2f} s ') in line
     late = [rows(tmp_path / 'one' / f'latency_{late}') for late in ('0', '0.4')]
     assert late == [rows(tmp_path / 'two' / f'latency_{late}') for late in ('0', '0.4')]
     assert late[0] == rows(whole)[:2] and late[1] != late[0]
