@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Limits that MJCF has no attribute for and that a model keeps in ``user`` of its joints."""
+"""Velocity limits of joints: MJCF has no attribute for them."""
 
 from __future__ import annotations
 
@@ -24,3 +24,17 @@ def declared_velocity(model: mujoco.MjModel, joints: ArrayLike) -> FloatArray:
         return np.full(joints.shape, np.inf)
     declared = model.jnt_user[joints, 0]
     return np.where(declared > 0.0, declared, np.inf)
+
+
+def velocity_of_servos(model: mujoco.MjModel, actuators: ArrayLike) -> FloatArray:
+    """
+    Return the highest velocities that velocity servos take, infinite for other actuators.
+
+    :param actuators: their ids, of any shape
+    :returns: at the joints [rad/s or m/s], of that shape
+    """
+    ids = np.asarray(actuators, dtype=int)
+    limited = ((model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0.0)
+               & (model.actuator_ctrllimited[ids] != 0))
+    highest = np.abs(model.actuator_ctrlrange[ids]).min(axis=-1)
+    return np.where(limited, highest / np.abs(model.actuator_gear[ids, 0]), np.inf)

@@ -12,7 +12,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
-from manip_sim.models.declared_limits import declared_velocity
+from manip_sim.models.declared_limits import declared_velocity, velocity_of_servos
 
 #: Lag of a position servo whose gains are derived [s]: damping over stiffness.
 _LAG_S = 0.013
@@ -110,11 +110,7 @@ class DryFriction:
 
 def velocity_limit(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> FloatArray:
     """Return velocity limits [rad/s or m/s], (n,): declared, of a velocity servo, or a default."""
-    velocity_servo = (model.actuator_biasprm[ids, 1] == 0.0) & (model.actuator_biasprm[ids, 2] < 0)
-    of_servo = np.where(velocity_servo & (model.actuator_ctrllimited[ids] != 0),
-                        np.abs(model.actuator_ctrlrange[ids]).min(axis=1)
-                        / np.abs(model.actuator_gear[ids, 0]), np.inf)
-    limit = np.minimum(declared_velocity(model, joint_ids), of_servo)
+    limit = np.minimum(declared_velocity(model, joint_ids), velocity_of_servos(model, ids))
     return np.where(np.isfinite(limit), limit, _DEFAULT_VELOCITY)
 
 

@@ -3,12 +3,16 @@
 
 """Tests of every robot of the catalogue with its own base and grippers."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
 from sampling import Driven, sampled, whole_robot
 
+from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
+from manip_sim.simulation import Simulation
 
 
 @pytest.fixture(params=robot_names())
@@ -24,6 +28,17 @@ def test_robot_holds_its_start_for_two_seconds(simulation, run):
     np.testing.assert_allclose(start, simulation.robot.robot_model.init_qpos)
     run(simulation, 2.0)
     np.testing.assert_allclose(simulation.robot.state().position[own], start, atol=1e-3)
+
+
+@pytest.mark.parametrize('name', robot_names())
+def test_the_urdf_has_the_velocity_limits_that_are_kept(name):
+    world = compose(name)
+    controlled = Simulation(world).robot.joints
+    limits = {joint.get('name'): float(joint.find('limit').get('velocity'))
+              for joint in ElementTree.fromstring(world.to_urdf()).iter('joint')
+              if joint.get('name') in controlled.names}
+    assert limits == dict(zip(controlled.names, controlled.velocity_limits(
+        controlled.find(controlled.names))))
 
 
 def test_nothing_touches_the_tool_at_the_start(simulation, run):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from manip_sim.models.declared_limits import declared_velocity
+from manip_sim.models.declared_limits import declared_velocity, velocity_of_servos
 from manip_sim.quoting import quoted
 
 #: Of a joint without a limit, as in the simulation's servos [rad/s or m/s].
@@ -159,12 +159,20 @@ def _force_limit(model: mujoco.MjModel, actuator: int) -> float:
     return float(np.inf)
 
 
-def velocity_limit(model: mujoco.MjModel, joint: int, mimics: Mapping[int, Mimic]) -> float:
-    """Return the velocity limit of a joint [rad/s or m/s]: as declared, or by what it follows."""
-    declared = float(declared_velocity(model, joint))
-    if np.isfinite(declared):
-        return declared
+def velocity_limit(model: mujoco.MjModel, joint: int, mimics: Mapping[int, Mimic],
+                   actuators: Mapping[int, list[tuple[int, float]]]) -> float:
+    """
+    Return the velocity limit of a joint [rad/s or m/s].
+
+    It is that of the joint or its velocity servo, or that of what the joint follows.
+
+    :param actuators: as :func:`actuated_joints` returns
+    """
+    servos = velocity_of_servos(model, [number for number, _ in actuators.get(joint, [])])
+    limit = min(float(declared_velocity(model, joint)), float(servos.min(initial=np.inf)))
+    if np.isfinite(limit):
+        return limit
     if joint in mimics:
         mimic = mimics[joint]
-        return abs(mimic.multiplier) * velocity_limit(model, mimic.leader, {})
+        return abs(mimic.multiplier) * velocity_limit(model, mimic.leader, {}, actuators)
     return DEFAULT_VELOCITY

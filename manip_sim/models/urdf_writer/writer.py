@@ -120,7 +120,7 @@ class _UrdfWriter:
         model, number = self._model, joint.id
         limits = {
             'effort': effort_limit(model, number, self._actuators.get(number, [])),
-            'velocity': velocity_limit(model, number, self._mimics)}
+            'velocity': velocity_limit(model, number, self._mimics, self._actuators)}
         if model.jnt_limited[number]:
             limits['lower'], limits['upper'] = model.jnt_range[number]
         elif int(model.jnt_type[number]) != _HINGE:
