@@ -5,7 +5,7 @@
 
 import pytest
 
-from manip_sim.ros import actions, planning_scene_publisher, standard_services, transforms
+from manip_sim.ros import actions, scene, standard_services, transforms
 from manip_sim.ros.optional_packages import import_optional
 
 
@@ -25,7 +25,7 @@ def test_each_package_that_is_missing_is_noted_with_the_way_to_get_it(
     monkeypatch.setattr(actions, 'load_action_types', lambda: None)
     monkeypatch.setattr(standard_services, 'AVAILABLE', False)
     monkeypatch.setattr(transforms, 'TFMessage', None)
-    monkeypatch.setattr(planning_scene_publisher, 'moveit_msgs', None)
+    monkeypatch.setattr(scene, 'PLANS', False)
     log = client.log()
     serve()
     end = 'is not installed; it is not available from pip: apt install'
