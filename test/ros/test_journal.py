@@ -77,7 +77,8 @@ def test_the_record_of_a_node_is_repeated(parameters, sim_process, record, proce
     code, lines = replayed(process, path)
     assert (code, lines[-1]) == (0, '1 of 1 equal'), lines
     periods, changes = (int(word) for word in lines[0].split() if word.isdigit())
-    assert periods > 60 and changes > 20
+    # Off lock-step, how much arrives in time is up to the machine.
+    assert periods > 60 and changes > (20 if 'stepping:=lockstep' in parameters else 0)
 
 
 @pytest.mark.parametrize('victim', ['node', 'recorder'])

@@ -12,7 +12,6 @@ from std_msgs.msg import String, UInt8MultiArray
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
-from manip_sim.models.declared_limits import declared_velocity  # noqa: E402
 from manip_sim.viewer.ros.discovery import Discovery  # noqa: E402
 from manip_sim.viewer.ros.readers import Readers  # noqa: E402
 
@@ -65,8 +64,8 @@ def test_robots_and_their_limits_are_those_of_the_node(client, serve):
         assert [joint.name for joint in arm.joints] == list(robot.parts['arm'].joints)
         for joint in arm.joints:
             assert joint.ranges['position'] == pytest.approx(model.joint(joint.name).range)
-    base = [model.joint(name).id for name in robot.parts['base'].joints]
-    assert right.twist == pytest.approx(declared_velocity(model, base))
+    base = robot.joints.find(robot.parts['base'].joints)
+    assert right.twist == pytest.approx(robot.joints.velocity_limits(base))
 
 
 def test_limits_are_those_of_the_description(client, other):
