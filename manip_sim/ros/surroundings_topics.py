@@ -61,35 +61,46 @@ class SurroundingsTopics(Publications):
         self.statistics: dict[str, CommandStatistics] = {}
         self._take: dict[str, Callable[[str, Any], None]] = {
             'direct_command': self._command, 'mocap_pose': self._target, 'pull': self._pull}
-        rows = [row for row in topics_of_surroundings(self._surroundings) if row not in _LOOSE]
-        self._lasting = tuple(
-            self._publication(row) for row in rows if row.direction == PUBLISHED)
-        for row in rows:
-            if row.direction != PUBLISHED:
-                self._subscribe(row)
+        self._outputs: dict[Topic, Publication] = {}
+        self._inputs: dict[Topic, CommandSubscription] = {}
         self._loose: tuple[tuple[str, ...], Output] | None = None
         self.follow(simulation)
 
     def follow(self, simulation: Simulation) -> None:
         """
-        Serve the actuators of no part that there are now; their commands stay subscribed to.
+        Serve the mocap bodies and the actuators of no part that there are now.
 
-        To be called in the thread that spins the node, or before it spins.
+        Commands of actuators stay subscribed to. To be called in the thread that spins the node,
+        or before it spins.
 
-        :param simulation: with these actuators
+        :param simulation: with these
         """
+        rows = [row for row in topics_of_surroundings(simulation.surroundings)
+                if row not in _LOOSE]
+        gone = [self._outputs.pop(row) for row in [*self._outputs] if row not in rows]
+        for row in [row for row in self._inputs if row not in rows]:
+            self._inputs.pop(row).close()
+            del self.statistics[_counted_as(row)]
+        for row in rows:
+            if row.direction == PUBLISHED and row not in self._outputs:
+                self._outputs[row] = self._publication(row)
+            elif row.direction != PUBLISHED and row not in self._inputs:
+                self._inputs[row] = self._subscribe(row)
+        closed = [topic.output for topic in gone] + self._follow_actuators(simulation)
+        self.replace((*self._outputs.values(), *(
+            () if self._loose is None else (self._loose_publication(*self._loose),))))
+        for output in closed:
+            output.close(self._node)
+
+    def _follow_actuators(self, simulation: Simulation) -> list[Output]:
+        """Serve the actuators of no part, and return what publishes nothing any more."""
         names, states = simulation.surroundings.other_actuators, self._loose
-        if states is not None and states[0] == names:
-            return
         if states is None and names:
             if ACTUATORS not in self.statistics:
                 self._subscribe(_LOOSE[1])
             states = names, create_output(self._node, self._log, _LOOSE[0])
         self._loose = (names, states[1]) if states is not None and names else None
-        self.replace(self._lasting if self._loose is None else (
-            *self._lasting, self._loose_publication(*self._loose)))
-        if states is not None and self._loose is None:
-            states[1].close(self._node)
+        return [states[1]] if states is not None and self._loose is None else []
 
     def _loose_publication(self, names: tuple[str, ...], output: Output) -> Publication:
         def read(simulation: Simulation) -> FloatArray | None:
@@ -103,13 +114,16 @@ class SurroundingsTopics(Publications):
         if row.by == 'arena_joints':
             return Publication(output, partial(messages.joint_state, found.joints),
                                lambda _: found.state(), 3 * len(found.joints))
-        return Publication(output, partial(messages.pose_stamped, self._prefix + messages.WORLD),
-                           lambda _: found.pose(row.of), 7)
 
-    def _subscribe(self, row: Topic) -> None:
+        def pose(_: Simulation) -> FloatArray | None:
+            # The body may be gone before follow() is called.
+            return found.pose(row.of) if row.of in found.mocap_names else None
+        return Publication(
+            output, partial(messages.pose_stamped, self._prefix + messages.WORLD), pose, 7)
+
+    def _subscribe(self, row: Topic) -> CommandSubscription:
         message_type, use = message_class(row), partial(self._take[row.by], row.of)
-        counts = self.statistics[
-            'pull' if row.by == 'pull' else row.name.rpartition('/')[0]] = CommandStatistics()
+        counts = self.statistics[_counted_as(row)] = CommandStatistics()
 
         def take(data: bytes) -> None:
             try:
@@ -120,7 +134,7 @@ class SurroundingsTopics(Publications):
                 self._log.warn(row.name, kind_of(error),
                                f'rejected a message on {row.name}: {error}')
 
-        CommandSubscription(self._node, message_type, row.name, take, self._inbox)
+        return CommandSubscription(self._node, message_type, row.name, take, self._inbox)
 
     def _command(self, part: str, message: JointState) -> None:
         found = self._surroundings.commands[part]
@@ -163,3 +177,8 @@ class SurroundingsTopics(Publications):
         pulls.check(message.ns, point, target)
         self._thread.at_next_period(
             key, 'pull', message.ns, point, target, message.id)
+
+
+def _counted_as(row: Topic) -> str:
+    """Return the key of a topic in the statistics."""
+    return 'pull' if row.by == 'pull' else row.name.rpartition('/')[0]
