@@ -90,7 +90,7 @@ def hold_model(file: Path, files: Files) -> HeldModel:
     :raises ModelError: if a file must not be or cannot be read, is not what its suffix says, or
         something is too large
     """
-    model = XmlModel(file, Budget(LIMITS), files=files, keep_tree=True)
+    model = XmlModel(file, Budget(LIMITS), files=files)
     held = HeldModel(str(file))
     held.xml = _hold(model, held, files)
     held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS

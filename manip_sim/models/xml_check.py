@@ -10,6 +10,7 @@ or exhaust the memory.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -24,6 +25,7 @@ from manip_sim.quoting import one_line, quoted
 
 #: The elements that name files, or say where they are.
 _FOLLOWED = frozenset(('include', 'model', 'attach', 'compiler', 'mesh'))
+_CHECKED = _FOLLOWED | LIMITED | {'composite'}
 
 
 @dataclass
@@ -68,6 +70,21 @@ def check_xml(file: Path) -> XmlFacts:
     return XmlFacts(model.root == 'robot', model.folders, model.mesh_files)
 
 
+@dataclass
+class _OpenFile:
+    """A file that is looked through, and how many of its elements were looked at."""
+
+    data: bytes
+    looked_at: int = 0
+
+    def line(self) -> int:
+        """Return the line of the last of them; it is read again, since trees have no lines."""
+        parser, lines = expat.ParserCreate(), []
+        parser.StartElementHandler = lambda *_: lines.append(parser.CurrentLineNumber)
+        parser.Parse(self.data, True)
+        return lines[self.looked_at - 1]
+
+
 class XmlModel:
     """
     One model: its file and all that it includes; models that it attaches have their own.
@@ -76,9 +93,9 @@ class XmlModel:
     :param budget: what its files may still use
     :param loaded_by: the files of models that are being loaded, the outermost first
     :param files: those that it may be loaded from
-    :param keep_tree: whether to keep :attr:`tree`
     :raises ModelError: naming file and line
     :ivar root: tag of its root element, ``mujoco`` or ``robot``
+    :ivar tree: its root element, with what included files hold in place of the includes
     :ivar elements: how many there are, copies included
     :ivar folders: of the model, then of the models that are attached to it
     :ivar mesh_files: names of mesh files in a URDF, by the last part of the name
@@ -86,15 +103,11 @@ class XmlModel:
     """
 
     def __init__(self, file: Path, budget: Budget, loaded_by: tuple[Path, ...] = (),
-                 files: Files | None = None, keep_tree: bool = False) -> None:
+                 files: Files | None = None) -> None:
         self.root = self.name = ''
         self.elements = 0
         self.models: dict[str, XmlModel] = {}
         self._files = files or Files()
-        self._builder = ElementTree.TreeBuilder() if keep_tree else None
-        #: For each open element, whether the tree gets it.
-        self._kept: list[bool] = []
-        self._includes = False
         self.mesh_files: dict[str, str] = {}
         self.folders = [AssetFolders(file.parent)]
         self._file = file
@@ -102,22 +115,16 @@ class XmlModel:
         #: How the current file is reached: the files of models that are being loaded, the
         #: outermost first, then those that include each other, down to the current one.
         self._chain = list(loaded_by)
-        self._parsers: list[expat.XMLParserType] = []
-        #: Number of copies that are made of each open element.
-        self._times = [1]
+        #: The contents of these files of this model, and how many elements were looked at in each.
+        self._open: list[_OpenFile] = []
         self._by_name: dict[str, XmlModel] = {}
         self._attached: list[tuple[str, str, int]] = []
-        self._read(file, 'model file' if loaded_by else 'MJCF file')
+        self.tree = self._read(file, 'model file' if loaded_by else 'MJCF file')
         for attached in self._attached:
             self._count_attached(*attached)
 
-    @property
-    def tree(self) -> ElementTree.Element:
-        """The root element, with what included files hold in place of the includes."""
-        assert self._builder is not None
-        return self._builder.close()
-
-    def _read(self, file: Path, kind: str) -> None:
+    def _read(self, file: Path, kind: str, times: int = 1, depth: int = 0) -> ElementTree.Element:
+        """Return the root element of a file, which is made some times, in so many elements."""
         limits = self._budget.limits
         data = self._files.read(file, kind, limits.bytes)
         real = Path(os.path.realpath(file))
@@ -131,66 +138,75 @@ class XmlModel:
             raise ModelError(f'{one_line(str(self._file))} is loaded from more than '
                              f'{limits.files} files, {limits.bytes / 1e6:.0f} MB of XML, or files '
                              f'that are loaded by others {limits.depth} deep')
-        parser = expat.ParserCreate()
-        parser.StartElementHandler = self._start if self._builder is None else self._keep
-        parser.EndElementHandler = self._end
-        parser.EntityDeclHandler = self._reject_entities
         self._chain.append(real)
-        self._parsers.append(parser)
+        self._open.append(_OpenFile(data))
         try:
-            parser.Parse(data, True)
+            root = self._parsed(data)
         except (expat.ExpatError, LookupError) as error:
             raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}') from error
-        self._parsers.pop()
+        self._look_through(root, times, depth)
+        self._open.pop()
         self._chain.pop()
+        return root
 
-    @property
-    def _place(self) -> str:
-        line = self._parsers[-1].CurrentLineNumber
-        return f'{one_line(str(self._chain[-1]))}, line {line}'
+    def _parsed(self, data: bytes) -> ElementTree.Element:
+        """Return the root element; Python runs for no other element."""
+        parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder()
 
-    def _reject_entities(self, name: str, *_: object) -> NoReturn:
-        raise ModelError(f'{self._place}: the entity {quoted(name)} is declared; models must not '
-                         'declare any')
+        def reject_entities(name: str, *_: object) -> NoReturn:
+            where = self._place(parser.CurrentLineNumber)
+            raise ModelError(f'{where}: the entity {quoted(name)} is declared; models must not '
+                             'declare any')
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+        parser.EntityDeclHandler = reject_entities
+        parser.Parse(data, True)
+        return builder.close()
+
+    def _look_through(self, root: ElementTree.Element, times: int, depth: int) -> None:
+        """Check all elements of a file in its order, and follow those that name files."""
         if not self.root:
-            self._begin(tag, attributes)
-        times = self._times[-1]
-        self.elements += times
-        if times > 1:
-            self._make(times)
-        if tag == 'replicate':
-            times *= product(attributes, 'count')
-        elif tag in ('composite', 'flexcomp'):
+            self._begin(root.tag, root.attrib)
+        current, limits = self._open[-1], self._budget.limits
+        #: For each open element, its children that are left, itself and the copies of a child.
+        levels: list[tuple[Iterator[ElementTree.Element], ElementTree.Element | None, int]] = [
+            (iter([root]), None, times)]
+        while levels:
+            siblings, parent, times = levels[-1]
+            for element in siblings:
+                current.looked_at += 1
+                if (self.elements >= limits.elements
+                        or depth + len(levels) > limits.nested):
+                    raise ModelError(
+                        f'{self._place()}: a model may have at most {limits.elements} elements, '
+                        f'{limits.nested} in each other')
+                self.elements += times
+                if times > 1:
+                    self._make(times)
+                children = element[:]
+                if element.tag in _CHECKED:
+                    self._check(element, parent, times, depth + len(levels))
+                if children:
+                    copies = times * (product(element.attrib, 'count')
+                                      if element.tag == 'replicate' else 1)
+                    levels.append((iter(children), element, copies))
+                    break
+            else:
+                levels.pop()
+
+    def _check(self, element: ElementTree.Element, parent: ElementTree.Element | None,
+               times: int, depth: int) -> None:
+        tag, attributes = element.tag, element.attrib
+        if tag in ('composite', 'flexcomp'):
             self._make(times * product(attributes, 'count'))
-        self._times.append(times)
         if tag in LIMITED:
             self._count_vertices(times * flex_vertices(tag, attributes))
             self._check_numbers(tag, attributes)
         if tag in _FOLLOWED:
-            self._follow(tag, attributes)
+            self._follow(element, parent, times, depth)
 
-    def _keep(self, tag: str, attributes: dict[str, str]) -> None:
-        assert self._builder is not None
-        if not self.root:
-            self._begin(tag, attributes)
-        limits = self._budget.limits
-        if self.elements >= limits.elements or len(self._kept) >= limits.nested:
-            raise ModelError(f'{self._place}: a model may have at most {limits.elements} '
-                             f'elements, {limits.nested} in each other')
-        # What is in the root of an included file takes the place of the include.
-        is_included_root, self._includes = self._includes, False
-        self._kept.append(
-            not is_included_root and not (tag == 'include' and bool(attributes.get('file'))))
-        if self._kept[-1]:
-            self._builder.start(tag, attributes)
-        self._start(tag, attributes)
-
-    def _end(self, tag: str) -> None:
-        self._times.pop()
-        if self._builder is not None and self._kept.pop():
-            self._builder.end(tag)
+    def _place(self, line: int | None = None) -> str:
+        return f'{one_line(str(self._chain[-1]))}, line {line or self._open[-1].line()}'
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         if tag not in ('mujoco', 'robot'):
@@ -206,22 +222,26 @@ class XmlModel:
             if self._budget.keys < 0:
                 found = f'the number of keyframes is more than {self._budget.limits.keys}'
         if found:
-            raise ModelError(f'{self._place}: {found}')
+            raise ModelError(f'{self._place()}: {found}')
 
-    def _follow(self, tag: str, attributes: dict[str, str]) -> None:
+    def _follow(self, element: ElementTree.Element, parent: ElementTree.Element | None,
+                times: int, depth: int) -> None:
+        tag, attributes = element.tag, element.attrib
         file = attributes.get('file', '')
         if tag == 'include' and file:
-            self._include(file)
+            places = [self._file.parent / file, self._chain[-1].parent / file]
+            content = self._read(self._files.first(places), 'included file', times, depth)
+            _replace(element, parent, [*content, *element])
         elif tag == 'model':
             if not file:
                 # After it MuJoCo hangs when it attaches another spec.
-                raise ModelError(f'{self._place}: <model> needs a file')
+                raise ModelError(f'{self._place()}: <model> needs a file')
             model = XmlModel(self._file.parent / file, self._budget, tuple(self._chain),
-                             self._files, self._builder is not None)
+                             self._files)
             self._by_name[attributes.get('name', model.name)] = self.models[file] = model
         elif tag == 'attach':
             self._attached.append((attributes.get('model', ''), attributes.get('prefix', ''),
-                                   self._times[-1]))
+                                   times))
         elif tag == 'compiler':
             own = self.folders[0]
             directory = attributes.get('assetdir')
@@ -230,11 +250,6 @@ class XmlModel:
         elif tag == 'mesh' and 'filename' in attributes:
             name = attributes['filename']
             self.mesh_files[name.rpartition('/')[2]] = name
-
-    def _include(self, name: str) -> None:
-        places = [self._file.parent / name, self._chain[-1].parent / name]
-        self._includes = True
-        self._read(self._files.first(places), 'included file')
 
     def _count_attached(self, name: str, prefix: str, times: int) -> None:
         model = self._by_name.get(name)
@@ -248,12 +263,22 @@ class XmlModel:
     def _count_vertices(self, count: int) -> None:
         self._budget.flex -= count
         if self._budget.flex < 0:
-            raise ModelError(f'{self._place}: flexes with more than {self._budget.limits.flex} '
+            raise ModelError(f'{self._place()}: flexes with more than {self._budget.limits.flex} '
                              'vertices take MuJoCo too long')
 
     def _make(self, count: int) -> None:
         self._budget.made -= count
         if self._budget.made < 0:
-            where = self._place if self._parsers else one_line(str(self._file))
+            where = self._place() if self._open else one_line(str(self._file))
             raise ModelError(f'{where}: elements that make several, such as replicate, would make '
                              f'more than {self._budget.limits.made}')
+
+
+def _replace(element: ElementTree.Element, parent: ElementTree.Element | None,
+             content: list[ElementTree.Element]) -> None:
+    """Put other elements in place of one; in a root, which is left out, in place of its own."""
+    if parent is None:
+        element[:] = content
+    else:
+        place = list(parent).index(element)
+        parent[place:place + 1] = content

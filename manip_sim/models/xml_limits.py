@@ -8,21 +8,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math
+import sys
 
 #: Number of keyframes, which MuJoCo takes long to remove.
 MAX_KEYS = 1000
 _MAX_USER = 1000
-#: Largest product of the numbers in attributes, by element and attributes.
-_MAX_PRODUCT: Mapping[tuple[str, tuple[str, ...]], float] = {
-    ('hfield', ('nrow', 'ncol')): 4000**2,
-    ('numeric', ('size',)): 1e6,
-    ('size', ('nkey',)): MAX_KEYS,
-    ('size', ('nuserdata',)): 1e7,
-    **{('size', (f'nuser_{kind}',)): _MAX_USER for kind in (
-        'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')}}
+#: Largest products of the numbers in attributes, by element.
+_MAX_PRODUCTS: Mapping[str, tuple[tuple[tuple[str, ...], float], ...]] = {
+    'hfield': ((('nrow', 'ncol'), 4000**2),),
+    'numeric': ((('size',), 1e6),),
+    'size': ((('nkey',), MAX_KEYS), (('nuserdata',), 1e7), *(
+        ((f'nuser_{kind}',), _MAX_USER) for kind in (
+            'body', 'jnt', 'geom', 'site', 'cam', 'tendon', 'actuator', 'sensor')))}
 #: The elements that :func:`excess` and :func:`flex_vertices` look at, and keyframes.
 LIMITED = frozenset(
-    ['mesh', 'texture', 'flexcomp', 'flex', 'key', *(tag for tag, _ in _MAX_PRODUCT)])
+    ['mesh', 'texture', 'flexcomp', 'flex', 'key', *_MAX_PRODUCTS])
 #: Larger textures and meshes take many seconds and gigabytes.
 _MAX_PIXELS = 120_000_000
 _MAX_MESH_PARAMETER = 500
@@ -39,7 +39,7 @@ class Limits:
     :ivar made: bodies, geoms and so on that ``replicate``, ``composite`` and the like make
     :ivar flex: vertices of flexes, for which MuJoCo takes time that grows with their square
     :ivar keys: keyframes, which MuJoCo takes long to remove
-    :ivar elements: of a model whose tree is kept, copies included
+    :ivar elements: of a model, copies included
     :ivar nested: depth to which these may be in each other
     """
 
@@ -49,8 +49,8 @@ class Limits:
     made: int = 20_000
     flex: int = 5000
     keys: int = MAX_KEYS
-    elements: int = 1_000_000
-    nested: int = 200
+    elements: int = sys.maxsize
+    nested: int = sys.maxsize
 
 
 @dataclass
@@ -77,8 +77,8 @@ def excess(tag: str, attributes: Mapping[str, str]) -> str:
     :param attributes: of the element, as text
     :returns: what is more than how much; empty if nothing is
     """
-    for (element, names), most in _MAX_PRODUCT.items():
-        if element == tag and product(attributes, *names) > most:
+    for names, most in _MAX_PRODUCTS.get(tag, ()):
+        if product(attributes, *names) > most:
             return _more(f'{" times ".join(names)} of {tag}', most)
     if tag == 'mesh' and max(_numbers(attributes, 'params'), default=0) > _MAX_MESH_PARAMETER:
         return _more('a parameter of a builtin mesh', _MAX_MESH_PARAMETER)

@@ -44,7 +44,7 @@ def test_a_product_is_of_what_is_above_one_and_has_an_end(text, expected):
 def model(tmp_path, limits, **files):
     for name, content in files.items():
         (tmp_path / f'{name}.xml').write_text(content)
-    return XmlModel(tmp_path / 'main.xml', Budget(Limits(**limits)), keep_tree=True)
+    return XmlModel(tmp_path / 'main.xml', Budget(Limits(**limits)))
 
 
 MAIN = '<mujoco><include file="a.xml"/><include file="a.xml"/></mujoco>'
