@@ -16,6 +16,7 @@ from manip_sim.cli.composition import compose_from
 from manip_sim.errors import ModelError
 from manip_sim.models import World
 from manip_sim.models.loading import compile_spec, load_spec
+from manip_sim.models.lost_shapes import lost_shapes
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.start_check import find_start_defects
 from manip_sim.simulation.start_defect import StartDefect
@@ -30,7 +31,10 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         note = ''
     else:
         world = compose_from(options).composition.world
-        name, defects = f'{world.name} in arena {world.arena.arena_name}', _defects_of(world)
+        name = f'{world.name} in arena {world.arena.arena_name}'
+        defects = [*_defects_of(world), *(StartDefect(
+            'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
+            'model') for sentence in lost_shapes(world))]
         prefixes = [part.naming_prefix for robot in world.robots
                     for part in (robot, *robot.models)]
         note = f'Names in the files lack the prefixes {", ".join(prefixes)}.'

@@ -10,6 +10,7 @@ from typing import Any
 
 from manip_sim.interface.topics import Scope
 from manip_sim.models import World
+from manip_sim.models.lost_shapes import inferred_by_model, LostShape
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.modes import MODES, POSITION
 
@@ -59,12 +60,11 @@ def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
 
 def inferred(world: World) -> Iterator[str]:
     """
-    Yield what was inferred about each model that comes from a file.
+    Yield what was inferred about each model that comes from a file, but for lost shapes.
 
     :param world: the world of the models
     """
-    models: list[Any] = [world.arena, *world.objects, *world.robots]
-    for model in (*models, *(part for robot in world.robots for part in robot.models)):
-        sentences = getattr(model, 'inferred', None)
-        if sentences:
-            yield f'{model.name}: inferred: {"; ".join(sentences)}'
+    for name, sentences in inferred_by_model(world):
+        kept = [sentence for sentence in sentences if not isinstance(sentence, LostShape)]
+        if kept:
+            yield f'{name}: inferred: {"; ".join(kept)}'

@@ -25,6 +25,7 @@ from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
 from manip_sim.interface.world_topics import (
     topics_of_objects, topics_of_surroundings, topics_of_world)
 from manip_sim.models import World
+from manip_sim.models.lost_shapes import lost_shapes
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import ActionServers, offer_actions
@@ -307,6 +308,8 @@ class SimNode(Node):
         log.info(introduction(self.robots, self.simulation, value, self.thread.paused))
         for note in (*inferred(self._world), *self.notes):
             log.info(note)
+        for sentence in lost_shapes(self._world):
+            log.warning(sentence)
         for defect in self.simulation.start_defects:
             log.warning(f'start: {defect}')
         if (value('ros2_control_tag') and value('stepping') == 'lockstep'

@@ -13,7 +13,8 @@ class StartDefect:
     """
     A defect in one sentence, and what to write instead.
 
-    :ivar kind: ``overlap``, ``blocked``, ``range``, ``actuators``, ``undriven`` or ``effort``
+    :ivar kind: ``overlap``, ``blocked``, ``range``, ``actuators``, ``undriven``,
+        ``effort``, ``control`` or ``meshes``
     :ivar text: what is wrong, with the names of the compiled model
     :ivar remedy: what to write, with the names of the compiled model
     """

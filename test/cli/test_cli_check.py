@@ -3,6 +3,8 @@
 
 """``manip_sim check``: compositions and files, and what it says to write."""
 
+from pathlib import Path
+
 import pytest
 
 from test_cli_list import NAMES
@@ -49,6 +51,21 @@ def test_a_robot_that_stands_in_the_table_is_told_to_move(here):
     assert "geom 'table_collision' of body 'table'" in text
     assert "fix: place the robot elsewhere (its position, or base_xpos_offset), or move 'table'" \
         in text
+
+
+def test_missing_meshes_are_defects_unless_a_line_accepts_them(here, tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    monkeypatch.delenv('ROS_PACKAGE_PATH', raising=False)
+    file = Path(__file__).resolve().parents[1] / 'data/files/no_meshes.urdf'
+    code, text, _ = here('check', '--robot', file, '--position', '0', '0', '0.5')
+    assert code == 1
+    assert text.count('left out: 1 ') == 2
+    assert "source the workspace that has 'elsewhere'" in text
+    assert 'accept it by meshes: none' in text
+    accepted = tmp_path / 'arm.yaml'
+    accepted.write_text(f'model: {file}\nmeshes: none\n')
+    _, text, _ = here('check', '--robot', accepted, '--position', '0', '0', '0.5')
+    assert 'left out' not in text
 
 
 def test_a_file_without_defects_is_told_so(here, mjcf):

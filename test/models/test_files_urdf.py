@@ -14,6 +14,8 @@ from files_rig import write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, load_gripper, load_robot
+from manip_sim.models.lost_shapes import LostShape
+from manip_sim.simulation import Simulation
 
 INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
 SOLID = f'<inertial><origin xyz="0 0 0.1"/><mass value="1"/>{INERTIA}</inertial>'
@@ -157,31 +159,66 @@ def test_meshes_are_found_in_other_packages(tmp_path, monkeypatch, variable, pla
     assert load_robot(file).compile().nmesh == 1
 
 
-@pytest.mark.parametrize(('name', 'message'), [
-    ('package://acme/link.stl', "mesh 'package://acme/link.stl' of link 'upper' in .*arm.urdf: "
-                                "package 'acme' is neither in AMENT_PREFIX_PATH or "),
-    ('gone.stl', "mesh 'gone.stl' of link 'upper' in .*arm.urdf: no such file: .*gone.stl")])
-def test_a_mesh_that_is_missing_is_told_with_its_link(tmp_path, monkeypatch, name, message):
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
-    monkeypatch.delenv('ROS_PACKAGE_PATH', raising=False)
-    with pytest.raises(ModelError, match=message):
-        load_robot(write(tmp_path / 'arm.urdf', with_mesh(name)))
+NO_MESHES = Path(__file__).resolve().parents[1] / 'data/files/no_meshes.urdf'
 
 
-def test_a_line_loads_a_model_without_any_of_its_meshes(tmp_path, monkeypatch):
+@pytest.fixture
+def no_packages(monkeypatch):
     monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     monkeypatch.delenv('ROS_PACKAGE_PATH', raising=False)
-    file = Path(__file__).resolve().parents[1] / 'data/files/no_meshes.urdf'
-    with pytest.raises(ModelError, match="package 'elsewhere' is neither .*; 'meshes: none' in a "
-                                         'YAML file loads the model without the shapes'):
-        load_robot(file)
-    robot = load_robot(write(tmp_path / 'arm.yaml', f'model: {file}\nmeshes: none\n'))
-    assert any("left out: 1 visual shapes of files that cannot be read, such as 'package://else"
-               "where/base.stl' (package 'elsewhere' is neither" in said
-               for said in robot.inferred)
+
+
+def lost(robot):
+    return [sentence for sentence in robot.inferred if isinstance(sentence, LostShape)]
+
+
+@pytest.mark.usefixtures('no_packages')
+@pytest.mark.parametrize(('name', 'why', 'remedy'), [
+    ('package://acme/link.stl', "package 'acme' is neither in AMENT_PREFIX_PATH or ROS_PACKAGE_"
+     'PATH nor a folder above the file', "source the workspace that has 'acme', or add its folder "
+     'to ROS_PACKAGE_PATH'),
+    ('gone.stl', 'no such file: {folder}/gone.stl', 'put it there, or correct its name'),
+    ('pointer.stl', '{folder}/pointer.stl was not fetched from Git LFS',
+     "run 'git lfs pull' in {folder}"),
+    ('part.step', 'not one of .stl, .obj, .msh, .dae, .glb, .gltf, .ply, .off',
+     'convert it to STL or OBJ')])
+def test_a_robot_loads_without_a_mesh_and_warns_with_link_and_remedy(tmp_path, name, why, remedy):
+    write(tmp_path / 'pointer.stl', 'version https://git-lfs.github.com/spec/v1\noid sha256:0\n')
+    write(tmp_path / 'part.step', 'solid')
+    file = write(tmp_path / 'arm.urdf', with_mesh(name))
+    first, last = lost(load_robot(file))
+    why, remedy = (text.format(folder=tmp_path) for text in (why, remedy))
+    assert first == (
+        f"left out: 1 collision shapes of files that cannot be read, such as '{name}' ({why}) of "
+        f"link 'upper' in {file}; nothing touches these links there; {remedy}")
+    assert last == (f'no collision shape is left in {file}: nothing touches it, and it cannot be '
+                    'seen')
+
+
+@pytest.mark.usefixtures('no_packages')
+def test_masses_and_motion_stay_without_any_mesh():
+    robot = load_robot(NO_MESHES)
+    causes = [sentence.partition(' such as ')[2] for sentence in lost(robot)]
+    assert causes[0].startswith("'gone.stl' (no such file") and 'nothing touches' in causes[0]
+    assert causes[1].startswith("'package://elsewhere/base.stl' (package 'elsewhere' is neither")
+    assert 'nothing touches' not in causes[1]
+    assert lost(robot)[2].endswith('nothing touches it, and it cannot be seen')
     # The shoulder has no inertia, and neither has what is fixed to it.
     assert '1 g for links without inertia and shape: shoulder' in robot.inferred
-    assert compose(robot).compile().body('robot0_shoulder').mass[0] == pytest.approx(1e-3)
+    model = compose(robot).compile()
+    assert model.body('robot0_shoulder').mass[0] == pytest.approx(1e-3)
+    assert model.body('robot0_forearm').mass[0] == 1.0
+    simulation = Simulation(compose(load_robot(NO_MESHES)))
+    start = simulation.robot.state().position
+    simulation.advance(500)
+    np.testing.assert_allclose(simulation.robot.state().position, start, atol=5e-3)
+
+
+@pytest.mark.usefixtures('no_packages')
+def test_a_line_says_that_the_meshes_are_not_expected(tmp_path):
+    robot = load_robot(write(tmp_path / 'arm.yaml', f'model: {NO_MESHES}\nmeshes: none\n'))
+    assert not lost(robot)
+    assert [said for said in robot.inferred if 'left out: 1 visual shapes of files that' in said]
 
 
 def test_a_mesh_that_mujoco_cannot_read_is_replaced_or_left_out(tmp_path):
@@ -225,17 +262,17 @@ def test_a_urdf_may_be_called_xml(tmp_path):
     assert load_robot(write(tmp_path / 'arm.xml', URDF)).eef_name == {'right': 'robot0_tool0'}
 
 
-def test_a_mesh_that_is_missing_beside_others_is_left_out_and_told(tmp_path):
+def test_of_meshes_beside_others_each_kind_is_told(tmp_path):
     mesh_file(tmp_path / 'there.stl')
     shape = '<{0}><geometry><mesh filename="{1}"/></geometry></{0}>'
-    text = with_mesh('there.stl')
-    (begin, end) = text.split('<link name="upper">')
-    for kind, lost in (('visual', ''), ('collision', '; nothing touches these links there')):
+    (begin, end) = with_mesh('there.stl').split('<link name="upper">')
+    for kind in ('visual', 'collision'):
         file = write(tmp_path / f'{kind}.urdf', (
             f'{begin}<link name="upper">{shape.format(kind, "gone.stl")}{end}'))
         robot = load_robot(file)
-        assert f"left out: 1 {kind} shapes of files that cannot be read, such as 'gone.stl' " \
-            f'(no such file: {tmp_path / "gone.stl"}){lost}' in robot.inferred
+        (sentence,) = lost(robot)
+        assert f'left out: 1 {kind} shapes' in sentence
+        assert ('nothing touches' in sentence) == (kind == 'collision')
         assert robot.compile().nmesh == 1
 
 
@@ -276,22 +313,19 @@ def test_of_an_element_that_is_there_twice_the_first_is_read(tmp_path, element, 
     assert [model.geom_pos[geom][2] for geom in boxes] == [0.3]
 
 
-def test_a_mesh_that_a_renamed_package_lacks_is_left_out_beside_others(tmp_path, monkeypatch):
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+@pytest.mark.usefixtures('no_packages')
+def test_each_missing_package_is_told(tmp_path):
     mesh_file(tmp_path / 'acme' / 'meshes' / 'link.stl')
     (begin, end) = with_mesh('package://old_name/meshes/link.stl').split('<link name="upper">')
-    lost = '<collision><geometry><mesh filename="package://{}/meshes/lost.stl"/></geometry>' \
-        '</collision>'
-    for package in ('old_name', 'other_name'):
-        file = write(tmp_path / 'acme' / 'urdf' / f'{package}.urdf',
-                     f'{begin}<link name="upper">{lost.format(package)}{end}')
-        if package == 'old_name':
-            robot = load_robot(file)
-            assert robot.compile().nmesh == 1
-            assert any('nothing touches these links' in told for told in robot.inferred)
-        else:
-            with pytest.raises(ModelError, match="package 'other_name' is neither"):
-                load_robot(file)
+    shape = '<visual><geometry><mesh filename="package://{}/meshes/lost.stl"/></geometry></visual>'
+    file = write(tmp_path / 'acme' / 'urdf' / 'arm.urdf', ''.join((
+        begin, '<link name="upper">', shape.format('one'), shape.format('other'),
+        shape.format('one'), end)))
+    robot = load_robot(file)
+    assert robot.compile().nmesh == 1
+    one, other = lost(robot)
+    assert 'left out: 2 visual' in one and "source the workspace that has 'one'" in one
+    assert 'left out: 1 visual' in other and "source the workspace that has 'other'" in other
 
 
 def test_a_package_that_its_folder_does_not_name_is_found_beside_the_file(tmp_path, monkeypatch):

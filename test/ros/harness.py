@@ -69,11 +69,12 @@ class Client:
         self.spin_until(lambda: self.node.count_publishers(topic) > 0)
         return messages
 
-    def log(self) -> list[str]:
-        """Return a list that is filled with the texts that the node logs."""
+    def log(self, level: int = 0) -> list[str]:
+        """Return a list that is filled with the texts that the node logs, from a level on."""
         texts: list[str] = []
         qos = QoSProfile(depth=1000, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(Log, '/rosout', lambda m: texts.append(m.msg), qos)
+        self.node.create_subscription(
+            Log, '/rosout', lambda m: texts.append(m.msg) if m.level >= level else None, qos)
         return texts
 
     def publisher(self, message_type: Any, topic: str, depth: int = 1000) -> Any:

@@ -8,6 +8,7 @@ import re
 import signal
 
 import pytest
+from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import (
     DescribeParameters, GetParameters, ListParameters, SetParameters)
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -18,6 +19,7 @@ from manip_sim.interface.ros2_control import STALLS
 from manip_sim.models.urdf_writer import OWN_PLUGIN
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
+NO_MESHES = Path(__file__).resolve().parents[1] / 'data/files/no_meshes.urdf'
 REJECTED = [
     ('robott:=Panda', "unknown parameter 'robott'", "did you mean 'robot'"),
     ('arm.control_mod:=effort', "unknown parameter 'arm.control_mod'", "'control_mode.arm'"),
@@ -189,6 +191,14 @@ def test_what_is_wrong_with_the_start_is_told(serve, client):
     assert node.simulation.start_defects
     for defect in node.simulation.start_defects:
         client.spin_until(lambda told=f'start: {defect}': told in log)
+
+
+def test_each_cause_of_missing_meshes_is_a_warning(serve, client):
+    log = client.log(Log.WARN)
+    serve(robot=str(NO_MESHES))
+    for words in ("'gone.stl' (no such file", "source the workspace that has 'elsewhere'",
+                  'nothing touches it, and it cannot be seen'):
+        client.spin_until(lambda words=words: any(words in text for text in log))
 
 
 def test_parameters_may_be_set_before_the_simulation_runs_and_after_it_has_ended(serve):

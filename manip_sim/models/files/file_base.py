@@ -97,7 +97,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
     :raises UnknownNameError: if the description has a name that the file lacks
     """
     model_file = read_model(file, servos=False, xacro_args=description.xacro_values,
-                            needs_meshes=description.meshes is None)
+                            expects_meshes=description.meshes is None)
     model = compile_alone(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:

@@ -139,7 +139,7 @@ class FileGripper(HandFromFile, registered=False):
         keyframe = declared.start if isinstance(declared.start, str) else None
         model_file = read_model(self.file, _KEYFRAMES, keyframe,
                                 xacro_args=declared.xacro_values,
-                                needs_meshes=declared.meshes is None)
+                                expects_meshes=declared.meshes is None)
         self.inferred = model_file.inferred
         if model_file.mocap is not None:
             self.inferred += model_file.mocap.left_out()

@@ -122,7 +122,7 @@ class ModelFile:
 
 def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
                servos: bool = True, xacro_args: Mapping[str, str] | None = None,
-               needs_meshes: bool = True) -> ModelFile:
+               expects_meshes: bool = True) -> ModelFile:
     """
     Read a robot, hand or base.
 
@@ -131,11 +131,11 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     :param wanted: a keyframe to take instead
     :param servos: give joints position servos if the file has no actuators
     :param xacro_args: arguments of a xacro file, by name
-    :param needs_meshes: as for :func:`load_urdf`
+    :param expects_meshes: as for :func:`load_urdf`
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
-    spec, notes = load_urdf(file, xacro_args, needs_meshes) if is_urdf(file) else (
+    spec, notes = load_urdf(file, xacro_args, expects_meshes) if is_urdf(file) else (
         load_spec(file), [])
     notes += _gravity_of_file(spec)
     name_unnamed_elements(spec)

@@ -78,7 +78,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPl
     """
     keyframe = description.start if isinstance(description.start, str) else None
     model_file = read_model(file, _KEYFRAMES, keyframe, xacro_args=description.xacro_values,
-                            needs_meshes=description.meshes is None)
+                            expects_meshes=description.meshes is None)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):

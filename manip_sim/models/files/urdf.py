@@ -16,8 +16,7 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.files.inertias import make_physical
-from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
-from manip_sim.models.files.package_folders import package_folders
+from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import OneText
@@ -25,8 +24,6 @@ from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.models.xml_limits import Budget
 from manip_sim.quoting import one_line, quoted, quoted_names
 
-_MESHES = ('.stl', '.obj', '.msh')
-_PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
 _HEAD = 4096
@@ -50,7 +47,7 @@ def is_urdf(file: Path) -> bool:
     return first is not None and first.group(1) == 'robot'
 
 
-def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_meshes: bool = True
+def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_meshes: bool = True
               ) -> tuple[Any, list[str]]:
     """
     Read a spec from a URDF file, or from a xacro file that makes one.
@@ -60,12 +57,12 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, needs_mes
     mimic joint is coupled by an equality constraint.
 
     :param xacro_args: arguments of a xacro file, by name
-    :param needs_meshes: reject a file if none of its meshes is found, or all of a package
+    :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
-    :raises ModelError: if it cannot be read, or meshes that it needs are not found
+    :raises ModelError: if it cannot be read
     """
     robot = _parse(file, _text(file, xacro_args or {}))
-    notes = [*_find_meshes(robot, file, needs_meshes), *_drop_empty_shapes(robot),
+    notes = [*find_meshes(robot, file, expects_meshes), *_drop_empty_shapes(robot),
              *make_physical(robot)]
     for element in list(robot.iter()):  # Other readers take the first, too; MuJoCo refuses two.
         for tag in _SINGLE.get(element.tag, ()):
@@ -131,44 +128,6 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
     return ElementTree.SubElement(extension, 'compiler') if compiler is None else compiler
 
 
-def _find_meshes(robot: ElementTree.Element, file: Path, needed: bool) -> list[str]:
-    """
-    Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
-
-    :raises ModelError: if all meshes, or all of a package, are missing, and they are needed
-    """
-    extension = robot.find('mujoco/compiler')
-    folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
-    unread: dict[str, list[str]] = {'visual': [], 'collision': []}
-    missing: list[_Missing] = []
-    read = 0
-    packages_read: set[str | None] = set()
-    for link in robot.iter('link'):
-        for shape in [*link.findall('visual'), *link.findall('collision')]:
-            mesh = shape.find('geometry/mesh')
-            if mesh is None:
-                continue
-            try:
-                found, why = _converted(_resolve(mesh.get('filename', ''), folder, file, link))
-            except _Missing as error:
-                missing.append(error)
-                found, why = None, error.why
-            if found is None:
-                unread[shape.tag].append(f'{quoted(mesh.get("filename"))} ({why})')
-                link.remove(shape)
-            else:
-                packages_read.add(_package_of(mesh))
-                mesh.set('filename', str(found))
-                read += 1
-    for lost_one in missing if needed else ():
-        # The folder or the package is wrong, unless other meshes of it are beside the file.
-        if not read or (lost_one.package is not None and lost_one.package not in packages_read):
-            raise lost_one
-    lost = {'visual': '', 'collision': '; nothing touches these links there'}
-    return [f'left out: {len(names)} {tag} shapes of files that cannot be read, such as '
-            f'{names[0]}{lost[tag]}' for tag, names in unread.items() if names]
-
-
 def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
     """Remove shapes of size zero, which some exporters write for links without a shape."""
     dropped = []
@@ -189,78 +148,6 @@ def _is_zero(number: str) -> bool:
         return float(number) == 0.0
     except ValueError:
         return False
-
-
-def _readable(mesh: Path) -> Path | None:
-    """Return a mesh, or one of its stem in a format that MuJoCo reads, or None."""
-    if mesh.suffix.lower() in _MESHES:
-        return mesh
-    return next((other for suffix in _MESHES
-                 if (other := mesh.with_suffix(suffix)).is_file()), None)
-
-
-def _converted(mesh: Path) -> tuple[Path | None, str]:
-    """Return a mesh that MuJoCo reads, or None and why not."""
-    found = _readable(mesh)
-    if found is not None:
-        return found, ''
-    if mesh.suffix.lower() in SUFFIXES:
-        return converted(mesh)
-    return None, f'not one of {", ".join((*_MESHES, *SUFFIXES))}'
-
-
-class _Missing(ModelError):
-    """
-    A mesh is missing.
-
-    :param where: which one, for the message
-    :param why: what is not there
-    :param package: the package if all of it is missing
-    """
-
-    def __init__(self, where: str, why: str, package: str | None) -> None:
-        super().__init__(f"{where}: {why}; 'meshes: none' in a YAML file loads the model without "
-                         'the shapes that are missing')
-        self.why, self.package = why, package
-
-
-def _package_of(mesh: ElementTree.Element) -> str | None:
-    match = _PACKAGE.fullmatch(mesh.get('filename', ''))
-    return None if match is None else match[1]
-
-
-def _resolve(name: str, folder: Path, file: Path, link: ElementTree.Element) -> Path:
-    """
-    Return the path of a mesh.
-
-    :raises ModelError: if its package or its file does not exist
-    """
-    where = f'mesh {quoted(name)} of link {quoted(link.get("name"))} in {file}'
-    match = _PACKAGE.fullmatch(name)
-    if match is None:
-        path = folder / name.removeprefix('file://')
-        candidates = [path, *_elsewhere(path, file)]
-    else:
-        package, rest = match.groups()
-        roots = list(package_folders(package, file)) or [
-            # The package has another name here.
-            folder for folder in file.resolve().parents[:2] if (folder / rest).is_file()]
-        if not roots:
-            raise _Missing(where, f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or '
-                           'ROS_PACKAGE_PATH nor a folder above the file', package)
-        candidates = [root / rest for root in roots]
-    for candidate in candidates:
-        if candidate.is_file() or _readable(candidate) not in (None, candidate):
-            return candidate.resolve()
-    raise _Missing(where, f'no such file: {candidates[0]}', None)
-
-
-def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
-    """Yield where a mesh of an absolute path of another machine may be: in a package it names."""
-    if path.is_absolute() and not path.is_file():
-        for number, part in enumerate(path.parts[1:-1], start=2):
-            for root in package_folders(part, file):
-                yield root.joinpath(*path.parts[number:])
 
 
 def _complete_joint(spec: mujoco.MjSpec, joint: ElementTree.Element, file: Path) -> None:

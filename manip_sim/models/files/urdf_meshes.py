@@ -1,0 +1,111 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Find the meshes that a URDF names; leave out those that are missing, as RViz does, and tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+import re
+from xml.etree import ElementTree
+
+from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
+from manip_sim.models.files.package_folders import package_folders
+from manip_sim.models.lost_shapes import (
+    check_fetched, Lost, LostShape, MissingMeshError, sentences)
+from manip_sim.quoting import quoted
+
+_MESHES = ('.stl', '.obj', '.msh')
+_PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
+
+
+def find_meshes(robot: ElementTree.Element, file: Path, expected: bool) -> list[str]:
+    """
+    Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
+
+    :param expected: whether to warn of these shapes
+    :returns: sentences about them, a :class:`LostShape` each if they are expected
+    """
+    extension = robot.find('mujoco/compiler')
+    folder = file.parent / (extension.get('meshdir', '') if extension is not None else '')
+    lost = []
+    for link in robot.iter('link'):
+        for shape in [*link.findall('visual'), *link.findall('collision')]:
+            mesh = shape.find('geometry/mesh')
+            if mesh is None:
+                continue
+            name = mesh.get('filename', '')
+            try:
+                mesh.set('filename', str(_read(_resolve(name, folder, file))))
+            except MissingMeshError as error:
+                lost.append(Lost(shape.tag, name, f'link {quoted(link.get("name"))}', error))
+                link.remove(shape)
+    said = sentences(lost, file)
+    if any(one.kind == 'collision' for one in lost) and robot.find('link/collision') is None:
+        unseen = '' if robot.find('link/visual') is not None else ', and it cannot be seen'
+        said.append(f'no collision shape is left in {file}: nothing touches it{unseen}')
+    return [LostShape(sentence) for sentence in said] if expected else said
+
+
+def _read(mesh: Path) -> Path:
+    """
+    Return a mesh, or one of its stem or its content in a format that MuJoCo reads.
+
+    :raises MissingMeshError: if there is none
+    """
+    found = _readable(mesh) or mesh
+    check_fetched(found)
+    if found.suffix.lower() in _MESHES:
+        return found
+    if found.suffix.lower() not in SUFFIXES:
+        raise MissingMeshError(f'not one of {", ".join((*_MESHES, *SUFFIXES))}',
+                               'convert it to STL or OBJ')
+    made, why = converted(found)
+    if made is None:
+        raise MissingMeshError(why)
+    return made
+
+
+def _readable(mesh: Path) -> Path | None:
+    """Return a mesh, or one of its stem in a format that MuJoCo reads, or None."""
+    if mesh.suffix.lower() in _MESHES:
+        return mesh
+    return next((other for suffix in _MESHES
+                 if (other := mesh.with_suffix(suffix)).is_file()), None)
+
+
+def _resolve(name: str, folder: Path, file: Path) -> Path:
+    """
+    Return the path of a mesh.
+
+    :raises MissingMeshError: if its package or its file does not exist
+    """
+    match = _PACKAGE.fullmatch(name)
+    if match is None:
+        path = folder / name.removeprefix('file://')
+        candidates = [path, *_elsewhere(path, file)]
+    else:
+        package, rest = match.groups()
+        roots = list(package_folders(package, file)) or [
+            # The package has another name here.
+            folder for folder in file.resolve().parents[:2] if (folder / rest).is_file()]
+        if not roots:
+            raise MissingMeshError(
+                f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH '
+                'nor a folder above the file', f'source the workspace that has {quoted(package)}, '
+                'or add its folder to ROS_PACKAGE_PATH', f'package {package}')
+        candidates = [root / rest for root in roots]
+    for candidate in candidates:
+        if candidate.is_file() or _readable(candidate) not in (None, candidate):
+            return candidate.resolve()
+    raise MissingMeshError(f'no such file: {candidates[0]}', 'put it there, or correct its name',
+                           'file')
+
+
+def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
+    """Yield where a mesh of an absolute path of another machine may be: in a package it names."""
+    if path.is_absolute() and not path.is_file():
+        for number, part in enumerate(path.parts[1:-1], start=2):
+            for root in package_folders(part, file):
+                yield root.joinpath(*path.parts[number:])

@@ -1,0 +1,106 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tell which shapes a model lacks because their files are missing or cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from manip_sim.quoting import quoted
+
+if TYPE_CHECKING:  # It reads models that say what they lost.
+    from manip_sim.models.world import World
+
+#: What a file holds in a clone of a repository whose large files were not fetched.
+_POINTER = b'version https://git-lfs'
+
+
+class LostShape(str):
+    """A sentence about shapes that a model lost, which is logged as a warning."""
+
+    __slots__ = ()
+
+
+class MissingMeshError(Exception):
+    """
+    A mesh is missing or cannot be read.
+
+    :param why: what is wrong
+    :param remedy: what to do, or empty
+    :param cause: the same for all meshes that this remedies together
+    """
+
+    def __init__(self, why: str, remedy: str = '', cause: str = '') -> None:
+        super().__init__(why)
+        self.why, self.remedy, self.cause = why, remedy, cause
+
+
+@dataclass(frozen=True)
+class Lost:
+    """
+    A shape that was left out.
+
+    :ivar kind: ``visual`` or ``collision``
+    :ivar mesh: name of its file
+    :ivar element: what has it, such as ``link 'base'``
+    :ivar error: what is wrong with the file
+    """
+
+    kind: str
+    mesh: str
+    element: str
+    error: MissingMeshError
+
+
+def check_fetched(mesh: Path) -> None:
+    """
+    Check that a file is there whole.
+
+    :raises MissingMeshError: if it only says where Git's large file storage has it
+    """
+    try:
+        with mesh.open('rb') as stream:
+            is_pointer = stream.read(len(_POINTER)) == _POINTER
+    except OSError:
+        return  # Whoever reads it tells why.
+    if is_pointer:
+        raise MissingMeshError(f'{mesh} was not fetched from Git LFS',
+                               f"run 'git lfs pull' in {mesh.parent}", 'lfs')
+
+
+def sentences(every: Iterable[Lost], file: Path) -> list[str]:
+    """
+    Return a sentence for each kind and cause.
+
+    :param file: that names the meshes
+    """
+    groups: dict[tuple[str, str], list[Lost]] = {}
+    for lost in every:
+        groups.setdefault((lost.kind, lost.error.cause), []).append(lost)
+    found = []
+    # Lost collision shapes change what happens, so they come first.
+    for (kind, _), group in sorted(groups.items(), key=lambda item: item[0][0]):
+        first = group[0]
+        untouched = '; nothing touches these links there' if kind == 'collision' else ''
+        remedy = f'; {first.error.remedy}' if first.error.remedy else ''
+        found.append(f'left out: {len(group)} {kind} shapes of files that cannot be read, such as '
+                     f'{quoted(first.mesh)} ({first.error.why}) of {first.element} in '
+                     f'{file}{untouched}{remedy}')
+    return found
+
+
+def inferred_by_model(world: World) -> Iterator[tuple[str, list[str]]]:
+    """Yield the name of each model of a world, and the sentences on what was inferred of it."""
+    models: list[Any] = [world.arena, *world.objects, *world.robots]
+    for model in (*models, *(part for robot in world.robots for part in robot.models)):
+        yield model.name, getattr(model, 'inferred', None) or []
+
+
+def lost_shapes(world: World) -> list[str]:
+    """Return which shapes the models of a world lack because their files cannot be read."""
+    return [f'{name}: {sentence}' for name, sentences in inferred_by_model(world)
+            for sentence in sentences if isinstance(sentence, LostShape)]
