@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 import struct
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from manip_sim.errors import CommandError, MessageError
+from manip_sim.errors import CommandError, ManipSimError, MessageError
 from manip_sim.simulation.command_parser import MAX_POINTS
 
 #: More than any command but a trajectory needs [bytes].
@@ -25,7 +25,8 @@ _MAX_JOINTS = 1000
 _ENCODING_SIZE = 4
 
 
-def read_command(message_type: Any, data: bytes) -> Any:
+def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, what: str = 'a command',
+                 error: type[ManipSimError] = MessageError) -> Any:
     """
     Return the message that was serialized.
 
@@ -33,36 +34,27 @@ def read_command(message_type: Any, data: bytes) -> Any:
     points of a trajectory would stop the physics for more than a second. So sizes are checked
     first.
 
-    :raises CommandError: if the data is too large, or not a message of this type
+    :param most: size of the data at most [bytes], but of a trajectory
+    :param what: has this size at most, for the message
+    :param error: the exception to raise
+    :raises ManipSimError: that exception, if the data is too large, or not a message of this type
     """
     trajectory = message_type is JointTrajectory
-    try:
-        return read_message(message_type, data,
-                            _MAX_TRAJECTORY_SIZE if trajectory else _MAX_SIZE, 'a command',
-                            _check_counts if trajectory else None)
-    except MessageError as error:
-        raise CommandError(str(error)) from error
-
-
-def read_message(message_type: Any, data: bytes, most: int, what: str,
-                 check: Callable[[bytes], None] | None = None) -> Any:
-    """
-    Return the message that was serialized.
-
-    :param most: size of the data at most [bytes]
-    :param what: has this size at most, for the message, such as ``a command``
-    :param check: raises an error if the data holds too much
-    :raises MessageError: if the data is too large, or not a message of this type
-    """
+    if trajectory:
+        most = _MAX_TRAJECTORY_SIZE
     if len(data) > most:
-        raise MessageError(f'the message has {len(data)} bytes, {what} has {most} at most')
+        raise error(f'the message has {len(data)} bytes, {what} has {most} at most')
     try:
-        if check is not None:
-            check(data)
+        if trajectory:
+            _check_counts(data)
         return deserialize_message(data, message_type)
-    except (struct.error, RuntimeError) as error:
-        raise MessageError('the data cannot be read as a message of the type '
-                           f'{message_type.__name__}') from error
+    except (struct.error, RuntimeError) as cause:
+        raise error('the data cannot be read as a message of the type '
+                    f'{message_type.__name__}') from cause
+
+
+#: The same for a command, which raises ``CommandError``.
+read_command = partial(read_message, error=CommandError)
 
 
 def trajectory_fields(part: str, message: JointTrajectory) -> tuple[Any, Any, Any, Any]:

@@ -77,14 +77,13 @@ class PendingCommands:
         for command in commands:
             self._simulation.robots[name].check_own(command)
         with self._lock:
-            self.check_stamp(stamp_ns)
-            handles = []
+            if self._lockstep:
+                self.check_stamp(stamp_ns)
+            elif stamp_ns:
+                commands = [replace(command, sent_ns=stamp_ns) for command in commands]
             for command in commands:
-                if stamp_ns and not self._lockstep:
-                    command = replace(command, sent_ns=stamp_ns)
                 buffer.add(command)
-                handles.append(command.handle)
-        return handles
+        return [command.handle for command in commands]
 
     def check_stamp(self, stamp_ns: int) -> None:
         """

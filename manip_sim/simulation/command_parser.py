@@ -32,7 +32,7 @@ MAX_POINTS = 10_000
 _MAX_AHEAD_S = 3600.0
 
 
-class CommandParser:
+class CommandParser(JointCommandParser):
     """
     A parser of commands for the parts of a robot.
 
@@ -43,11 +43,9 @@ class CommandParser:
 
     def __init__(self, robot: RobotModel, joints: JointController,
                  grippers: Mapping[str, GripperController]) -> None:
-        self._robot = robot
-        self._joints = joints
-        self._grippers = grippers
-        self._joint_commands = JointCommandParser(
+        super().__init__(
             robot, joints, {part: gripper.joints for part, gripper in grippers.items()})
+        self._grippers = grippers
 
     def action(self, part: str, action: ArrayLike) -> Command:
         """
@@ -83,26 +81,6 @@ class CommandParser:
         padded = np.zeros(len(whole))
         padded[own] = action
         return self._robot.format_action(subsystem, padded, self._joints.ranges(whole, modes))[own]
-
-    def joint_command(self, names: Sequence[str], position: ArrayLike = (),
-                      velocity: ArrayLike = (), effort: ArrayLike = (), part: str | None = None
-                      ) -> list[Command]:
-        """
-        Return the commands for goals of some joints; one invalid goal rejects them all.
-
-        Each joint uses the field of its control mode; NaN means no command for the joint. A field
-        may also have numbers only for the joints whose mode uses it, in the order of their names;
-        finger joints at the end, or coupled to one named before them, need none.
-
-        :param names: of the joints
-        :param position: goals of the joints in position mode [rad or m]
-        :param velocity: goals of the joints in velocity mode [rad/s or m/s]
-        :param effort: goals of the joints in effort mode [N m or N]
-        :param part: whose joints may be named; None for all
-        :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
-        """
-        return self._joint_commands.parse(
-            names, {'position': position, 'velocity': velocity, 'effort': effort}, part)
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None,

@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,7 @@ class _Group:
     :ivar names: of the joints
     :ivar clamps: ranges of their goals, shape (n, 2)
     :ivar indices: for the command
+    :ivar modes: names of their control modes; None for those of a gripper
     """
 
     parts: frozenset[str]
@@ -44,6 +46,7 @@ class _Group:
     names: tuple[str, ...]
     clamps: FloatArray
     indices: IntArray
+    modes: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         # Many commands share these arrays.
@@ -60,9 +63,7 @@ class _Addressed:
     :ivar all_use: the field that all joints use, or None
     :ivar uses: by field, whether each joint uses it
     :ivar takers: by field, the places of the joints that need a number there
-    :ivar own: the joints outside grippers, or None
-    :ivar own_modes: of each of them
-    :ivar grippers: the joints of each gripper
+    :ivar groups: the joints outside grippers, then those of each gripper
     """
 
     names: tuple[str, ...]
@@ -70,9 +71,12 @@ class _Addressed:
     all_use: str | None
     uses: dict[str, BoolArray]
     takers: dict[str, list[int]]
-    own: _Group | None
-    own_modes: tuple[str, ...]
-    grippers: tuple[_Group, ...]
+    groups: tuple[_Group, ...]
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """The parts of all joints."""
+        return frozenset().union(*(group.parts for group in self.groups))
 
 
 class JointCommandParser:
@@ -88,27 +92,35 @@ class JointCommandParser:
                  grippers: Mapping[str, GripperJoints]) -> None:
         self._robot = robot
         self._joints = joints
-        self._grippers = grippers
+        self._fingers = grippers
         self._gripper_of = {joint: gripper for gripper in grippers.values()
                             for joint in gripper.names}
         self._addressed = lru_cache(_REMEMBERED)(self._address)
 
-    def parse(self, names: Sequence[str], fields: Mapping[str, ArrayLike], part: str | None
-              ) -> list[Command]:
+    def joint_command(self, names: Sequence[str], position: ArrayLike = (),
+                      velocity: ArrayLike = (), effort: ArrayLike = (), part: str | None = None
+                      ) -> list[Command]:
         """
         Return the commands for goals of some joints; one invalid goal rejects them all.
 
-        Parts that are named without any number get a ``NoCommand``.
+        Each joint uses the field of its control mode; NaN means no command for the joint. A field
+        may also have numbers only for the joints whose mode uses it, in the order of their names;
+        finger joints at the end, or coupled to one named before them, need none. Parts that are
+        named without any number get a ``NoCommand``.
 
         :param names: of the joints
-        :param fields: of :data:`FIELDS`, goals in SI units; empty where there are none
+        :param position: goals of the joints in position mode [rad or m]
+        :param velocity: goals of the joints in velocity mode [rad/s or m/s]
+        :param effort: goals of the joints in effort mode [N m or N]
         :param part: whose joints may be named; None for all
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         what = part or 'joint_command'
         names = as_names(names, what)
-        given = {field: as_numbers(of, f'{what}: {field}') for field, of in fields.items()
-                 if not (isinstance(of, (tuple, array)) and not of)}
+        given: dict[str, FloatArray] = {}
+        for field, of in zip(FIELDS, (position, velocity, effort)):
+            if not (isinstance(of, (tuple, array)) and not of):
+                given[field] = as_numbers(of, f'{what}: {field}')
         if not len(names) and all(np.isnan(numbers).all() for numbers in given.values()):
             return []
         modes = self._joints.modes  # They may change while this thread reads the command.
@@ -134,7 +146,7 @@ class JointCommandParser:
         missing = np.isnan(values)
         if not np.count_nonzero(missing):
             return _commands(self._robot, addressed, values)
-        commands, silent = [], _parts(addressed)
+        commands, silent = [], addressed.parts
         if not missing.all():
             named = tuple(name for name, gone in zip(names, missing) if not gone)
             commands = _commands(
@@ -169,26 +181,24 @@ class JointCommandParser:
     def _address(self, part: str | None, names: tuple[str, ...], modes: tuple[str, ...]
                  ) -> _Addressed:
         """Return what the names mean while ``modes`` are those of all joints."""
-        for gripper in self._grippers.values():
+        for gripper in self._fingers.values():
             gripper.check_take_positions(names)
         check_names(names, self._available(part), part or 'joint_command')
         mode_of = dict(zip(self._joints.names, modes))
         meant = tuple(
             POSITION.name if name in self._gripper_of else mode_of[name] for name in names)
         used = [MODES[mode].field for mode in meant]
-        own = self._own(names, modes)
         return _Addressed(
             names, meant, used[0] if len(set(used)) == 1 else None,
             {field: np.array([use == field for use in used]) for field in FIELDS},
             {field: self._takers(field, names, used) for field in FIELDS},
-            own,
-            tuple(meant[i] for i in own.places) if own else (), tuple(self._of_grippers(names)))
+            (*self._own(names, meant, modes), *self._of_grippers(names)))
 
     def _available(self, part: str | None) -> list[str]:
         if part is None:
             return [*self._joints.names, *self._gripper_of]
-        if part in self._grippers:
-            return list(self._grippers[part].names)
+        if part in self._fingers:
+            return list(self._fingers[part].names)
         return [self._joints.names[i] for i in self._joints.indices_of(part)]
 
     def _takers(self, field: str, names: Sequence[str], used: Sequence[str]) -> list[int]:
@@ -202,17 +212,18 @@ class JointCommandParser:
                 followed.update(self._gripper_of[name].followers(name))
         return takers
 
-    def _own(self, names: Sequence[str], modes: Sequence[str]) -> _Group | None:
+    def _own(self, names: Sequence[str], meant: Sequence[str], modes: Sequence[str]
+             ) -> Iterable[_Group]:
         places = [i for i, name in enumerate(names) if name not in self._gripper_of]
-        if not places:
-            return None
-        own = tuple(names[i] for i in places)
-        indices = self._joints.find(own)
-        return _Group(self._joints.parts_of(indices), np.array(places), own,
-                      self._joints.clamps(indices, modes), indices)
+        if places:
+            own = tuple(names[i] for i in places)
+            indices = self._joints.find(own)
+            yield _Group(self._joints.parts_of(indices), np.array(places), own,
+                         self._joints.clamps(indices, modes), indices,
+                         tuple(meant[i] for i in places))
 
     def _of_grippers(self, names: Sequence[str]) -> Iterable[_Group]:
-        for part, gripper in self._grippers.items():
+        for part, gripper in self._fingers.items():
             places = [i for i, name in enumerate(names) if self._gripper_of.get(name) is gripper]
             if places:
                 fingers = tuple(names[i] for i in places)
@@ -227,11 +238,14 @@ def as_names(names: Sequence[str], what: str) -> tuple[str, ...]:
     :param what: what takes them, for the message
     :raises CommandError: if they are no sequence of texts
     """
-    given = tuple(names) if isinstance(names, Iterable) and not isinstance(names, str) else None
-    if given is None or not all([isinstance(name, str) for name in given]):
-        raise CommandError(f'{what}: names of joints must be a sequence of texts, got '
-                           f'{shown(names)}')
-    return given
+    try:
+        given = tuple(names)
+        ''.join(given)  # It takes nothing but texts.
+        if not isinstance(names, str):
+            return given
+    except TypeError:
+        pass
+    raise CommandError(f'{what}: names of joints must be a sequence of texts, got {shown(names)}')
 
 
 def check_names(names: Sequence[str], available: Sequence[str], what: str) -> None:
@@ -254,29 +268,16 @@ def check_names(names: Sequence[str], available: Sequence[str], what: str) -> No
         raise CommandError(f"{what}: joint '{twice}' is named twice")
 
 
-def _parts(addressed: _Addressed) -> frozenset[str]:
-    groups = (*addressed.grippers, *((addressed.own,) if addressed.own is not None else ()))
-    return frozenset().union(*(group.parts for group in groups))
-
-
 def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> list[Command]:
     """Return the commands for the goals of all joints that are addressed."""
     found: list[Command] = []
-    own = addressed.own
-    if own is not None:
-        inside, clamped, example = _clamp(own, values)
-        found.append(JointSetpoint(
-            robot=robot, parts=own.parts, indices=own.indices, values=inside, clamped=clamped,
-            clamped_example=example, modes=addressed.own_modes))
-    for group in addressed.grippers:
-        inside, clamped, example = _clamp(group, values)
-        found.append(GripperSetpoint(
-            robot=robot, parts=group.parts, joints=group.names, values=inside,
-            indices=group.indices, clamped=clamped, clamped_example=example))
+    for group in addressed.groups:
+        given = values[group.places]
+        inside, clamped = clamp(given, group.clamps)
+        common: dict[str, Any] = {
+            'robot': robot, 'parts': group.parts, 'indices': group.indices, 'values': inside,
+            'clamped': clamped,
+            'clamped_example': clamped_example(group.names, given, inside) if clamped else ''}
+        found.append(GripperSetpoint(joints=group.names, **common) if group.modes is None
+                     else JointSetpoint(modes=group.modes, **common))
     return found
-
-
-def _clamp(group: _Group, values: FloatArray) -> tuple[FloatArray, int, str]:
-    given = values[group.places]
-    inside, clamped = clamp(given, group.clamps)
-    return inside, clamped, clamped_example(group.names, given, inside) if clamped else ''
