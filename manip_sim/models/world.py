@@ -211,6 +211,8 @@ class World:
                 # MuJoCo would compensate at the free joint too, and the robot would float.
                 continue
             for body in bodies:
+                if body.gravcomp:  # Not the actuators carry it, but what the file stands for.
+                    continue
                 body.gravcomp = 1.0
                 for joint in body.joints:
                     joint.actgravcomp = True

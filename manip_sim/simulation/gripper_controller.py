@@ -207,7 +207,9 @@ class GripperController:
     def _target(self, data: mujoco.MjData, place: FloatArray, setpoints: FloatArray) -> FloatArray:
         """Return the goals, beyond the end of the range where the full force is requested."""
         span = np.ptp(self._actuators.ranges, axis=1)
-        self._to_end[np.abs(place - self._goal) < _AT_END * span] = False
+        # Forces may also push a finger past the end.
+        before = np.stack([place - self._goal, self._goal - place], axis=1)
+        self._to_end &= before >= _AT_END * span[:, None]
         arrived = np.abs(setpoints - self._goal) <= self._tolerance
         stopped = np.abs(self._actuators.speed_of_place(data)) < span / _STOPPED_S
         self._pressing |= arrived & stopped

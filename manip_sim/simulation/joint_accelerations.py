@@ -41,6 +41,7 @@ def acceleration_limits(model: mujoco.MjModel, data: mujoco.MjData, joint_ids: I
         return np.array(declared)
     qpos, dofs, kind = (field[joint_ids] for field in (
         model.jnt_qposadr, model.jnt_dofadr, model.jnt_type))
+    carries = model.jnt_actgravcomp[joint_ids]
     random = np.random.default_rng(0)
     scratch = mujoco.MjData(model)
     low, high = np.clip(position_clamp, -np.pi, np.pi).T
@@ -52,7 +53,7 @@ def acceleration_limits(model: mujoco.MjModel, data: mujoco.MjData, joint_ids: I
         _compute_inertia_and_weight(model, scratch)
         # All joints of a kind may accelerate at once.
         coupled = (_inertia(model, scratch, dofs) * (kind[:, None] == kind)).sum(axis=1)
-        weight = np.abs(scratch.qfrc_gravcomp[dofs])
+        weight = np.abs(scratch.qfrc_gravcomp[dofs]) * carries
         possible.append(np.maximum(torque - weight - drag, 0.2 * torque) / coupled)
     usual = np.quantile(possible, _QUANTILE, axis=0)
     derived = np.minimum(_TORQUE_SHARE * usual, velocity_limit / SPEED_UP_S)

@@ -41,6 +41,9 @@ SMALL = urdf({'base': SOLID, 'l1': SOLID, 'tool': '{}'},
              [joint('j1', 'base', 'l1'), joint('f', 'l1', 'tool', '{}')])
 
 
+DATA = Path(__file__).resolve().parents[1] / 'data' / 'files'
+
+
 def said(robot, words):
     return [sentence for sentence in robot.inferred if words in sentence]
 
@@ -228,9 +231,43 @@ def test_an_object_that_rests_on_a_table_is_left_out_without_a_trace(tmp_path):
 
 
 def test_masses_that_follow_from_shapes_are_told_one_by_one():
-    robot = load_robot(Path(__file__).resolve().parents[1] / 'data/files/masses.urdf')
+    robot = load_robot(DATA / 'masses.urdf')
     assert said(robot, 'no <inertial>') == [
         "link 'upper' has no <inertial>: 2 kg from its collision shapes at 1000 kg/m^3"]
     model = robot.compile()
     assert model.body('robot0_upper').mass[0] == pytest.approx(2.0)
     assert model.body('robot0_lower').mass[0] == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize('carried', [True, False])
+def test_links_without_gravity_in_gazebo_need_no_effort_here(tmp_path, carried):
+    text = (DATA / 'no_gravity.urdf').read_text()
+    if not carried:
+        text = text.replace('>true<', '>false<').replace('<gravity>0<', '<gravity>1<')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert bool(said(robot, "no gravity on 2 links, as their <gazebo> elements say: 'upper', "
+                            "'lower'")) == carried
+    simulation = Simulation(compose(robot, position=(0.0, 0.0, 1.0)))
+    assert bool(simulation.start_defects) != carried
+    start = simulation.robot.state().position
+    simulation.advance(500)
+    state = simulation.robot.state()
+    assert (np.abs(state.position - start).max() < 1e-3) == carried
+    if carried:
+        np.testing.assert_allclose(state.effort, 0.0, atol=0.05)
+
+
+@pytest.mark.parametrize('compensates', [True, False])
+def test_a_load_on_links_without_gravity_still_weighs(compensates):
+    robot = load_robot(DATA / 'no_gravity.urdf')
+    simulation = Simulation(compose(robot, position=(0.0, 0.0, 1.0),
+                                    gravity_compensation=compensates))
+    model, data = simulation.model, simulation.data
+    assert not model.jnt_actgravcomp.any()
+    lower = model.body('robot0_lower').id
+    data.xfrc_applied[lower, 2] = -9.81
+    before = simulation.robot.state().position
+    simulation.advance(500)
+    state = simulation.robot.state()
+    assert abs(state.effort[1]) == pytest.approx(9.81 * 0.2, rel=0.05)
+    np.testing.assert_allclose(state.position, before, atol=5e-3)

@@ -3,10 +3,13 @@
 
 """Tests of grippers: one message closes, at a rate that does not depend on the messages."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from manip_sim.errors import CommandError
+from manip_sim.models import compose, load_robot
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 
@@ -223,3 +226,15 @@ def test_unlimited_gripper_joint_is_not_clamped_to_zero(user_sim):
     simulation = user_sim(unlimited=True)
     (goal,) = simulation.robot.parse.joint_command(['gripper0_slide'], [0.02], [], [])
     assert (list(goal.values), goal.clamped) == ([0.02], 0)
+
+
+def test_a_finger_that_is_pushed_past_the_end_of_its_range_does_not_press_on(run):
+    file = Path(__file__).resolve().parents[1] / 'data/files/rubbing_fingers.urdf'
+    simulation = Simulation(compose(load_robot(file)))
+    for action in (-1.0, 1.0, -1.0):
+        for _ in range(2):  # It is repeated.
+            simulation.robot.apply(simulation.robot.parse.action(GRIPPER, [action] * 2))
+            run(simulation, 1.0)
+        place, end = simulation.robot.state().position, 0.04 if action < 0.0 else 0.0
+        np.testing.assert_allclose(place, [end, end], atol=2e-3)
+        np.testing.assert_allclose(setpoints(simulation), [end, end])

@@ -78,6 +78,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
     for joint in robot.iter('joint'):
         _complete_joint(spec, joint, file)
     notes += _give_mass(spec, robot)
+    notes += _take_gravity(spec, robot)
     return spec, notes
 
 
@@ -193,6 +194,21 @@ def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
             body.explicitinertial = True
             light.append(body.name)
     return [f'1 g for links without inertia and shape: {", ".join(light)}'] if light else []
+
+
+def _take_gravity(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
+    """Let links weigh nothing that weigh nothing in Gazebo, such as those that springs carry."""
+    light = []
+    for extension in robot.iter('gazebo'):
+        said = {str(child.text).strip().lower(): child.tag for child in extension
+                if child.tag in ('gravity', 'turnGravityOff')}
+        body = spec.body(extension.get('reference', ''))
+        if body is not None and (said.get('0', said.get('false')) == 'gravity'
+                                 or said.get('1', said.get('true')) == 'turnGravityOff'):
+            body.gravcomp = 1.0
+            light.append(body.name)
+    return [f'no gravity on {len(light)} links, as their <gazebo> elements say: '
+            f'{quoted_names(light)}'] if light else []
 
 
 def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
