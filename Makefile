@@ -20,7 +20,8 @@
 # checks their hashes. They are those of ROS 2 Jazzy from wheels.
 #
 # With ROS 2 Jazzy sourced, its Python packages are used through a virtual environment with system
-# site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix.
+# site packages; without it, ROS 2 Jazzy comes from wheels. Never a mix: an environment of the other
+# kind is cleared. Otherwise what is installed in an environment stays.
 
 # The node and its clients talk within this machine, unless the environment says otherwise:
 # ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET make run  (docs/how_to/security.md)
@@ -45,6 +46,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 ifeq ($(ROS_DISTRO),jazzy)
 ROS_FROM = sourced
+ROS_NOT_FROM = wheels
 VENV_ARGS = --system-site-packages
 RUN_EXTRAS =
 VIEW_EXTRAS = [viewer]
@@ -52,6 +54,7 @@ TEST_EXTRAS = [test]
 MUTATE_EXTRAS = [test,mutate]
 else
 ROS_FROM = wheels
+ROS_NOT_FROM = sourced
 VENV_ARGS =
 RUN_EXTRAS = [jazzy]
 VIEW_EXTRAS = [jazzy,viewer]
@@ -124,7 +127,7 @@ soak: $(TEST_READY)
 $(READY): setup.py
 	$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info < (3, 14), sys.version' \
 		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.13' >&2; exit 1; }
-	$(PYTHON) -m venv --clear $(VENV_ARGS) $(VENV)
+	$(PYTHON) -m venv $(if $(wildcard $(VENV)/.ready-$(ROS_NOT_FROM)),--clear) $(VENV_ARGS) $(VENV)
 	[ '$(LOCKED)' = 1 ] || $(BIN)/python -m pip install --quiet --upgrade pip setuptools wheel
 	$(call install,$(RUN_EXTRAS),run)
 	touch $@

@@ -53,7 +53,7 @@ def _run() -> int:
         check_ros_environment()
         import_mujoco()
         from manip_sim.ros.main import run
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:
         return _fail(str(error))

@@ -108,13 +108,13 @@ def _nearest(asked: str, names: list[str]) -> list[str]:
     """
     Return up to three names, the nearest first.
 
-    These are names of the same words in any order; else names that end with the same words, as
-    ``robot0_joint1`` does for ``joint1``; else names that look alike.
+    These are names of the same words in any order, singular or plural; else names that end with
+    the same words, as ``robot0_joint1`` does for ``joint1``; else names that look alike.
     """
-    words = {name: _words(name) for name in names}
-    ending = {name: _common_end(_words(asked), words[name]) for name in names}
+    words, wanted = {name: _singulars(name) for name in names}, _singulars(asked)
+    ending = {name: _common_end(wanted, words[name]) for name in names}
     longest = max(ending.values(), default=0)
-    near = [name for name in names if sorted(words[name]) == sorted(_words(asked))]
+    near = [name for name in names if sorted(words[name]) == sorted(wanted)]
     if not near and longest:
         near = [name for name in names if ending[name] == longest]
     likeness = {name: _likeness(asked, name) for name in near or names}
@@ -125,6 +125,10 @@ def _nearest(asked: str, names: list[str]) -> list[str]:
 
 def _words(name: str) -> list[str]:
     return re.findall(r'[a-z0-9]+', name.lower())
+
+
+def _singulars(name: str) -> list[str]:
+    return [word.removesuffix('s') for word in _words(name)]
 
 
 def _common_end(one: list[str], other: list[str]) -> int:

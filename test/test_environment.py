@@ -3,6 +3,7 @@
 
 """Mistakes in the environment are one line that says what fits, before rclpy is imported."""
 
+import os
 import subprocess
 import sys
 
@@ -82,7 +83,8 @@ def test_a_middleware_that_is_not_installed_is_rejected_with_those_that_are(
     'manip_sim', 'manip_sim.viewer', 'manip_sim.examples pick_cube',
     'manip_sim.examples hand_over'])
 @pytest.mark.parametrize('variable, value', [
-    ('ROS_DOMAIN_ID', '300'), ('RMW_IMPLEMENTATION', 'rmw_nonsense_cpp')])
+    ('ROS_DOMAIN_ID', '300'), ('RMW_IMPLEMENTATION', 'rmw_nonsense_cpp'),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'localhost')])
 def test_a_program_ends_with_one_line(program, variable, value, monkeypatch):
     pytest.importorskip('rclpy', reason='which middleware is installed is known to ROS')
     monkeypatch.setenv(variable, value)
@@ -100,6 +102,28 @@ def test_a_program_ends_with_one_line(program, variable, value, monkeypatch):
 def test_a_module_that_is_missing_is_named_with_what_installs_it(module, hint):
     line = missing_module(ModuleNotFoundError('', name=module))
     assert f"no module '{module.partition('.')[0]}'" in line and hint in line
+
+
+def test_a_rclpy_that_cannot_be_used_is_named_with_its_folder(tmp_path):
+    # As that of another ROS, whose modules for the C API are for another Python.
+    (tmp_path / 'rclpy').mkdir()
+    for text, reason in (
+            ('import rclpy._rclpy_pybind11', "No module named 'rclpy._rclpy_pybind11'"),
+            ('from rclpy import Node', "cannot import name 'Node'")):
+        (tmp_path / 'rclpy/__init__.py').write_text(text)
+        done = subprocess.run(
+            [sys.executable, '-m', 'manip_sim'], capture_output=True, text=True, timeout=60.0,
+            check=False, env={**os.environ, 'PYTHONPATH': str(tmp_path)})
+        assert (done.returncode, done.stdout) == (1, '')
+        assert done.stderr.startswith(
+            f'sim_node: {tmp_path}/rclpy/__init__.py cannot be used: {reason}'), done.stderr
+        assert done.stderr.endswith('in a new shell, source ROS 2 Jazzy only\n')
+        assert done.stderr.count('\n') == 1
+
+
+def test_a_package_from_pip_that_cannot_be_used_is_not_one_of_ros():
+    line = missing_module(ImportError('libGL.so.1: cannot open\nmore', name='mujoco'))
+    assert line == "module 'mujoco' cannot be used: libGL.so.1: cannot open"
 
 
 def test_a_missing_module_of_the_package_is_an_error_of_the_package():

@@ -31,7 +31,8 @@ def suggested(message):
     ('arm.control_mode', PARAMETERS, 'control_mode.arm'),
     ('base.command_timeout', PARAMETERS, 'command_timeout.base'),
     ('arm.control_mod', PARAMETERS, 'control_mode.arm'),
-    ('pblish_rate', PARAMETERS, 'publish_rate'), ('robott', PARAMETERS, 'robot')])
+    ('pblish_rate', PARAMETERS, 'publish_rate'), ('robott', PARAMETERS, 'robot'),
+    ('joint_state', ['/arm/controller_state', '/joint_states'], '/joint_states')])
 def test_the_name_that_was_meant_comes_first(asked, available, first):
     assert suggested(describe_choices(asked, available))[0] == first
 

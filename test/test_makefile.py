@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What ``make`` sets for the programs that it starts."""
+"""What ``make`` sets for the programs that it starts, and does with an environment."""
 
 import os
 from pathlib import Path
@@ -26,3 +26,16 @@ def test_make_keeps_ros_within_this_machine_unless_told_otherwise(given, seen, t
     done = subprocess.run(['make', '-f', str(probe), 'probe'], capture_output=True, text=True,
                           env=environment, timeout=60.0)
     assert f'range={seen}' in done.stdout, done.stderr
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='needs make')
+@pytest.mark.parametrize('marker, cleared', [
+    ('pyvenv.cfg', False), ('.ready-wheels', False), ('.ready-sourced', True)])
+def test_make_keeps_what_is_installed_unless_ros_comes_from_elsewhere(marker, cleared, tmp_path):
+    (tmp_path / marker).touch()
+    environment = {k: v for k, v in os.environ.items() if k not in ('ROS_DISTRO', 'MAKEFLAGS')}
+    done = subprocess.run(
+        ['make', '--dry-run', '--always-make', f'VENV={tmp_path}', 'run'], capture_output=True,
+        text=True, env=environment, cwd=MAKEFILE.parent, timeout=60.0, check=True)
+    (line,) = [line for line in done.stdout.splitlines() if ' -m venv ' in line]
+    assert ('--clear' in line) == cleared, line

@@ -29,6 +29,8 @@ COMPOSITION = ('robot', 'gripper', 'base', 'arena', 'arena_param', 'object', 'id
 KINDS = ('robots', 'grippers', 'bases', 'arenas', 'objects', 'tasks')
 #: Text is never wrapped to fewer characters than this, the minimum of argparse.
 _NARROWEST = 11
+#: Of this package, beside this one.
+_PROGRAMS = ('sim_node', 'sim_view', 'pick_cube', 'hand_over')
 _EXIT_CODES = ('Exit codes: 0 success; 1 a problem was found, or the command failed; 2 wrong '
                'command line')
 
@@ -69,6 +71,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         add(commands)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
+        _check_first(words, parser)
     options, left = parser.parse_known_args(words)
     if options.command == 'convert' and len(left) == 1 and not left[0].startswith('-'):
         # Of several files before --to, argparse takes the last one for OUT, which comes after it.
@@ -94,6 +97,15 @@ def _add_verbs(commands: Any, words: Sequence[str]) -> None:
             if words[:1] == [name]:
                 raise ModelError(f'command {error}') from error
             logging.getLogger('manip_sim').warning('command %s', error)
+
+
+def _check_first(words: Sequence[str], parser: _Parser) -> None:
+    """End the process if the first word is another program, or an option of a command."""
+    first = words[0] if words else ''
+    if first in _PROGRAMS:
+        parser.error(f"{first} is a program of its own: type '{first}' without 'manip_sim'")
+    if first.startswith('-') and first not in ('-h', '--help', '--version'):
+        parser.error(f"a COMMAND comes before '{first}', as in: manip_sim describe --robot Panda")
 
 
 def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:

@@ -17,7 +17,7 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     check_ros_environment()
     try:
         from manip_sim.records.node_recorder import record_node
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         raise RecordError(missing_module(error)) from error
     name = f'/{options.node.strip("/")}'
     with ProgressBar('messages') as progress:

@@ -52,14 +52,17 @@ def _run(name: str) -> int:
         check_ros_environment()
         import_mujoco()
         example = import_module(f'manip_sim.examples.{name}')
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         problem = missing_module(error)
     except ManipSimError as error:
         problem = str(error)
     else:
         signals = EndSignals()
-        code: int = example.main(is_asked_to_end=lambda: signals.wait(0.0))
-        return code
+        try:
+            code: int = example.main(is_asked_to_end=lambda: signals.wait(0.0))
+            return code
+        except ManipSimError as error:
+            problem = str(error)
     print(f'{name}: {problem}', file=sys.stderr)
     return 1
 

@@ -14,8 +14,9 @@ import mujoco
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
+
+from manip_sim.ros.arguments import start_ros
 
 _PATIENCE_S = 10.0
 
@@ -134,8 +135,9 @@ def run(create: Callable[[], Demonstration], arguments: Sequence[str] | None,
     :param arguments: the command line, with ROS arguments; None: that of the process
     :param is_asked_to_end: is asked while the task waits
     :returns: the exit code: 1 if the task failed, 0 if it is done or was interrupted
+    :raises ManipSimError: if a ROS argument is wrong
     """
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(arguments)
     task = create()
     task.is_asked_to_end = is_asked_to_end
     try:

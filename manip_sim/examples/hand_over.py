@@ -20,6 +20,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.examples.arm import Arm
 from manip_sim.examples.demonstration import Demonstration, run, TaskFailed
+from manip_sim.resources import share_directory
 
 #: Where ``left`` and then ``middle`` give the cube to the next arm, in ``world`` [m].
 LEFT_PLACE, RIGHT_PLACE = np.array([0.0, 0.2, 1.4]), np.array([0.0, -0.2, 1.4])
@@ -39,7 +40,8 @@ class HandOverDemonstration(Demonstration):
     """A task: ``left`` picks the cube up, ``middle`` takes it, and ``right`` puts it down."""
 
     def __init__(self) -> None:
-        super().__init__('hand_over', 'sim_node --ros-args --params-file hand_over.yaml')
+        file = share_directory() / 'config' / 'hand_over.yaml'
+        super().__init__('hand_over', f'sim_node --ros-args --params-file {file}')
         self._left, self._middle, self._right = (Arm(self, name)
                                                  for name in ('left', 'middle', 'right'))
         self._pose: PoseStamped | None = None

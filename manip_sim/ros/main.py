@@ -12,15 +12,13 @@ import threading
 import warnings
 
 import rclpy
-from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models import trial
-from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
 from manip_sim.ros import background
+from manip_sim.ros.arguments import start_ros
 from manip_sim.ros.executor import GuardedExecutor
-from manip_sim.ros.overrides import for_other_nodes, without_source
+from manip_sim.ros.overrides import for_other_nodes
 from manip_sim.ros.sim_node import SimNode
 from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
@@ -42,17 +40,8 @@ def run(arguments: Sequence[str]) -> int:
     sys.setswitchinterval(_SWITCH_S)
     # rclpy warns of a node that could not be created, in addition to the error.
     warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
-    # Errors in arguments are printed once, below, and not by rcl too.
-    set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-    except (UnknownROSArgsError, RCLError) as error:
-        what = without_source(error)
-        if 'log directory' in what or 'log file' in what:
-            return _fail(f'{what}; set ROS_LOG_DIR to a folder that can be written')
-        return _fail(f'bad ROS arguments: {what}')
-    set_logger_level('rcl', LoggingSeverity.UNSET)
-    try:
+        start_ros(arguments)
         code = _serve(asked_to_end, arguments)
     except ManipSimError as error:
         code = _fail(str(error))

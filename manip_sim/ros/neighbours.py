@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 import difflib
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -59,6 +59,7 @@ class Neighbours:
         """
         topics = self._node.get_topic_names_and_types()
         graph = (self._node.get_node_names_and_namespaces(), topics,
+                 self._node.get_service_names_and_types(),
                  endpoint_counts(self._node, [name for name, _ in topics]))
         if graph != self._graph:
             self._graph, self._looks = graph, 2
@@ -69,7 +70,8 @@ class Neighbours:
 
     def _look(self, topics: Mapping[str, Sequence[str]]) -> None:
         found = {**self._same_name(), **self._same_topics(),
-                 **{text: text for text in islice(self._mismatches(topics), _MOST)}}
+                 **{text: text for text in islice(chain(
+                     self._mismatches(topics), self._missed_services()), _MOST)}}
         confirmed = {what: text for what, text in found.items() if what in self._found}
         for what in confirmed.keys() - self._reported.keys():
             self._node.get_logger().warning(confirmed[what])
@@ -125,6 +127,28 @@ class Neighbours:
                 for info in self._others_of(node.get_publishers_info_by_topic(topic)):
                     yield (f'{_name(info)} publishes {quoted(topic)}, which nobody takes; this '
                            f'node takes {near}')
+
+    def _missed_services(self) -> Iterator[str]:
+        """Yield a line for each service that others wait for, and that this node has otherwise."""
+        node = self._node
+        own = dict(node.get_service_names_and_types_by_node(*self._own))
+        for name, space in node.get_node_names_and_namespaces():
+            if (name, space) == self._own or name in _OWN_PROGRAMS:
+                continue
+            try:
+                asked = node.get_client_names_and_types_by_node(name, space)
+            except NodeNameNonExistentError:  # It has ended.
+                continue
+            for service, kinds in asked:
+                client = quoted(f'{space.rstrip("/")}/{name}')
+                if service in own and not set(kinds) <= set(own[service]):
+                    yield (f'{service} is {_short(own[service][0])}; {client} calls it as '
+                           f'{_short(kinds[0])}')
+                elif not node.count_services(service):
+                    last = [other for other in own if other.endswith(service.rpartition('/')[2])]
+                    for near in difflib.get_close_matches(service, last, n=1, cutoff=0.0):
+                        yield (f'{client} calls {quoted(service)}, which nobody offers; this node '
+                               f'offers {near}')
 
     def _others_of(self, infos: Sequence[TopicEndpointInfo]) -> Iterator[TopicEndpointInfo]:
         for info in infos:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 import difflib
 import itertools
 from pathlib import Path
-import re
 from typing import Any
 
 from rclpy.node import Node
@@ -94,9 +93,3 @@ def _nodes_in(file: Path) -> list[str]:
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
         # ROS has read it; only the warning is lost.
         return []
-
-
-def without_source(error: Exception) -> str:
-    """Return the first line of an error of rcl, without the places in its source code."""
-    lines = str(error).splitlines()
-    return re.sub(r', at [^ ,]+:\d+', '', lines[0]) if lines else type(error).__name__

@@ -29,6 +29,7 @@ from manip_sim.models.lost_shapes import lost_shapes
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros.actions import ActionServers, offer_actions
+from manip_sim.ros.arguments import without_source
 from manip_sim.ros.cameras import offer_cameras
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.diagnostics import Diagnostics
@@ -39,7 +40,7 @@ from manip_sim.ros.lidars import offer_lidars
 from manip_sim.ros.introduction import inferred, introduction
 from manip_sim.ros.log import RejectionLog
 from manip_sim.ros.object_publishers import ObjectPublishers
-from manip_sim.ros.overrides import check_qos_names, check_qos_values, without_source
+from manip_sim.ros.overrides import check_qos_names, check_qos_values
 from manip_sim.ros.parameters import Parameters
 from manip_sim.ros.publishers import ClockPublisher, ModelPublisher
 from manip_sim.ros.publishing_thread import PublishingThread

@@ -37,7 +37,14 @@ def main() -> int:
 def _run() -> int:
     words = sys.argv[1:]
     begin = words.index('--ros-args') if '--ros-args' in words else len(words)
-    options = _parser().parse_args(words[:begin])
+    from argparse import ArgumentError
+    try:
+        options, left = _parser().parse_known_args(words[:begin])
+    except ArgumentError as error:
+        return _fail(f'{error}; see --help', 2)
+    if left:
+        return _fail(f"unknown argument '{left[0]}': ROS arguments such as '-r __ns:=/cell' come "
+                     "after '--ros-args'; see --help", 2)
     from manip_sim.environment import check_ros_environment, missing_module
     from manip_sim.errors import ManipSimError
     try:
@@ -53,7 +60,7 @@ def _run() -> int:
             from manip_sim.viewer.playback import show_records
             return show_records(options)
         from manip_sim.viewer.ros.page_process import show
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:
         return _fail(str(error))
@@ -67,7 +74,8 @@ def _parser() -> argparse.ArgumentParser:
     import argparse
     from pathlib import Path
     parser = argparse.ArgumentParser(
-        prog='sim_view', epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog='sim_view', epilog=_EPILOG, exit_on_error=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         description='Show a running sim_node on a page in the browser, and drive it from there; '
         'or show records.')
     parser.add_argument('--listen', '--host', default='127.0.0.1', metavar='ADDRESS',
@@ -97,9 +105,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _fail(message: str) -> int:
+def _fail(message: str, code: int = 1) -> int:
     print(f'sim_view: {message}', file=sys.stderr)
-    return 1
+    return code
 
 
 def check_display() -> None:

@@ -61,7 +61,9 @@ def test_help_is_given_in_terminals_of_all_widths(columns, here, monkeypatch):
 
 
 @pytest.mark.parametrize(('arguments', 'what', 'of'), [
-    ((), 'COMMAND', ''), (('lst',), 'invalid choice', ''), (('list', 'cars'), 'cars', ' list'),
+    ((), 'COMMAND', ''), (('--robot', 'Panda'), "a COMMAND comes before '--robot'", ''),
+    (('sim_node', '--ros-args'), "type 'sim_node' without 'manip_sim'", ''),
+    (('lst',), 'invalid choice', ''), (('list', 'cars'), 'cars', ' list'),
     (('describe', '--robt', 'Panda'), '--robt', ' describe'),
     (('describe', '--rob', 'Panda'), '--rob', ' describe'),
     (('describe', 'Panda'), 'Panda (options name the parts: --robot NAME)', ' describe'),

@@ -216,6 +216,11 @@ SUBSCRIBED_BY_MISTAKE = [
      'to Float64MultiArray'),
     (JointState, 'joint_states', LATE_JOINER, "'/client' cannot receive /joint_states: volatile "
      'publisher and transient local subscription')]
+#: Services that another node calls by mistake.
+CALLED_BY_MISTAKE = [
+    (Trigger, 'reset', "'/client' calls '/reset', which nobody offers; this node offers "
+     '/manip_sim/reset'),
+    (Trigger, 'manip_sim/pause', "/manip_sim/pause is SetBool; '/client' calls it as Trigger")]
 
 
 def test_what_does_not_match_the_node_is_reported_once_while_it_lasts(serve, client):
@@ -226,7 +231,10 @@ def test_what_does_not_match_the_node_is_reported_once_while_it_lasts(serve, cli
                  for kind, topic, _ in PUBLISHED_BY_MISTAKE]
     readers = [client.node.create_subscription(kind, topic, lambda _: None, qos)
                for kind, topic, qos, _ in SUBSCRIBED_BY_MISTAKE]
-    expected = {row[-1] for row in (*PUBLISHED_BY_MISTAKE, *SUBSCRIBED_BY_MISTAKE)}
+    callers = [client.node.create_client(kind, service)
+               for kind, service, _ in CALLED_BY_MISTAKE]
+    expected = {row[-1] for row in (
+        *PUBLISHED_BY_MISTAKE, *SUBSCRIBED_BY_MISTAKE, *CALLED_BY_MISTAKE)}
 
     client.spin_until(lambda: expected <= set(log))
     client.spin_until(lambda: all(text in message for message in conflicts_of(arrays[-1:]).values()
@@ -238,6 +246,8 @@ def test_what_does_not_match_the_node_is_reported_once_while_it_lasts(serve, cli
         client.node.destroy_publisher(publisher)
     for reader in readers:
         client.node.destroy_subscription(reader)
+    for caller in callers:
+        client.node.destroy_client(caller)
     client.spin_until(lambda: conflicts_of(arrays[-1:]) == {
         'manip_sim: other nodes': 'no conflict'})
 
@@ -248,6 +258,8 @@ def test_what_matches_the_node_is_not_reported(serve, client):
     client.node.create_publisher(JointState, 'joint_command', qos_profile_sensor_data)
     client.node.create_publisher(TwistStamped, 'right/target_twist', LATE_JOINER)
     client.node.create_publisher(Float64MultiArray, 'temperature', 1)
+    client.node.create_client(Trigger, 'manip_sim/reset')
+    client.node.create_client(Trigger, 'doorbell')
     # Somebody else takes it.
     client.node.create_publisher(JointState, 'other/joint_command', 1)
     client.node.create_subscription(JointState, 'other/joint_command', print, 1)

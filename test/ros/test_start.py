@@ -30,6 +30,15 @@ REJECTED = {
     '-p use_sim_time:=nonsense': ("parameter 'use_sim_time'", "'nonsense'", 'BOOL'),
     f'-r __node:={"a" * 300}': ('invalid node name', "should not exceed '255'"),
     '-p robot': ('bad ROS arguments', "'-p robot'"),
+    '-p robot=Panda': ("'-p robot=Panda' must be -p NAME:=VALUE",),
+    '-p robot: Panda': ("'-p robot:' must be -p NAME:=VALUE, without spaces",),
+    'robot:=Panda': ("'robot:=Panda' must follow -p: -p robot:=Panda",),
+    '__ns:=/left': ("'__ns:=/left' must follow -r: -r __ns:=/left",),
+    '-p position:=[0,0.5,0]': ("'position:=[0,0.5,0]': write all numbers of a list with a",),
+    '-r joint_command': ("'-r joint_command' must be -r OLD:=NEW",),
+    '-r __ns:=left': ("'__ns:=left': a namespace begins with a slash: __ns:=/left",),
+    '-r __node:=my-node': ("'__node:=my-node': the name of a node consists of letters,",),
+    '--log-level nonsense -p robot:=Panda': ('bad ROS arguments', 'nonsense'),
     '--params-file nofile.yaml': ('bad ROS arguments', 'nofile.yaml'),
     '-p lockstep_parts:=[] -p stepping:=lockstep': (
         "parameter 'lockstep_parts': lockstep needs at least one part",)}
@@ -49,6 +58,18 @@ def test_a_start_that_cannot_succeed_ends_with_one_line(arguments, rejected):
     assert '/src/' not in errors
     for words in REJECTED[arguments]:
         assert words in errors
+
+
+@pytest.mark.parametrize('content, line', [
+    ('/**:\n\tros__parameters:\n', r", line 2: found character '\t' that cannot start any token"),
+    ('robot: Panda\n', ": parameters must be below the name of the node and 'ros__parameters'"),
+    ('manip_sim:\n  robot: Panda\n', ': parameters must be below the name of the node and ')])
+def test_a_parameters_file_that_ros_cannot_read_is_explained(content, line, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(content)
+    ((code, output, errors),) = starts([['--ros-args', '--params-file', str(file)]])
+    assert (code, output, errors.count('\n')) == (1, '', 1)
+    assert errors.startswith(f"sim_node: bad ROS arguments: '{file}'{line}"), errors
 
 
 def test_a_home_that_cannot_be_written_is_named(process, monkeypatch):

@@ -331,8 +331,12 @@ def test_a_port_that_is_taken_is_told_in_one_line():
                            'choose another port with --port, or another address with --listen\n')
 
 
-def test_bad_ros_arguments_are_told_in_one_line():
-    done = run_viewer('--ros-args', '-r', 'nonsense')
-    assert done.returncode == 1
-    assert done.stderr.startswith('sim_view: bad ROS arguments: ')
+@pytest.mark.parametrize('arguments, code, told', [
+    (['--ros-args', '-r', 'nonsense'], 1, "bad ROS arguments: '-r nonsense' must be -r OLD:=NEW"),
+    (['robot:=Panda'], 2, "unknown argument 'robot:=Panda'"),
+    (['--port', 'x'], 2, "argument --port: invalid int value: 'x'; see --help")])
+def test_bad_arguments_are_told_in_one_line(arguments, code, told):
+    done = run_viewer(*arguments)
+    assert done.returncode == code
+    assert done.stderr.startswith(f'sim_view: {told}')
     assert done.stderr.count('\n') == 1

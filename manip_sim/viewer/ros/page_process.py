@@ -12,14 +12,13 @@ import time
 from typing import Any
 
 import rclpy
-from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from manip_sim.errors import ManipSimError
 from manip_sim.models import trial
-from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
+from manip_sim.rclpy_internals import RCLError
 from manip_sim.ros import background
+from manip_sim.ros.arguments import start_ros, without_source
 from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.page.access import Access
 from manip_sim.viewer.page.saved_poses import Poses
@@ -61,14 +60,11 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
 
 
 def _start_ros(arguments: Sequence[str]) -> Node:
-    # Bad arguments are reported once, by our error and not by rcl too.
-    set_logger_level('rcl', LoggingSeverity.FATAL)
+    start_ros(arguments)
     try:
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         node: Node = rclpy.create_node('sim_view')
-    except (UnknownROSArgsError, RCLError) as error:
-        raise ManipSimError(f'bad ROS arguments: {str(error).partition(", at ")[0]}') from error
-    set_logger_level('rcl', LoggingSeverity.UNSET)
+    except RCLError as error:
+        raise ManipSimError(without_source(error)) from error
     return node
 
 

@@ -1,0 +1,112 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Start rclpy, and say what to write instead of arguments that it rejects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+import re
+import sys
+
+import rclpy
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.signals import SignalHandlerOptions
+import yaml
+
+from manip_sim.errors import ManipSimError
+from manip_sim.quoting import one_line, quoted
+from manip_sim.rclpy_internals import RCLError, UnknownROSArgsError
+
+#: Options of ROS with a value.
+_WITH_VALUE = ('-e', '--enclave', '--log-level', '--log-config-file', '--log-file-name')
+_NODE = re.compile('[A-Za-z_][A-Za-z0-9_]*')
+
+
+def start_ros(arguments: Sequence[str] | None) -> None:
+    """
+    Initialize rclpy, without its signal handlers.
+
+    :param arguments: the command line with ROS arguments; None: that of the process
+    :raises ManipSimError: in one line, if an argument is wrong, or the log cannot be written
+    """
+    words = sys.argv if arguments is None else list(arguments)
+    # Errors are reported once, by our error and not by rcl too.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    try:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    except (UnknownROSArgsError, RCLError) as error:
+        raise ManipSimError(_explained(words, without_source(error))) from error
+    set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def without_source(error: Exception) -> str:
+    """Return the first line of an error of rcl, without the places in its source code."""
+    lines = str(error).splitlines()
+    return re.sub(r', at [^ ,]+:\d+', '', lines[0]) if lines else type(error).__name__
+
+
+def _explained(arguments: Sequence[str], reason: str) -> str:
+    if 'log directory' in reason or 'log file' in reason:
+        return f'{reason}; set ROS_LOG_DIR to a folder that can be written'
+    return f'bad ROS arguments: {next(_mistakes(arguments), reason)}'
+
+
+def _mistakes(arguments: Sequence[str]) -> Iterator[str]:
+    words = iter(arguments)
+    for word in words:
+        if word == '--ros-args':
+            break
+    for word in words:
+        if word in ('-p', '--param'):
+            yield from _mistakes_of_parameter(next(words, ''))
+        elif word in ('-r', '--remap'):
+            yield from _mistakes_of_remapping(next(words, ''))
+        elif word == '--params-file':
+            yield from _mistakes_of_file(next(words, ''))
+        elif word in _WITH_VALUE:
+            next(words, None)
+        elif ':=' in word:
+            option = '-r' if word.startswith('__') else '-p'
+            yield f'{quoted(word)} must follow {option}: {option} {one_line(word, 60)}'
+
+
+def _mistakes_of_parameter(word: str) -> Iterator[str]:
+    name, assigned, value = word.partition(':=')
+    if not (name and assigned and value):
+        yield f'{quoted(f"-p {word}".strip())} must be -p NAME:=VALUE, without spaces'
+    try:
+        kinds = {type(item) for item in yaml.safe_load(value)}
+    except (TypeError, ValueError, RecursionError, yaml.YAMLError):
+        return  # It is no list.
+    if kinds == {int, float}:
+        yield f'{quoted(word)}: write all numbers of a list with a decimal point, such as 0.0'
+
+
+def _mistakes_of_remapping(word: str) -> Iterator[str]:
+    old, assigned, new = word.partition(':=')
+    kind = old.rpartition(':')[2]
+    if not (old and assigned and new):
+        yield f'{quoted(f"-r {word}".strip())} must be -r OLD:=NEW, without spaces'
+    elif kind == '__ns' and not new.startswith('/'):
+        yield f'{quoted(word)}: a namespace begins with a slash: __ns:=/{one_line(new, 60)}'
+    elif kind in ('__node', '__name') and not _NODE.fullmatch(new):
+        yield (f'{quoted(word)}: the name of a node consists of letters, digits and underscores, '
+               'and does not begin with a digit')
+
+
+def _mistakes_of_file(name: str) -> Iterator[str]:
+    try:
+        content = yaml.safe_load(Path(name).read_text())
+    except yaml.MarkedYAMLError as error:
+        line = f', line {error.problem_mark.line + 1}' if error.problem_mark else ''
+        yield f'{quoted(name, 200)}{line}: {one_line(str(error.problem))}'
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        pass  # rcl names it.
+    else:
+        below = content.values() if isinstance(content, dict) else ()
+        if not any(isinstance(section, dict) for section in below) or any(
+                'ros__parameters' not in repr(section) for section in below):
+            yield (f'{quoted(name, 200)}: parameters must be below the name of the node and '
+                   "'ros__parameters', as in '/**: {ros__parameters: {robot: Panda}}'")
