@@ -271,3 +271,24 @@ def test_a_load_on_links_without_gravity_still_weighs(compensates):
     state = simulation.robot.state()
     assert abs(state.effort[1]) == pytest.approx(9.81 * 0.2, rel=0.05)
     np.testing.assert_allclose(state.position, before, atol=5e-3)
+
+
+def test_masses_that_a_file_does_not_give_are_such_that_motors_carry_them():
+    robot = load_robot(DATA / 'thick_links.urdf')
+    assert said(robot, 'so that no pose needs more than 50% of an effort limit')
+    model = robot.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)  # Stretched out: no pose needs more.
+    shares = np.abs(data.qfrc_bias) / model.jnt_actfrcrange[:, 1]
+    assert 0.4 < shares.max() <= 0.52
+    assert model.body('robot0_tool').mass[0] == 0.5
+    simulation = Simulation(compose(robot, position=(0.0, 0.0, 1.0)))
+    assert not simulation.start_defects
+
+
+def test_masses_that_motors_carry_or_no_limit_restricts_are_not_changed(tmp_path):
+    strong = (DATA / 'thick_links.urdf').read_text().replace('effort="', 'effort="9')
+    for text in (strong, re.sub('effort="[0-9]*"', 'effort="0"', strong)):
+        robot = load_robot(write(tmp_path / 'arm.urdf', text))
+        assert not said(robot, 'so that no pose')
+        assert robot.compile().body('robot0_upper').mass[0] == pytest.approx(12.0)

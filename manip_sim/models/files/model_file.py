@@ -17,9 +17,10 @@ from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import UnknownNameError
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
+from manip_sim.models.files.guessed_masses import lighten, masses_from_shapes
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
-from manip_sim.models.files.urdf import is_urdf, load_urdf, masses_from_shapes
+from manip_sim.models.files.urdf import is_urdf, load_urdf
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
@@ -142,7 +143,9 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     _infer_inertias_once(spec)
     model = compile_alone(spec, str(file))
     if is_urdf(file):
-        notes += masses_from_shapes(spec, model)
+        lighter = lighten(spec, model)
+        model = compile_alone(spec, str(file)) if lighter else model
+        notes += [*lighter, *masses_from_shapes(spec, model)]
     key = _choose_key(model, keyframes, wanted, file)
     if key is None:
         qpos, why = choose_pose(model)

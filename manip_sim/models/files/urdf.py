@@ -211,24 +211,6 @@ def _take_gravity(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
             f'{quoted_names(light)}'] if light else []
 
 
-def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
-    """
-    Say which moving links of a URDF have a mass that follows from their shapes.
-
-    :param spec: from :func:`load_urdf`
-    :param model: the same, compiled
-    """
-    notes = []
-    for body in spec.bodies[1:]:
-        made = model.body(body.name)
-        densities = {float(geom.density) for geom in body.geoms
-                     if geom.contype or geom.conaffinity}
-        if not body.explicitinertial and densities and model.body_weldid[made.id]:
-            notes.append(f"link '{body.name}' has no <inertial>: {made.mass[0]:.4g} kg from its "
-                         f'collision shapes at {max(densities):g} kg/m^3')
-    return notes
-
-
 def _fixed_on(body: Any) -> Iterator[Any]:
     for child in body.bodies:
         if not child.joints:

@@ -1,0 +1,96 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Masses of links that a URDF gives none: from their shapes, no heavier than motors can carry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from manip_sim.arrays import FloatArray
+
+#: Share of an effort limit that the weight may need in any pose; real arms are like this.
+_SHARE = 0.5
+#: Densities are not made smaller than by this factor.
+_LEAST = 0.01
+_POSES = 50
+
+
+def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """
+    Say which moving links of a URDF have a mass that follows from their shapes.
+
+    :param spec: from :func:`load_urdf`
+    :param model: the same, compiled
+    """
+    return [f"link '{body.name}' has no <inertial>: {model.body(body.name).mass[0]:.4g} kg from "
+            f'its collision shapes at {max(geom.density for geom in _colliding(body)):.4g} kg/m^3'
+            for body in _guessed(spec, model)]
+
+
+def lighten(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """
+    Reduce the density of shapes that give a link its mass, if motors could not carry the links.
+
+    Shapes for collisions are often thicker than the link, and there twice.
+
+    :param spec: from :func:`load_urdf`, changed in place
+    :param model: the same, compiled
+    :returns: a sentence if it was changed
+    """
+    guessed = list(_guessed(spec, model))
+    share = _carried_share(model, [model.body(body.name).id for body in guessed])
+    for body in guessed if share < 1.0 else ():
+        for geom in _colliding(body):
+            geom.density *= share
+    return ['links without <inertial> are lighter than their shapes at the usual density, so that '
+            f'no pose needs more than {_SHARE:.0%} of an effort limit'] if share < 1.0 else []
+
+
+def _guessed(spec: mujoco.MjSpec, model: mujoco.MjModel) -> Iterator[Any]:
+    """Yield the bodies that move and whose mass follows from their shapes."""
+    for body in spec.bodies[1:]:
+        if (not body.explicitinertial and _colliding(body)
+                and model.body_weldid[model.body(body.name).id]):
+            yield body
+
+
+def _colliding(body: Any) -> list[Any]:
+    return [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+
+
+def _carried_share(model: mujoco.MjModel, guessed: list[int]) -> float:
+    """Return by which factor some masses have to be smaller so that all effort limits carry."""
+    limited = np.flatnonzero(model.jnt_actfrclimited)
+    if not guessed or not len(limited):
+        return 1.0
+    dofs = model.jnt_dofadr[limited]
+    room = _SHARE * np.abs(model.jnt_actfrcrange[limited]).max(axis=1)
+    free = np.flatnonzero(model.jnt_limited == 0)
+    low, high = model.jnt_range.T.copy()
+    low[free], high[free] = -np.pi, np.pi
+    random, data, share = np.random.default_rng(0), mujoco.MjData(model), 1.0
+    scalar = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
+    others = sorted(set(range(1, model.nbody)) - set(guessed))
+    for _ in range(_POSES):
+        data.qpos[model.jnt_qposadr[scalar]] = random.uniform(low, high)[scalar]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        given, made = (np.abs(_weight(model, data, bodies)[dofs]) for bodies in (others, guessed))
+        heavy = (made > 0.0) & (given < room)
+        share = float(np.min((room - given)[heavy] / made[heavy], initial=share))
+    return max(share, _LEAST)
+
+
+def _weight(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int]) -> FloatArray:
+    """Return the effort that the weight of some bodies asks of the joints, shape (nv,)."""
+    effort, jacobian = np.zeros(model.nv), np.empty((3, model.nv))
+    for body in bodies:
+        mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
+        mass = model.body_mass[body] * (1.0 - model.body_gravcomp[body])
+        effort -= mass * model.opt.gravity @ jacobian
+    return effort
