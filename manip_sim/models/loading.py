@@ -69,10 +69,12 @@ def _reject_what_tactile_sensors_cannot_feel(model: mujoco.MjModel, name: str) -
     At a contact with a height field MuJoCo ends the simulation; for a flex it takes the shape with
     the number -1.
     """
-    fields = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)
+    sensors = np.flatnonzero(model.sensor_type == int(mujoco.mjtSensor.mjSENS_TACTILE))
+    if not len(sensors):
+        return
+    fields = np.flatnonzero((model.geom_type == int(mujoco.mjtGeom.mjGEOM_HFIELD))
                             & (model.geom_contype | model.geom_conaffinity != 0))
-    sensors = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TACTILE)
-    if len(sensors) and (len(fields) or model.nflex):
+    if len(fields) or model.nflex:
         flex = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, 0)
         shape = (f'height field {quoted(model.geom(fields[0]).name)}' if len(fields)
                  else f'flex {quoted(flex)}')

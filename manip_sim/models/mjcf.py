@@ -240,10 +240,11 @@ class MujocoXMLModel:
 
     def _record_shapes(self, model: mujoco.MjModel, bodies: Iterable[int]) -> None:
         """Record the sites and geoms of some bodies."""
-        own = list(bodies)
-        here = np.isin(model.geom_bodyid, own)
+        own = np.zeros(model.nbody, dtype=bool)
+        own[list(bodies)] = True
+        here = own[model.geom_bodyid]
         collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-        self._sites = _names(model.site, np.flatnonzero(np.isin(model.site_bodyid, own)).tolist())
+        self._sites = _names(model.site, np.flatnonzero(own[model.site_bodyid]).tolist())
         self._contact_geoms = _names(model.geom, np.flatnonzero(here & collides).tolist())
         self._visual_geoms = _names(model.geom, np.flatnonzero(here & ~collides).tolist())
         for group in self._important_geoms.values():
@@ -303,7 +304,9 @@ class MujocoXMLModel:
         if isinstance(names, str):
             return self.naming_prefix + names
         if isinstance(names, (list, tuple)):
-            return [self.correct_naming(name) for name in names]
+            prefix = self.naming_prefix
+            return [prefix + name if isinstance(name, str) else self.correct_naming(name)
+                    for name in names]
         if isinstance(names, Mapping):
             return {key: self.correct_naming(value) for key, value in names.items()}
         raise TypeError('names must be a str, a list, a tuple or a dict of them, '
@@ -327,23 +330,22 @@ class MujocoXMLModel:
     @property
     def keyframes(self) -> dict[str, dict[str, float]]:
         """Positions of scalar joints by named keyframe of the file and joint [rad or m]."""
-        return {name: {self.correct_naming(joint): position
-                       for joint, position in positions.items()}
+        prefix = self.naming_prefix
+        return {name: {prefix + joint: position for joint, position in positions.items()}
                 for name, positions in self._keyframes.items()}
 
     @property
     def joint_ranges(self) -> dict[str, FloatArray]:
         """Range by name of the joint [rad or m], shape (2,), infinite where there is none."""
-        found = {raw: self._own_model.joint(raw) for raw in self._joints}
-        return {self.correct_naming(raw): np.array(
-                    joint.range if joint.limited[0] else (-np.inf, np.inf))
-                for raw, joint in found.items()}
+        found = map(self._own_model.joint, self._joints)
+        return {name: np.array(joint.range if joint.limited[0] else (-np.inf, np.inf))
+                for name, joint in zip(self.correct_naming(self._joints), found)}
 
     @property
     def control_ranges(self) -> dict[str, FloatArray]:
         """Control range by name of the actuator, in its unit, shape (2,), zeros if it has none."""
-        return {self.correct_naming(raw): np.array(self._own_model.actuator(raw).ctrlrange)
-                for raw in self._actuators}
+        return {name: np.array(self._own_model.actuator(raw).ctrlrange)
+                for name, raw in zip(self.correct_naming(self._actuators), self._actuators)}
 
     @property
     def sites(self) -> list[str]:

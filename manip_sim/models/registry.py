@@ -46,6 +46,8 @@ class Registry(Generic[T]):
         self._takes = takes
         self._key = key
         self._classes: dict[str, type[T]] = {}
+        #: Why a class cannot be created by name, once that was asked; empty if it can.
+        self._missing: dict[type[T], str] = {}
         #: By offer, the class, or the error of its import.
         self._loaded: dict[Offer, type[T] | ModelError] = {}
 
@@ -179,12 +181,15 @@ class Registry(Generic[T]):
 
     def _missing_arguments(self, cls: type[T]) -> str:
         """Return why a class cannot be created by name; empty if it can."""
-        takes = ', '.join(self._takes) or 'no argument'
-        try:
-            inspect.signature(cls).bind(**dict.fromkeys(self._takes))
-        except (TypeError, ValueError) as error:
-            return f'its constructor must take {takes}, and have defaults for all else ({error})'
-        return ''
+        if cls not in self._missing:
+            takes = ', '.join(self._takes) or 'no argument'
+            self._missing[cls] = ''
+            try:
+                inspect.signature(cls).bind(**dict.fromkeys(self._takes))
+            except (TypeError, ValueError) as error:
+                self._missing[cls] = (f'its constructor must take {takes}, and have defaults for '
+                                      f'all else ({error})')
+        return self._missing[cls]
 
 
 @contextmanager

@@ -135,17 +135,16 @@ class Subsystems(MujocoXMLModel):
         """Sort all joints into subsystems again, as ``add_base`` does."""
         self._joints_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
-            for raw in part._joints:
-                self._joints_of[self._subsystem(part, raw)].append(part.correct_naming(raw))
+            for raw, name in zip(part._joints, part.correct_naming(part._joints)):
+                self._joints_of[self._subsystem(part, raw)].append(name)
 
     def update_actuators(self) -> None:
         """Sort all actuators into subsystems again, as ``add_base`` does."""
         self._actuators_of = {part: [] for part in SUBSYSTEMS}
         for part in self._own_parts():
-            for raw in part._actuators:
+            for raw, name in zip(part._actuators, part.correct_naming(part._actuators)):
                 driven = driven_joint(part._own_model, part._own_model.actuator(raw).id)
-                name = self._subsystem(part, driven or raw)
-                self._actuators_of[name].append(part.correct_naming(raw))
+                self._actuators_of[self._subsystem(part, driven or raw)].append(name)
 
     def _subsystem(self, part: MujocoXMLModel, raw: str) -> str:
         if part is self and raw in self._subsystem_of_joint:
