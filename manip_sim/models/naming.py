@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import re
 
 import mujoco
@@ -67,13 +66,17 @@ class TakenNames:
         :param part: what it is, for the message
         :raises ModelError: naming the element
         """
-        names = {elements: [element.name for element in getattr(own, elements)
-                            if element.name not in ('', 'world')] for elements in self._by_list}
+        lists = {elements: getattr(own, elements) for elements in self._by_list}
+        names = {elements: [name for element in each
+                            if (name := element.name) not in ('', 'world')]
+                 for elements, each in lists.items()}
         for kind, elements in NAMED_ELEMENTS.items():
             for name in names[elements]:
                 if prefix + name in self._by_list[elements]:
                     raise _taken(kind, prefix, name, part)
-        for name in sorted(set(_default_classes(own))):
+        classes = {element.classname.name for elements in _WITH_DEFAULTS
+                   for element in lists[elements]}
+        for name in sorted(classes):
             if self._spec.find_default(prefix + name) is not None:
                 raise _taken('default class', prefix, name, part)
         for elements, added in names.items():
@@ -91,12 +94,6 @@ class TakenNames:
         """
         self._by_list[elements].discard(old)
         self._by_list[elements].add(new)
-
-
-def _default_classes(spec: mujoco.MjSpec) -> Iterator[str]:
-    for elements in _WITH_DEFAULTS:
-        for element in getattr(spec, elements):
-            yield element.classname.name
 
 
 def _taken(kind: str, prefix: str, name: str, part: str) -> ModelError:

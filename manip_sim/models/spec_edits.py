@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -158,6 +159,8 @@ def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
     :param actuators: the consecutive actuators
     :param count: how many of them go to the end
     """
+    if not 0 < count < len(actuators):
+        return
     contents = [_content(actuator) for actuator in actuators]
     for actuator in actuators:
         actuator.name = ''  # No name may occur twice at any time.
@@ -166,10 +169,14 @@ def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:
             setattr(actuator, field, value)
 
 
+@lru_cache(maxsize=1)
+def _fields_of_actuators() -> list[str]:
+    return [field for field in dir(mujoco.MjsActuator) if field not in _OF_THE_ELEMENT
+            and not field.startswith(('_', 'set_to_'))]
+
+
 def _content(actuator: mujoco.MjsActuator) -> dict[str, Any]:
-    fields = (field for field in dir(actuator) if field not in _OF_THE_ELEMENT
-              and not field.startswith(('_', 'set_to_')))
-    content = {field: getattr(actuator, field) for field in fields}
+    content = {field: getattr(actuator, field) for field in _fields_of_actuators()}
     content['userdata'] = list(content['userdata'])
     return {field: value.copy() if isinstance(value, np.ndarray) else value
             for field, value in content.items()}
