@@ -43,8 +43,9 @@ def rpy_of(rotation: FloatArray) -> FloatArray:
 
 def text_of(values: ArrayLike) -> str:
     """Return numbers as the shortest text of the same doubles; less than 1e-16 becomes 0."""
-    numbers = np.atleast_1d(np.asarray(values, dtype=float))
-    return ' '.join(_shortest(float(number)) for number in numbers)
+    if isinstance(values, float):
+        return _shortest(float(values))
+    return ' '.join(map(_shortest, np.asarray(values, dtype=float).reshape(-1).tolist()))
 
 
 def _shortest(number: float) -> str:

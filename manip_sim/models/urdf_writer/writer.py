@@ -21,7 +21,7 @@ from manip_sim.models.urdf_writer.joints import (
     actuated_joints, effort_limit, find_mimics, Mimic, velocity_limit)
 from manip_sim.models.urdf_writer.kinematic_tree import Joint, KinematicTree, Link, robot_tree
 from manip_sim.models.urdf_writer.link_shapes import (
-    collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, shapes_of)
+    collides, files_of_meshes, geoms_of_body, is_seen, MeshFile, rgba_of, Shape, shapes_of)
 from manip_sim.models.urdf_writer.urdf_numbers import matrix_of, rpy_of, text_of
 from manip_sim.models.world import World
 
@@ -148,17 +148,17 @@ class _UrdfWriter:
         for geom in geoms_of_body(self._model, link.body):
             touches = collides(self._model, geom)
             seen = is_seen(self._model, geom) or (touches and self._shows_all)
+            shapes = list(shapes_of(self._model, geom, self._meshes)) if seen or touches else []
+            if (seen or touches) and not shapes:
+                kind = mujoco.mjtGeom(int(self._model.geom_type[geom])).name
+                self._notes.append(f'{link.name}: a {kind.rpartition("_")[2].lower()} is left out')
             if seen:
-                self._add_shapes(element, 'visual', geom)
+                self._add_shapes(element, 'visual', geom, shapes)
             if touches:
-                self._add_shapes(element, 'collision', geom)
+                self._add_shapes(element, 'collision', geom, shapes)
 
-    def _add_shapes(self, link: ElementTree.Element, tag: str, geom: int) -> None:
-        shapes = list(shapes_of(self._model, geom, self._meshes))
-        if not shapes:
-            kind = mujoco.mjtGeom(int(self._model.geom_type[geom])).name
-            self._notes.append(f"{link.get('name')}: a {kind.rpartition('_')[2].lower()} is left "
-                               'out')
+    def _add_shapes(self, link: ElementTree.Element, tag: str, geom: int, shapes: list[Shape]
+                    ) -> None:
         for shape in shapes:
             element = ElementTree.SubElement(link, tag)
             _add_origin(element, shape.position, shape.rotation)
