@@ -62,14 +62,10 @@ def acceleration_limits(model: mujoco.MjModel, data: mujoco.MjData, joint_ids: I
 
 def _inertia(model: mujoco.MjModel, data: mujoco.MjData, dofs: IntArray) -> FloatArray:
     """Return the magnitudes of the joints' block of the inertia matrix, shape (n, n)."""
-    inertia = np.empty((len(dofs), len(dofs)))
-    unit, column = np.zeros((2, model.nv))
-    for index, dof in enumerate(dofs):
-        unit[dof] = 1.0
-        mujoco.mj_mulM(model, data, column, unit)
-        unit[dof] = 0.0
-        inertia[index] = np.abs(column[dofs])
-    return inertia
+    inertia = np.zeros((model.nv, model.nv))
+    rows, columns = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
+    inertia[rows, columns] = inertia[columns, rows] = np.abs(data.M)
+    return inertia[np.ix_(dofs, dofs)]
 
 
 def _compute_inertia_and_weight(model: mujoco.MjModel, data: mujoco.MjData) -> None:
