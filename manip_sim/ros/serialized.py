@@ -90,8 +90,11 @@ def _end(kind: str, value: Any, begin: int) -> int:
     inner, is_sequence, _ = kind.partition('sequence<')[2].partition('>')
     if kind.endswith(']') or is_sequence:
         place = _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE if is_sequence else begin
+        item_kind = inner.partition(',')[0] or kind.partition('[')[0]
+        if item_kind in _SIZES and len(value):
+            return _aligned(place, _SIZES[item_kind]) + _SIZES[item_kind] * len(value)
         for item in value:
-            place = _end(inner.partition(',')[0] or kind.partition('[')[0], item, place)
+            place = _end(item_kind, item, place)
         return place
     if kind.startswith('string'):
         return _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE + len(value.encode()) + 1
