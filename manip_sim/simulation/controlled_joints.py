@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.modes import default_mode, MODES
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
@@ -28,9 +30,19 @@ _MOST_ROUNDS = 10
 _TWIST_JOINTS = ('forward', 'side', 'yaw')
 
 
+class Holder(Protocol):
+    """What holds the setpoints and commands of joints for several control periods."""
+
+    def give_back(self) -> None:
+        """Bring them up to date in the controllers they belong to, and hold them no longer."""
+
+
 class ControlledJoints:
     """
     The joints that actuators drive, each with its servo, its setpoint and its control mode.
+
+    Setpoints and commands may be held by something else for a while; whoever asks for them here
+    gets them back first.
 
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; those of one arm and of both arms may overlap
@@ -38,7 +50,11 @@ class ControlledJoints:
     :ivar names: of the driven joints, in the order of their indices
     :ivar modes: the names of their control modes
     :ivar twist_indices: the joints x, y and yaw of a mobile base that takes a twist, or None
+    :ivar holder: of setpoints and commands at present, or None for this controller itself
     """
+
+    #: None whenever states are read.
+    not_in_digest = ('holder',)
 
     def __init__(self, physics: Physics, parts: Mapping[str, Part],
                  atomic: Sequence[str]) -> None:
@@ -52,9 +68,11 @@ class ControlledJoints:
         self.twist_indices = self._find_twist_joints(parts)
         self._sideways = 'base' not in parts or parts['base'].sideways
         self._servos = Servos(physics, [a for a, _ in driven], self.names)
-        self._setpoints = SetpointGenerator(
+        self._generator = SetpointGenerator(
             self._servos.position_clamp(), self._servos.cruising_velocity,
             self._servos.acceleration_limit)
+        self._ledger = Ledger(len(self.names))
+        self.holder: Holder | None = None
         self.modes = tuple(default_mode(part) for part in self._part_of)
         self._effort = np.zeros(len(self.names))
 
@@ -66,6 +84,24 @@ class ControlledJoints:
         if any(len(indices) != 1 for indices in found):
             return None
         return self._indices_of['base'][[indices[0] for indices in found]]
+
+    def take_back(self) -> None:
+        """Hold setpoints and commands here, whatever held them before."""
+        if self.holder is not None:
+            self.holder.give_back()
+
+    @property
+    def _setpoints(self) -> SetpointGenerator:
+        if self.holder is not None:
+            self.holder.give_back()
+        return self._generator
+
+    @property
+    def commands(self) -> Ledger:
+        """The commands that have not ended."""
+        if self.holder is not None:
+            self.holder.give_back()
+        return self._ledger
 
     def indices_of(self, part: str) -> IntArray:
         """

@@ -20,7 +20,6 @@ from manip_sim.simulation.command_timeouts import CommandTimeouts
 from manip_sim.simulation.commands import (
     BaseTwist, Command, CommandHandle, JointSetpoint, JointTrajectory, Status, TrajectoryStop)
 from manip_sim.simulation.controlled_joints import ControlledJoints
-from manip_sim.simulation.ledger import Ledger
 from manip_sim.simulation.modes import Arrival, MODES
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.parts import Part
@@ -44,7 +43,6 @@ class JointController(ControlledJoints):
     :param atomic: the names of the parts that do not overlap
     :param hands: of the arms that take Cartesian commands, by arm
     :ivar cartesian: controller of the hands
-    :ivar commands: the commands that have not ended
     :ivar plan: the controls of the intervals that follow in a period, where they are planned
     """
 
@@ -54,7 +52,6 @@ class JointController(ControlledJoints):
         self.cartesian = CartesianController(
             physics, hands or {}, self.names, self._servos, self._setpoints)
         self._everything = np.arange(len(self.names))
-        self.commands = Ledger(len(self.names))
         self._timeouts = CommandTimeouts(atomic)
         self._trajectories = TrajectoryFollowing(
             self._setpoints, self.commands, len(self.names))
@@ -68,6 +65,7 @@ class JointController(ControlledJoints):
 
     def look_at_joints(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
+        self.take_back()
         self._servos.look_at_joints()
         self.cartesian.look_at_joints()
 

@@ -94,7 +94,6 @@ class SavedStates:
     :param start: of the episodes
     :param efforts: of the actuators
     :param robots: the present robots, by name
-    :ivar control: the state of control, of the present model
     """
 
     def __init__(self, physics: Physics, clock: Clock, steps: PhysicsSteps, start: EpisodeStart,
@@ -105,9 +104,16 @@ class SavedStates:
 
     def look_at_robots(self) -> None:
         """Find all that has a state, anew when robots have come or gone."""
-        self.control = ControlState(
+        self._control = ControlState(
             [self._efforts, *self._robots.values()],
             (Clock, Physics, CartesianParser, CommandParser), _PASSING)
+
+    @property
+    def control(self) -> ControlState:
+        """The state of control, of the present model."""
+        for robot in self._robots.values():
+            robot.joints.take_back()
+        return self._control
 
     def save(self, diverged: str | None) -> SimulationState:
         """

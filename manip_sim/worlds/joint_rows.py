@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
 from manip_sim.simulation import SimulatedRobot
 from manip_sim.simulation.commands import JointSetpoint
 from manip_sim.simulation.joint_controller import JointController
 from manip_sim.simulation.profiles import Plan
+from manip_sim.worlds.servo_rows import ServoRows
 from manip_sim.worlds.setpoint_rows import SetpointRows
 from manip_sim.worlds.shared_goals import take_goals
 
@@ -37,7 +36,6 @@ class JointRows:
     def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
         self._robots = robots
         self._clocks = [robot._clock for robot in robots]
-        self._physics = [robot._physics for robot in robots]
         self._own = [True] * len(robots)
         generators = []
         for robot, clock in zip(robots, self._clocks):
@@ -48,10 +46,7 @@ class JointRows:
         self._setpoints = SetpointRows(generators)
         for goals in shared:
             self._setpoints.take(goals)
-        servos = [robot.joints._servos for robot in robots]
-        self._servos, self._places = servos[0], servos[0]._places
-        self._drag, self._stiffness, self._lead = (
-            np.stack(of) for of in zip(*((s._drag, s._stiffness, s.lead) for s in servos)))
+        self._servos = ServoRows(robots)
 
     def release(self) -> None:
         """Give the joints back to their controllers."""
@@ -66,19 +61,18 @@ class JointRows:
         :returns: robots whose setpoints have come to rest, or follow a plan for the rest of the
             period, so their joints were given back
         """
-        setpoints, (_, _, activation, ids) = self._setpoints, self._places
+        setpoints, servos = self._setpoints, self._servos
         setpoints.set_time(np.array([clock.control_s for clock in self._clocks]))
         setpoints.advance(duration_s)
-        setpoints.hold_back(self._measured(duration_s), self._lead)
+        setpoints.hold_back(servos.measured(duration_s), servos.lead)
         plans = {row: plan for row, plan in setpoints.plans.items() if self._own[row]}
         if len(plans) < sum(self._own):
-            rates = self._goals(range(len(self._own)), *(of[:, None] for of in (
-                setpoints.position, setpoints.velocity, setpoints.acceleration)))[:, 0]
-            rates -= _stacked([physics.act for physics in self._physics])[:, activation]
-            rates /= duration_s
-            for row, (physics, own, rate) in enumerate(zip(self._physics, self._own, rates)):
+            rates = servos.rates(range(len(self._own)), np.asarray(duration_s), *(
+                of[:, None] for of in (
+                    setpoints.position, setpoints.velocity, setpoints.acceleration)))
+            for row, (own, rate) in enumerate(zip(self._own, rates[:, 0])):
                 if own and row not in plans:
-                    physics.ctrl[ids] = rate
+                    servos.write(row, rate)
         if setpoints.moves.all() and not plans:
             return []
         done = [row for row, (own, moves) in enumerate(zip(self._own, setpoints.moves))
@@ -96,60 +90,6 @@ class JointRows:
             rows = [row for row, plan in plans.items() if len(plan.positions) == count]
             durations, position, velocity, acceleration = (
                 np.stack(of) for of in zip(*(plans[row] for row in rows)))
-            rates = self._goals(rows, position, velocity, acceleration)
-            rates[:, 1:] -= rates[:, :-1].copy()
-            rates[:, 0] -= _stacked([self._physics[row].act for row in rows])[
-                :, self._places[2]]
-            rates /= durations
+            rates = self._servos.rates(rows, durations, position, velocity, acceleration)
             for row, own in zip(rows, rates):
                 self._robots[row].joints.plan.begin(own)
-
-    def _measured(self, duration_s: float) -> FloatArray:
-        """Return where the joints are, farther on where they are too fast."""
-        positions, velocities, _, _ = self._places
-        position = _stacked([physics.qpos for physics in self._physics])[:, positions]
-        velocity = _stacked([physics.qvel for physics in self._physics])[:, velocities]
-        limit = self._servos.velocity_limit
-        fast = np.asarray((np.abs(velocity) > limit).any(axis=1))
-        if np.count_nonzero(fast):
-            position = np.where(fast[:, None], position + duration_s * (
-                velocity - np.clip(velocity, -limit, limit)), position)
-        return np.asarray(position)
-
-    def _goals(self, rows: Sequence[int], position: FloatArray, velocity: FloatArray,
-               acceleration: FloatArray) -> FloatArray:
-        """
-        Return the activations of servos with the force that a motion needs.
-
-        :param rows: that move
-        :param position: at the ends of some intervals [rad or m], shape (rows, intervals, n)
-        :param velocity: there [rad/s or m/s], of that shape
-        :param acceleration: [rad/s^2 or m/s^2], of that shape
-        """
-        servos, (_, dofs, _, _) = self._servos, self._places
-        accelerations, forces = np.zeros(
-            (2, *acceleration.shape[:2], len(self._physics[0].qvel)))
-        accelerations[..., dofs] = acceleration
-        for row, results, vectors in zip(rows, forces, accelerations):
-            model, data = self._physics[row].model, self._physics[row].data
-            for result, vector in zip(results, vectors):
-                mujoco.mj_mulM(model, data, result, vector)
-        force = self._drag[rows][:, None] * velocity
-        force += forces[..., dofs]
-        frictions = [self._robots[row].joints._servos._friction for row in rows]
-        if any([friction.acts for friction in frictions]):
-            force += np.stack([friction.at(own) for friction, own in zip(frictions, velocity)])
-        coriolis = (_stacked([self._physics[row].bias for row in rows])[:, dofs]
-                    - _stacked([self._physics[row].gravcomp for row in rows])[:, dofs])
-        if not servos._all_compensated:
-            coriolis *= servos._compensated
-        force += coriolis[:, None]
-        force /= self._stiffness[rows][:, None]
-        force += position
-        if servos._geared:
-            force *= servos._gear
-        return np.asarray(force)
-
-
-def _stacked(fields: list[FloatArray]) -> FloatArray:
-    return np.concatenate(fields).reshape(len(fields), -1)

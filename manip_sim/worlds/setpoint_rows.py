@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import copy
 from typing import Any
 
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.simulation.profiles import (
     braking_velocity, change_before_the_end, low_pass, Plan, plan_ramps, ramp,
     velocity_before_the_end, way_of_ramp, within)
@@ -161,12 +161,8 @@ class SetpointRows(SetpointGenerator):
         """
         self._interval += 1
         self.plans = {}
-        due = self._next_ends_s <= self._now_s[:, 0] + 1e-9
-        if np.count_nonzero(due):
-            self._end_streams_of_rows(due)
         begin = self.velocity
-        missing, catches = self._missing_of_rows()
-        near = self._rows_near_ends(catches, duration_s)
+        missing, catches, near = self._look(duration_s)
         self._look_ahead_in_rows(~(catches | near))
         velocity, travel = ramp(self._reference, self._reference_goal, self._ramp, duration_s)
         limited = (catches | near)[:, None]
@@ -194,27 +190,71 @@ class SetpointRows(SetpointGenerator):
         if np.count_nonzero(done):
             self._arrive_in_rows(done)
 
+    def _look(self, duration_s: float) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Return what is missing, and which rows catch up or are near the end of a range."""
+        due = self._next_ends_s <= self._now_s[:, 0] + 1e-9
+        if np.count_nonzero(due):
+            self._end_streams_of_rows(due)
+        missing, catches = self._missing_of_rows()
+        return missing, catches, self._rows_near_ends(catches, duration_s)
+
+    def plan_period(self, now_s: float, ends_s: FloatArray) -> Plan | None:
+        """
+        Begin a control period of all rows, and return the plan that all of them follow in it.
+
+        :param now_s: simulation time [s]
+        :param ends_s: as for :meth:`begin_period`
+        :returns: of shape (k, rows, n); None if some do not, and then nothing has moved
+        """
+        rows = len(self._generators)
+        self._interval, self._ends_s = 0, ends_s
+        self._now_s = self._begins_s = np.full((rows, 1), now_s)
+        _, catches, near = self._look(float(ends_s[0, 0]))
+        if np.count_nonzero(catches | near):
+            return None
+        for plan, _, fits in self._plans_of(~catches):
+            if len(fits) == rows and fits.all():
+                return plan
+        return None
+
+    def follow(self, plan: Plan) -> None:
+        """Follow a plan of :meth:`plan_period` to its end."""
+        self.position, self.velocity, self.acceleration = (
+            plan.positions[-1], plan.velocities[-1], plan.accelerations[-1])
+        self._reference = self.velocity.copy()
+        self._now_s = self._now_s + float(self._ends_s[0, 0])
+
     def _look_ahead_in_rows(self, plain: BoolArray) -> None:
         """Plan the rest of the period for rows in which only references move."""
+        for plan, rows, fits in self._plans_of(plain):
+            durations_s = np.broadcast_to(plan.durations_s, (*plan.positions.shape[:2], 1))
+            for number in np.flatnonzero(fits).tolist():
+                self.plans[int(rows[number])] = Plan(
+                    durations_s[:, number], *(part[:, number] for part in plan[1:]))
+
+    def _plans_of(self, plain: BoolArray) -> Iterator[tuple[Plan, IntArray, BoolArray]]:
+        """
+        Yield a plan for the rest of the period, if there may be one.
+
+        :param plain: rows in which only references move
+        :returns: what rows would do, these rows, and which of them can do it
+        """
         at, rows = self._interval, np.flatnonzero(plain & self._reference_goal.any(axis=1))
         ends_s = self._ends_s[at:, None]
         if len(ends_s) < 2 or not rows.size:
             return
         if at:
             ends_s = ends_s - (self._now_s - self._begins_s)[rows]
-        starts = self._next_ends_s[rows] > self._now_s[rows, 0] + ends_s[-2, :, 0] + 1e-9
         plan = plan_ramps(self.position[rows], self._reference[rows], self._reference_goal[rows],
                           self._ramp[rows], ends_s)
-        away = np.asarray(((plan.positions[:-1] < self._inside[0])
-                           | (plan.positions[:-1] > self._inside[1])).any(axis=(0, 2)))
-        durations_s = np.broadcast_to(plan.durations_s, (len(ends_s), len(rows), 1))
-        for number in np.flatnonzero(starts).tolist():
-            own = Plan(durations_s[:, number], *(part[:, number] for part in plan[1:]))
-            if away[number]:
-                low, high = self._inside_of(int(rows[number]))
-                if ((own.positions[:-1] < low) | (own.positions[:-1] > high)).any():
-                    continue
-            self.plans[int(rows[number])] = own
+        fits = self._next_ends_s[rows] > self._now_s[rows, 0] + ends_s[-2, :, 0] + 1e-9
+        away = ((plan.positions[:-1] < self._inside[0])
+                | (plan.positions[:-1] > self._inside[1])).any(axis=(0, 2))
+        for number in np.flatnonzero(away & fits).tolist():
+            low, high = self._inside_of(int(rows[number]))
+            own = plan.positions[:-1, number]
+            fits[number] = not ((own < low) | (own > high)).any()
+        yield plan, rows, fits
 
     def _end_streams_of_rows(self, due: BoolArray) -> None:
         ended = due[:, None] & (self._until_s <= self._now_s + 1e-9)
