@@ -97,7 +97,7 @@ class ControlPeriods:
         self._check_not_diverged()
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
-        period_s, ends_s = steps * self._timestep_s, self._ends_s(steps)
+        period_s, ends_s = steps * self._timestep_s, self.ends_s(steps)
         for robot in self._robots:
             robot.begin_period(period_s, ends_s)
         physics = self._steps
@@ -109,6 +109,26 @@ class ControlPeriods:
                 physics.undo()
         if not untouched:
             yield from self._intervals(steps)
+        self._end(steps)
+
+    def run_planned(self, steps: int, write: Callable[[FloatArray], None], rates: FloatArray
+                    ) -> None:
+        """
+        Run a whole control period in which control only writes what was planned.
+
+        :param steps: number of physics steps of the period
+        :param write: writes a row of ``rates``
+        :param rates: of the setpoints of the only robot, in each interval, shape (k, n)
+        :raises DivergenceError: if the physics diverges
+        """
+        self._steps.begin()
+        self._steps.begin_run()
+        left = steps
+        for rate in rates:
+            write(rate)
+            chunk = self._chunk(left)
+            left -= chunk
+            self._compute(chunk, not left)
         self._end(steps)
 
     def _end(self, steps: int) -> None:
@@ -184,7 +204,7 @@ class ControlPeriods:
         """Return the steps of the next interval; they divide what is left of a period evenly."""
         return -(-left // -(-left // self._interval_steps))
 
-    def _ends_s(self, steps: int) -> FloatArray:
+    def ends_s(self, steps: int) -> FloatArray:
         """Return when the intervals of a period end in which setpoints move [s], shape (k, 1)."""
         if steps not in self._ends_of:
             ends, left = [], steps

@@ -17,17 +17,21 @@ _LEAST = 3
 
 
 class ControlTogether:
-    """The control of robots in several worlds."""
+    """
+    The control of robots in several worlds.
+
+    :ivar planned: whether joints of several worlds followed plans in the last period
+    """
 
     def __init__(self) -> None:
-        self._began = False
+        self._began = self.planned = False
         #: By id of the robot, which rows its joints are in.
         self._rows_of: dict[int, JointRows] = {}
 
     @contextlib.contextmanager
     def period(self) -> Iterator[None]:
         """Control one period; at its end all joints are given back to their controllers."""
-        self._began = False
+        self._began = self.planned = False
         try:
             yield
         finally:
@@ -51,6 +55,7 @@ class ControlTogether:
                 if rows not in ticked:
                     ticked.add(rows)
                     arrived += rows.tick(interval.duration_s)
+                    self.planned |= rows.planned
                 robot.tick_grippers(interval.duration_s)
         for robot in arrived:
             del self._rows_of[id(robot)]

@@ -31,12 +31,14 @@ class JointRows:
 
     :param robots: the robot in each of these worlds, whose joints are those that :func:`takes`
         accepts, in models of the same size
+    :ivar planned: whether joints of several robots have begun to follow plans
     """
 
     def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
         self._robots = robots
         self._clocks = [robot._clock for robot in robots]
         self._own = [True] * len(robots)
+        self.planned = False
         generators = []
         for robot, clock in zip(robots, self._clocks):
             generators.append(robot.joints._setpoints)
@@ -81,6 +83,7 @@ class JointRows:
         for row in done:
             self._own[row] = False
         self._begin_plans(plans)
+        self.planned |= len(plans) > 1
         return [self._robots[row] for row in done]
 
     def _begin_plans(self, plans: Mapping[int, Plan]) -> None:

@@ -11,14 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.errors import CommandError
 from manip_sim.simulation import SimulatedRobot, Wrench
 from manip_sim.simulation.commands import Command, JointSetpoint
+from manip_sim.simulation.modes import POSITION
 from manip_sim.simulation.numbers import clamp
 from manip_sim.simulation.poses import Pose, Twist
 from manip_sim.simulation.state import EndEffector
 from manip_sim.worlds.rows import chosen, rows
+from manip_sim.worlds.stream_rows import Streams
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,15 @@ class RobotInWorlds:
     ``CommandError`` names its world, and no world gets a command.
 
     :param robots: the robot in each world
+    :param streams: that may hold joints of these robots
     :ivar command: takes commands for joints, grippers and bases
     :ivar command_cartesian: takes commands for the hands of arms
     :ivar joint_names: all scalar joints, in the order of the states
     """
 
-    def __init__(self, robots: Sequence[SimulatedRobot]) -> None:
+    def __init__(self, robots: Sequence[SimulatedRobot], streams: Streams) -> None:
         self._robots = robots
-        self.command = Commands(robots)
+        self.command = Commands(robots, streams)
         self.command_cartesian = CartesianCommands(robots)
         self.joint_names = robots[0].joint_names
 
@@ -150,7 +153,12 @@ class Commands(RowByRow):
     Commands for joints, grippers and bases, named as those of ``robot.parse``.
 
     :param robots: the robot in each world
+    :param streams: that may hold joints of these robots
     """
+
+    def __init__(self, robots: Sequence[SimulatedRobot], streams: Streams) -> None:
+        super().__init__(robots)
+        self._streams = streams
 
     def action(self, part: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
@@ -186,19 +194,24 @@ class Commands(RowByRow):
         given = {field: self._rows(values, f'{part or "joint_command"}: {field}')
                  for field, values in (('position', position), ('velocity', velocity),
                                        ('effort', effort)) if values is not None}
+        mask, streamed = chosen(where, len(self._robots)).copy(), None
+        if given.keys() == {POSITION.field}:
+            streamed = self._streams.command(
+                names, given[POSITION.field], part, mask, period_s)
         alike: dict[int, JointSetpoint] = {}
         if len(given) == 1 and len(self._robots) > 1:
             (field, values), = given.items()
-            alike = self._alike(names, field, values, part, where)
+            alike = self._alike(names, field, values, part, mask)
         self._apply(lambda robot, world: [alike[world]] if world in alike else
                     robot.parse.joint_command(names, part=part, **{
                         field: values[world] for field, values in given.items()}),
-                    where, period_s)
+                    mask, period_s)
+        if streamed is not None:
+            streamed()
 
     def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
-               where: ArrayLike | None) -> dict[int, JointSetpoint]:
+               mask: BoolArray) -> dict[int, JointSetpoint]:
         """Return the commands, by world, of those that differ in nothing but numbers in range."""
-        mask = chosen(where, len(self._robots))
         fine = mask & np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         if np.count_nonzero(fine) < 2:
             return {}

@@ -12,6 +12,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.simulation import SimulatedRobot
+from manip_sim.simulation.planned_controls import CALM
+from manip_sim.simulation.profiles import Plan
 
 
 class ServoRows:
@@ -50,6 +52,18 @@ class ServoRows:
             position = np.where(fast[:, None], position + duration_s * (
                 velocity - np.clip(velocity, -limit, limit)), position)
         return np.asarray(position)
+
+    def keep_up(self, plan: Plan) -> bool:
+        """
+        Return whether no joint needs to be watched while all rows follow a plan.
+
+        :param plan: of shape (k, rows, n)
+        """
+        durations_s = plan.durations_s.ravel()
+        ahead = np.abs(plan.positions[0] - self.measured(float(durations_s[0])))
+        way = np.abs(plan.velocities) * float(np.add.reduce(durations_s))
+        return not (np.count_nonzero(ahead > self.lead)
+                    or np.count_nonzero(way > CALM * self.lead))
 
     def rates(self, rows: Sequence[int], durations_s: FloatArray, position: FloatArray,
               velocity: FloatArray, acceleration: FloatArray) -> FloatArray:

@@ -198,6 +198,11 @@ class SetpointRows(SetpointGenerator):
         missing, catches = self._missing_of_rows()
         return missing, catches, self._rows_near_ends(catches, duration_s)
 
+    @property
+    def all_go_on(self) -> bool:
+        """Whether the reference of each row moves, so that none of them has arrived."""
+        return bool(self._reference.any(axis=1).all())
+
     def plan_period(self, now_s: float, ends_s: FloatArray) -> Plan | None:
         """
         Begin a control period of all rows, and return the plan that all of them follow in it.
@@ -217,7 +222,7 @@ class SetpointRows(SetpointGenerator):
                 return plan
         return None
 
-    def follow(self, plan: Plan) -> None:
+    def follow_plan(self, plan: Plan) -> None:
         """Follow a plan of :meth:`plan_period` to its end."""
         self.position, self.velocity, self.acceleration = (
             plan.positions[-1], plan.velocities[-1], plan.accelerations[-1])

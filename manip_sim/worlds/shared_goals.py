@@ -18,14 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.simulation.message_clock import MessageClock
 from manip_sim.simulation.setpoints import SetpointGenerator
 from manip_sim.simulation.streams import WaitingGoal
 
 #: What a clock consists of, besides the coordinates that it is of.
 _TIMES = tuple(name for name in vars(MessageClock()) if name not in ('indices', 'where'))
-_times_of = attrgetter(*_TIMES)
+#: Returns the state of a clock without them.
+times_of = attrgetter(*_TIMES)
 
 
 class SharedClock(MessageClock):
@@ -42,6 +43,14 @@ class SharedClock(MessageClock):
              by_goal: Any = None, errors: Any = None) -> int:
         """Take in that messages came, as a clock of one world; what they brought is not asked."""
         return super().take(now_s, period_s, stamp_s, messages, _ask_goals, _ask_goals)
+
+    def can_take(self, now_s: float, message: WaitingGoal) -> bool:
+        """Return whether :meth:`take` needs nothing but times for a message that comes now."""
+        try:
+            copy.copy(self).take(now_s, message.period_s, message.stamp_s, message.messages)
+        except _GoalsMatter:
+            return False
+        return not self.fitted
 
 
 class _GoalsMatter(Exception):
@@ -72,7 +81,7 @@ class SharedGoals:
 
     def set_clocks(self) -> None:
         """Let the clocks of all generators show what the shared one does."""
-        times = dict(zip(_TIMES, _times_of(self.clock)))
+        times = dict(zip(_TIMES, times_of(self.clock)))
         for clock in self.clocks:
             vars(clock).update(times)
 
@@ -92,18 +101,13 @@ def take_goals(generators: Sequence[SetpointGenerator]) -> list[SharedGoals]:
             generator._take_goals()
             continue
         clock, goal = found
-        key = (generator.now_s, goal.messages, goal.stamp_s, goal.period_s, _times_of(clock))
+        key = (generator.now_s, goal.messages, goal.stamp_s, goal.period_s, times_of(clock))
         for members, one in zip(groups.setdefault(key, ([], [], [])), (row, clock, goal)):
             members.append(one)  # type: ignore[attr-defined]
     shared = []
     for rows, clocks, waiting in groups.values():
         clock, message = SharedClock.of(clocks[0]), waiting[0]
-        try:
-            if len(rows) < 2:
-                raise _GoalsMatter
-            copy.copy(clock).take(
-                generators[rows[0]].now_s, message.period_s, message.stamp_s, message.messages)
-        except _GoalsMatter:
+        if len(rows) < 2 or not clock.can_take(generators[rows[0]].now_s, message):
             for row in rows:
                 generators[row]._take_goals()
             continue
@@ -115,16 +119,22 @@ def take_goals(generators: Sequence[SetpointGenerator]) -> list[SharedGoals]:
 
 
 def _single(generator: SetpointGenerator) -> tuple[MessageClock, WaitingGoal] | None:
-    """
-    Return the only goal that waits, and its clock, if it is for all joints in their order.
-
-    Goals that are fitted are taken alone, because they determine how long they are.
-    """
+    """Return the only goal that waits, and its clock, if it is for all joints in their order."""
     goals = generator._waiting._goals
     if len(goals) != 1:
         return None
-    clock = generator._estimator.clocks._by_indices.get(goals[0].indices.tobytes())
+    clock = stream_of_all(generator, goals[0].indices)
+    return None if clock is None else (clock, goals[0])
+
+
+def stream_of_all(generator: SetpointGenerator, indices: IntArray) -> MessageClock | None:
+    """
+    Return the clock of messages for some joints, if these are all of them in their order.
+
+    Goals that are fitted are taken alone, because they determine how long they are.
+    """
+    clock = generator._estimator.clocks._by_indices.get(indices.tobytes())
     if (clock is None or clock.fitted
             or not np.array_equal(clock.indices, np.arange(len(generator.position)))):
         return None
-    return clock, goals[0]
+    return clock

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.arrays import BoolArray, IntArray
-from manip_sim.errors import DivergenceError, ModelError, SimulationEnded, UnknownNameError
+from manip_sim.errors import (
+    CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.initialization_noise import checked_seed
 from manip_sim.models.validation import whole_number
 from manip_sim.models.world import World
@@ -23,6 +24,7 @@ from manip_sim.worlds.control_together import ControlTogether
 from manip_sim.worlds.physics_threads import PhysicsThreads
 from manip_sim.worlds.robot_in_worlds import RobotInWorlds
 from manip_sim.worlds.rows import chosen
+from manip_sim.worlds.stream_rows import Streams
 from manip_sim.worlds.template import Template
 
 
@@ -54,10 +56,11 @@ class Worlds:
         template = Template(first)
         self.simulations: tuple[Simulation, ...] = (
             first, *(template.copy() for _ in range(count - 1)))
-        self._control = ControlTogether()
+        self._control, self._streams = ControlTogether(), Streams(self.simulations)
         self._closed = False
         self.robots = {name: RobotInWorlds([simulation.robots[name]
-                                            for simulation in self.simulations])
+                                            for simulation in self.simulations],
+                                           self._streams)
                        for name in first.robots}
 
     def __len__(self) -> int:
@@ -146,13 +149,19 @@ class Worlds:
         :raises SimulationEnded: after :meth:`close`
         """
         self._check_open()
-        periods = [simulation.period(steps) for simulation in self._of(where)
-                   if simulation.diverged is None]
+        steps = whole_number(steps, 1, 'steps', CommandError)
+        physics, others = self._streams.begin_period(
+            [simulation for simulation in self._of(where) if simulation.diverged is None], steps)
+        self._threads.run(physics)
+        if not others:
+            return
+        periods = [simulation.period(steps) for simulation in others]
         with self._control.period():
             while periods:
                 periods, intervals = _next_intervals(periods)
                 self._control.run(intervals)
                 self._threads.run([interval.compute for interval in intervals])
+        self._streams.likely |= self._control.planned
 
     def reset(self, seeds: Sequence[int] | IntArray | None = None,
               where: ArrayLike | None = None) -> None:

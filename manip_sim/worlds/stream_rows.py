@@ -1,0 +1,302 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Streams of positions for one robot in several worlds, kept in arrays over control periods.
+
+Here is what joints do that follow plans through whole periods, while nothing else acts. Whoever
+asks a controller for its setpoints or commands gets those of all rows back before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+import contextlib
+from functools import partial
+
+import numpy as np
+
+from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.errors import DivergenceError
+from manip_sim.simulation import SimulatedRobot, Simulation
+from manip_sim.simulation.commands import JointSetpoint, Status
+from manip_sim.simulation.message_clock import MessageClock
+from manip_sim.simulation.modes import POSITION
+from manip_sim.simulation.streams import WaitingGoal
+from manip_sim.worlds.joint_rows import takes
+from manip_sim.worlds.servo_rows import ServoRows
+from manip_sim.worlds.setpoint_rows import SetpointRows
+from manip_sim.worlds.shared_goals import (
+    SharedClock, SharedGoals, stream_of_all, take_goals, times_of)
+
+#: With fewer worlds, one by one is as fast.
+_LEAST = 3
+
+
+class StreamRows:
+    """
+    The joints of the only robot of several worlds, each a row, while they are held here.
+
+    :param simulations: the worlds, as :func:`stream_rows` has found them
+    :ivar simulations: the same
+    :ivar holds: whether the joints are held here
+    """
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        self.simulations = tuple(simulations)
+        self._robots = [simulation.robot for simulation in simulations]
+        self._models = [simulation.model for simulation in simulations]
+        self._joints = [robot.joints for robot in self._robots]
+        first = self._joints[0]
+        self._names, self._everything = tuple(first.names), np.arange(len(first.names))
+        self._low, self._high = first.clamps(self._everything).T
+        #: Of all rows: simulation time, and the period that new goals are meant for.
+        self._clock, self._period_s = self._robots[0]._clock, self._robots[0]._period_s
+        self._ran_s = 0.0
+        generators = [joints._setpoints for joints in self._joints]
+        clocks = [stream_of_all(generator, self._everything) for generator in generators]
+        self._clocks = [clock for clock in clocks if clock is not None]
+        for generator in generators:
+            generator.now_s = self._clock.control_s
+        shared = take_goals(generators)
+        self._setpoints, self._servos = SetpointRows(generators), ServoRows(self._robots)
+        for goals in shared:
+            self._setpoints.take(goals)
+        self._stream = SharedClock.of(self._clocks[0])
+        self._stream.where = slice(None)
+        #: Whether the clocks of all rows are still alike.
+        self._in_step = all([times_of(clock) == times_of(self._stream) and not clock.fitted
+                             for clock in self._clocks])
+        #: The goals that came last: those that wait, and those that were taken, and when.
+        self._waiting: FloatArray | None = None
+        self._taken: tuple[FloatArray, float] | None = None
+        self.holds = True
+        for joints in self._joints:
+            joints.holder = self
+
+    # ------------------------------------------------------------------ commands
+
+    def accept(self, names: Sequence[str], goals: FloatArray, part: str | None,
+               period_s: float | None) -> bool:
+        """
+        Return whether :meth:`command` may be called, as each robot would take goals as they are.
+
+        :param names: of the joints
+        :param goals: positions of them [rad or m], shape (rows, n)
+        :param part: whose joints may be named; None for all
+        :param period_s: length of a control period [s]; None for that of the last one
+        """
+        own = self._everything if part is None else self._joints[0]._indices_of.get(part)
+        return (self._waiting is None and own is not None and len(own) == len(self._names)
+                and isinstance(names, (list, tuple)) and tuple(names) == self._names
+                and (period_s is None
+                     or isinstance(period_s, float) and period_s == self._period_s)
+                and goals.shape == (len(self._joints), len(names))
+                and bool((np.isfinite(goals) & (goals >= self._low)
+                          & (goals <= self._high)).all())
+                and not any([robot.reflexes.tripped or robot.sensing.settings.delays_commands
+                             or robot._late for robot in self._robots]))
+
+    def command(self, goals: FloatArray) -> None:
+        """
+        Let all joints of all rows come to goals, or follow a stream of them.
+
+        :param goals: as for :meth:`accept`
+        """
+        if self._taken is None:
+            for joints in self._joints:
+                joints._ledger.end(Status.REPLACED)
+        self._waiting = goals
+
+    def give_back(self) -> None:
+        """Bring setpoints and commands up to date in the controllers they belong to."""
+        self.holds = False
+        for joints in self._joints:
+            joints.holder = None
+        self._setpoints.release(range(len(self._joints)))
+        if self._in_step:
+            self._shared(self._clocks).set_clocks()
+        if self._waiting is not None:
+            for robot, command in self._commands(self._waiting):
+                robot.joints.apply(
+                    command, robot._physics.data, self._clock.control_s, self._period_s)
+        elif self._taken is not None:
+            goals, at_s = self._taken
+            for robot, command in self._commands(goals):
+                command.handle.status = Status.RUNNING
+                robot.joints.commands.take(command)
+                robot.joints.commands.running.append(command)
+                robot.joints._timeouts.renew(command.parts, at_s)
+
+    def _commands(self, goals: FloatArray) -> Iterator[tuple[SimulatedRobot, JointSetpoint]]:
+        """Yield each robot with its command for goals."""
+        first = self._joints[0]
+        parts = first.parts_of(self._everything)
+        for robot, values in zip(self._robots, goals):
+            yield robot, JointSetpoint(
+                robot=robot.robot_model, parts=parts, indices=self._everything,
+                modes=first.modes, values=values.copy())
+
+    def _shared(self, clocks: list[MessageClock]) -> SharedGoals:
+        """Return the goals that wait, for all rows."""
+        goals = np.zeros((0, 0)) if self._waiting is None else self._waiting
+        message = WaitingGoal(self._everything, goals, 1, 0.0, self._period_s)
+        return SharedGoals(list(range(len(self._joints))), self._stream, clocks, goals, message)
+
+    # ------------------------------------------------------------------ control periods
+
+    def begin_period(self, steps: int) -> list[Callable[[], None]] | None:
+        """
+        Control a whole period.
+
+        :param steps: number of physics steps of the period
+        :returns: what computes the physics of each world, in any threads; None if joints do
+            something else, and are given back, with nothing done
+        """
+        rates = self._plan(steps) if self._undisturbed() else None
+        if rates is None:
+            self.give_back()
+            return None
+        return [partial(_run, simulation, steps, partial(self._servos.write, row), own)
+                for row, (simulation, own) in enumerate(zip(self.simulations, rates))]
+
+    def _undisturbed(self) -> bool:
+        return self._in_step and all([
+            simulation.model is model and only_streams(simulation)
+            for simulation, model in zip(self.simulations, self._models)])
+
+    def _plan(self, steps: int) -> FloatArray | None:
+        """Return the rates of setpoints in the intervals of a period, or None without a plan."""
+        setpoints, now_s = self._setpoints, self._clock.control_s
+        if self._waiting is None:
+            if not setpoints.all_go_on:
+                return None
+        elif not self._take_goals(now_s):
+            return None
+        period_s = steps * self.simulations[0].timestep_s
+        if period_s != self._ran_s:
+            self._ran_s = self._period_s = period_s
+            for robot in self._robots:
+                robot._period_s = robot.joints.cartesian.period_s = period_s
+        plan = setpoints.plan_period(now_s, self.simulations[0]._periods.ends_s(steps))
+        if plan is None or not self._servos.keep_up(plan):
+            return None
+        setpoints.follow_plan(plan)
+        return self._servos.rates(
+            range(len(self._joints)), plan.durations_s.reshape(1, -1, 1),
+            *(np.swapaxes(part, 0, 1) for part in plan[1:]))
+
+    def _take_goals(self, now_s: float) -> bool:
+        """Take the goals that wait; return whether that could be done."""
+        shared = self._shared([])
+        if not self._stream.can_take(now_s, shared.message):
+            return False
+        assert self._waiting is not None
+        self._setpoints.set_time(np.full(len(self._joints), now_s))
+        self._setpoints.take(shared)
+        self._taken, self._waiting = (self._waiting, now_s), None
+        return True
+
+
+def _run(simulation: Simulation, steps: int, write: Callable[[FloatArray], None],
+         rates: FloatArray) -> None:
+    with contextlib.suppress(DivergenceError):  # It is told by the simulation.
+        simulation._periods.run_planned(steps, write, rates)
+
+
+def stream_rows(simulations: Iterable[Simulation]) -> StreamRows | None:
+    """
+    Return the worlds whose robots follow streams in step, as rows that hold them, if any.
+
+    :param simulations: worlds that begin a control period
+    """
+    groups: dict[object, list[Simulation]] = {}
+    for simulation in simulations:
+        if len(simulation.robots) == 1 and only_streams(simulation):
+            key = _stream_of(simulation.robot)
+            if key is not None:
+                groups.setdefault(key, []).append(simulation)
+    largest = max(groups.values(), key=len, default=[])
+    return StreamRows(largest) if len(largest) >= _LEAST else None
+
+
+def only_streams(simulation: Simulation) -> bool:
+    """Return whether nothing but streams of positions can act in a world with one robot."""
+    robot = simulation.robot
+    return not (simulation.pulls or robot._late or robot.reflexes.armed
+                or robot.sensing.settings.measures or robot.joints._timeouts.pending
+                or any([gripper.moving for gripper in robot.grippers.values()]))
+
+
+def _stream_of(robot: SimulatedRobot) -> object:
+    """Return what is the same for robots that follow a stream in step, None for others."""
+    joints, physics = robot.joints, robot._physics
+    everything = np.arange(len(joints.names))
+    running = joints.commands.running
+    if (len(running) != 1 or not isinstance(running[0], JointSetpoint)
+            or not np.array_equal(running[0].indices, everything)
+            or set(joints.modes) != {POSITION.name} or not takes(joints)
+            or joints._setpoints.at_rest(everything)):
+        return None
+    goals, clock = joints._setpoints._waiting._goals, stream_of_all(joints._setpoints, everything)
+    if clock is None:
+        return None
+    waiting = tuple((goal.messages, goal.stamp_s, goal.period_s) for goal in goals)
+    return (robot.name, robot._clock.control_steps, robot._period_s, len(physics.qpos),
+            len(physics.qvel), len(physics.act), waiting, times_of(clock))
+
+
+class Streams:
+    """
+    The streams of several worlds that are held in rows, if any.
+
+    :param simulations: all worlds
+    :ivar likely: whether it is worth while to look for some
+    """
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        self._world_of = {id(simulation): world for world, simulation in enumerate(simulations)}
+        self._rows: StreamRows | None = None
+        #: The worlds of the rows.
+        self._worlds = np.zeros(0, dtype=np.int64)
+        self.likely = False
+
+    def begin_period(self, simulations: list[Simulation], steps: int
+                     ) -> tuple[list[Callable[[], None]], list[Simulation]]:
+        """
+        Control a period of the worlds whose streams are held in rows, or can be.
+
+        :param simulations: worlds that begin a period
+        :param steps: number of physics steps of the period
+        :returns: what computes the physics of some of them, and the others
+        """
+        if self._rows is not None and not {*self._rows.simulations} <= {*simulations}:
+            self._rows.give_back()
+        if (self._rows is None or not self._rows.holds) and self.likely:
+            self._rows = stream_rows(simulations)
+        rows = self._rows
+        physics = rows.begin_period(steps) if rows is not None and rows.holds else None
+        self.likely = physics is not None
+        if rows is None or physics is None:
+            self._rows = None
+            return [], simulations
+        self._worlds = np.array([self._world_of[id(held)] for held in rows.simulations])
+        held = {*rows.simulations}
+        return physics, [other for other in simulations if other not in held]
+
+    def command(self, names: Sequence[str], goals: FloatArray, part: str | None,
+                mask: BoolArray, period_s: float | None) -> Callable[[], None] | None:
+        """
+        Return what commands goals in the worlds that are held, all of which it is for, if any.
+
+        :param goals: positions, shape (count, n)
+        :param mask: the worlds that it is for, shape (count,), of which these are taken out
+        """
+        rows, worlds = self._rows, self._worlds
+        if rows is None or not rows.holds or not mask[worlds].all():
+            return None
+        own = goals[worlds]
+        if not rows.accept(names, own, part, period_s):
+            return None
+        mask[worlds] = False
+        return partial(rows.command, own)
