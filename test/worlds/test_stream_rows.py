@@ -73,7 +73,6 @@ class Streams:
     def check_equal(self):
         assert self.worlds.digest() == [of.digest() for of in self.simulations]
 
-
     def save(self):
         self._saved = self.worlds.save(), self._number
 
