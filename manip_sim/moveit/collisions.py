@@ -16,7 +16,7 @@ from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.kinematic_tree import subtree
 from manip_sim.moveit.srdf import GroupState
-from manip_sim.simulation.couplings import JointCouplings
+from manip_sim.models.couplings import JointCouplings
 
 #: Of random configurations; the seed is fixed, so that the same robot has the same file.
 _SAMPLES, _SEED = 5000, 0

@@ -17,7 +17,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
 from manip_sim.models.declared_limits import declared_velocity
-from manip_sim.simulation.couplings import JointCouplings
+from manip_sim.models.couplings import JointCouplings
 from manip_sim.simulation.parts import Part
 from manip_sim.simulation.physics import Physics
 

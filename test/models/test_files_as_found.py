@@ -292,3 +292,23 @@ def test_masses_that_motors_carry_or_no_limit_restricts_are_not_changed(tmp_path
         robot = load_robot(write(tmp_path / 'arm.urdf', text))
         assert not said(robot, 'so that no pose')
         assert robot.compile().body('robot0_upper').mass[0] == pytest.approx(12.0)
+
+
+def test_a_joint_starts_where_the_joint_has_it_that_it_mimics():
+    robot = load_robot(DATA / 'parallel_rod.urdf')
+    assert said(robot, 'the middle of all ranges, because links overlap at zero')
+    simulation = Simulation(compose(robot, position=(0.0, 0.0, 1.0)))
+    names = simulation.robot.joint_names
+    start = simulation.robot.state().position
+    elbow, rod = (start[names.index(f'robot0_{name}')] for name in ('elbow', 'rod_joint'))
+    assert (elbow, rod) == pytest.approx((0.8, -0.8))
+    simulation.advance(500)
+    np.testing.assert_allclose(simulation.robot.state().position, start, atol=5e-3)
+
+
+def test_a_pose_in_which_a_mimic_leaves_its_range_is_no_start(tmp_path):
+    text = (DATA / 'parallel_rod.urdf').read_text().replace('continuous', 'revolute').replace(
+        '<limit effort="50" velocity="2"/>',
+        '<limit lower="0" upper="1" effort="50" velocity="2"/>')
+    robot = load_robot(write(tmp_path / 'arm.urdf', text))
+    assert said(robot, 'start pose: zero') == ['start pose: zero']

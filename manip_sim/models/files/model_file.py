@@ -15,6 +15,7 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import UnknownNameError
+from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
 from manip_sim.models.files.guessed_masses import lighten, masses_from_shapes
@@ -29,6 +30,8 @@ _AT_END = 0.05
 _INSIDE = 0.25
 #: A pose is only better if the overlap of links is less by this much [m].
 _BETTER_M = 1e-3
+#: Positions that differ by less are the same [rad or m].
+_SAME = 1e-6
 _MIN_MASS_KG, _MIN_INERTIA = 1e-6, 1e-9
 #: A free robot that starts farther below the floor than this is raised to it [m].
 _BELOW_FLOOR_M = 0.05
@@ -45,18 +48,19 @@ def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
     :param model: a ``mujoco.MjModel``
     :returns: ``qpos``, shape (nq,), and what was done, in sentences
     """
-    zero, moved = _with(model, lambda value, low, high: value if low <= value <= high
-                        else (low + high) / 2.0)
-    inside, _ = _with(model, _away_from_ends)
-    middle, _ = _with(model, lambda value, low, high: (low + high) / 2.0)
+    zero, moved, _ = _with(model, lambda value, low, high: value if low <= value <= high
+                           else (low + high) / 2.0)
     notes = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
              if moved else 'start pose: zero']
     best, overlap = zero, _overlap(model, zero)
-    for pose, what in ((inside, 'zero, with joints away from the ends of their ranges'),
-                       (middle, 'the middle of all ranges')):
-        if overlap > 0.0 and _overlap(model, pose) < overlap - _BETTER_M:
-            best, overlap, notes = pose, _overlap(model, pose), [
-                f'start pose: {what}, because links overlap at zero']
+    for choose, what in (
+            (_away_from_ends, 'zero, with joints away from the ends of their ranges'),
+            (lambda value, low, high: (low + high) / 2.0, 'the middle of all ranges')):
+        if overlap > 0.0:
+            pose, _, possible = _with(model, choose)
+            if possible and _overlap(model, pose) < overlap - _BETTER_M:
+                best, overlap, notes = pose, _overlap(model, pose), [
+                    f'start pose: {what}, because links overlap at zero']
     return best, notes
 
 
@@ -70,19 +74,36 @@ def _away_from_ends(value: float, low: float, high: float) -> float:
 
 
 def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
-          ) -> tuple[FloatArray, list[str]]:
-    """Return a pose with limited joints where a function puts them, and names of those moved."""
-    qpos: FloatArray = model.qpos0.copy()
+          ) -> tuple[FloatArray, list[str], bool]:
+    """
+    Return a pose with limited joints where a function puts them.
+
+    Joints that others drive follow them, but not out of their ranges.
+
+    :returns: ``qpos``, names of those that the function moved, and whether all could follow
+    """
+    scalar = [joint for joint in range(model.njnt) if int(model.jnt_type[joint]) in SCALAR]
+    places = {joint: float(model.qpos0[model.jnt_qposadr[joint]]) for joint in scalar}
     moved = []
-    for joint in range(model.njnt):
-        if int(model.jnt_type[joint]) not in SCALAR or not model.jnt_limited[joint]:
-            continue
-        address = int(model.jnt_qposadr[joint])
-        before = float(qpos[address])
-        qpos[address] = choose(before, *map(float, model.jnt_range[joint]))
-        if qpos[address] != before:
-            moved.append(str(model.joint(joint).name))
-    return qpos, moved
+    for joint in scalar:
+        if model.jnt_limited[joint]:
+            before = places[joint]
+            places[joint] = choose(before, *map(float, model.jnt_range[joint]))
+            if places[joint] != before:
+                moved.append(str(model.joint(joint).name))
+    ties = np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
+                          & (model.eq_active0 != 0) & (model.eq_obj2id >= 0))
+    followers = set(model.eq_obj1id[ties].tolist())
+    wanted = JointCouplings(model, scalar).follow(
+        {joint: place for joint, place in places.items() if joint not in followers})
+    possible = True
+    for joint in followers & set(wanted):
+        limits = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
+        places[joint] = float(np.clip(wanted[joint], *limits))
+        possible = possible and abs(places[joint] - wanted[joint]) < _SAME
+    qpos: FloatArray = model.qpos0.copy()
+    qpos[model.jnt_qposadr[list(places)]] = list(places.values())
+    return qpos, moved, possible
 
 
 def _overlap(model: mujoco.MjModel, qpos: FloatArray) -> float:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.simulation.couplings import JointCouplings
+from manip_sim.models.couplings import JointCouplings
 
 
 def couplings(*equalities, count=4):
