@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 
 from manip_sim.errors import ModelError
+from manip_sim.models.lost_shapes import check_fetched, MissingMeshError
 from manip_sim.models.regular_files import check_file, Files, read_file
 from manip_sim.models.xml_check import AssetFolders, XmlFacts
 from manip_sim.quoting import one_line
@@ -154,7 +155,8 @@ def references(spec: mujoco.MjSpec) -> Iterator[Reference]:
                     yield reference
 
 
-def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None) -> None:
+def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None,
+                  missing: dict[str, MissingMeshError] | None = None) -> None:
     """
     Make a spec name its files by absolute paths, so that it can be composed and written anywhere.
 
@@ -162,6 +164,7 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
 
     :param file: the file that the spec was loaded from
     :param facts: what ``check_xml`` found in it; None: the spec has been resolved before
+    :param missing: is given the meshes whose files are missing, by name; None: that is an error
     :raises ModelError: if a file is missing, not regular, too large or not readable
     """
     folders = [AssetFolders(file.parent, spec.meshdir, spec.texturedir)]
@@ -174,6 +177,12 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, facts: XmlFacts | None = None
         if _is_held(spec, reference):
             continue
         path = _find(reference, folders, facts, base_name_too)
+        if missing is not None and reference.kind == 'mesh':
+            try:
+                check_fetched(path)
+            except MissingMeshError as error:
+                missing[reference.element_name] = error
+                continue
         check_file(path, f'{reference.kind} file', MAX_ASSET_BYTES)
         check_image(path, reference.kind)
         reference.set_file(path.as_posix())

@@ -16,6 +16,7 @@ import numpy as np
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import resolve_files
+from manip_sim.models.lost_shapes import MissingMeshError
 from manip_sim.models.xml_check import check_xml
 from manip_sim.quoting import one_line, quoted
 
@@ -96,10 +97,11 @@ def _reject_not_finite(model: mujoco.MjModel, name: str) -> None:
                              f'{quoted(getattr(model, kind)(index).name)} must be finite')
 
 
-def load_spec(file: Path) -> mujoco.MjSpec:
+def load_spec(file: Path, missing: dict[str, MissingMeshError] | None = None) -> mujoco.MjSpec:
     """
     Read a spec from an MJCF or URDF file; it names its asset files by absolute paths.
 
+    :param missing: as for ``resolve_files``
     :raises ModelError: if a file is missing, is not MJCF or URDF, or could crash the process
     """
     facts = check_xml(file)
@@ -110,7 +112,7 @@ def load_spec(file: Path) -> mujoco.MjSpec:
             spec = mujoco.MjSpec.from_file(str(file))
     except _ERRORS as error:
         raise ModelError(f'{file} is not MJCF that MuJoCo can read: {_one_line(error)}') from error
-    resolve_files(spec, file, facts)
+    resolve_files(spec, file, facts, missing)
     return spec
 
 

@@ -60,8 +60,11 @@ def check_fetched(mesh: Path) -> None:
     """
     Check that a file is there whole.
 
-    :raises MissingMeshError: if it only says where Git's large file storage has it
+    :raises MissingMeshError: if it is not, or only says where Git's large file storage has it
     """
+    if not mesh.exists():
+        raise MissingMeshError(f'no such file: {mesh}', 'put it there, or correct its name',
+                               'file')
     try:
         with mesh.open('rb') as stream:
             is_pointer = stream.read(len(_POINTER)) == _POINTER
@@ -72,7 +75,7 @@ def check_fetched(mesh: Path) -> None:
                                f"run 'git lfs pull' in {mesh.parent}", 'lfs')
 
 
-def sentences(every: Iterable[Lost], file: Path) -> list[str]:
+def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
     """
     Return a sentence for each kind and cause.
 

@@ -14,6 +14,7 @@ from files_rig import write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import compose, load_robot
+from manip_sim.models.lost_shapes import LostShape
 from manip_sim.simulation import Simulation
 
 INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
@@ -312,3 +313,29 @@ def test_a_pose_in_which_a_mimic_leaves_its_range_is_no_start(tmp_path):
         '<limit lower="0" upper="1" effort="50" velocity="2"/>')
     robot = load_robot(write(tmp_path / 'arm.urdf', text))
     assert said(robot, 'start pose: zero') == ['start pose: zero']
+
+
+def test_an_mjcf_file_loads_without_meshes_that_give_no_mass(tmp_path):
+    file = DATA / 'lost_mesh.xml'
+    robot = load_robot(file)
+    collision, visual = (sentence for sentence in robot.inferred
+                         if isinstance(sentence, LostShape))
+    assert collision == (
+        "left out: 1 collision shapes of files that cannot be read, such as 'shell' (no such "
+        f"file: {DATA / 'shell.stl'}) of body 'link' in {file}; nothing touches these links "
+        'there; put it there, or correct its name')
+    assert 'left out: 1 visual shapes' in visual and 'nothing touches' not in visual
+    model = robot.compile()
+    assert (model.nmesh, model.npair, model.body('robot0_link').mass[0]) == (0, 0, 2.0)
+    accepted = load_robot(write(tmp_path / 'arm.yaml', f'model: {file}\nmeshes: none'))
+    assert [str(said) for said in accepted.inferred] == [str(said) for said in robot.inferred]
+    assert not any(isinstance(sentence, LostShape) for sentence in accepted.inferred)
+
+
+def test_an_mjcf_file_needs_meshes_that_give_mass(tmp_path):
+    text = re.sub('<inertial.*>', '', (DATA / 'lost_mesh.xml').read_text())
+    with pytest.raises(ModelError, match="body 'link' has its mass from mesh 'shell': no such "
+                                         'file: .*shell.stl; put it there, .* <inertial>'):
+        load_robot(write(tmp_path / 'arm.xml', text))
+    assert load_robot(write(tmp_path / 'light.xml', text.replace(
+        'mesh="shell"', 'mesh="shell" mass="0"')))

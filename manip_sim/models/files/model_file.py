@@ -19,10 +19,11 @@ from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos
 from manip_sim.models.files.body_tree import BodyTree, SCALAR
 from manip_sim.models.files.guessed_masses import lighten, masses_from_shapes
+from manip_sim.models.files.mjcf_meshes import load_mjcf
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
-from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
+from manip_sim.models.loading import compile_spec, name_unnamed_elements
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -157,8 +158,8 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
-    spec, notes = load_urdf(file, xacro_args, expects_meshes) if is_urdf(file) else (
-        load_spec(file), [])
+    spec, notes = (load_urdf(file, xacro_args, expects_meshes) if is_urdf(file)
+                   else load_mjcf(file, expects_meshes))
     notes += _gravity_of_file(spec)
     name_unnamed_elements(spec)
     _infer_inertias_once(spec)

@@ -43,7 +43,7 @@ class Description(BaseModel):
     #: Arguments of a xacro file.
     xacro_args: dict[Name, Union[Annotated[str, Field(strict=True)],
                                  Annotated[bool, Field(strict=True)], Number]] = {}
-    #: ``none``: nobody is warned of meshes that a URDF file lacks.
+    #: ``none``: nobody is warned of meshes that are missing.
     meshes: Union[Literal['none'], None] = None
 
     @property

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
 from manip_sim.models.files.package_folders import package_folders
 from manip_sim.models.lost_shapes import (
-    check_fetched, Lost, LostShape, MissingMeshError, sentences)
+    check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
 from manip_sim.quoting import quoted
 
 _MESHES = ('.stl', '.obj', '.msh')
@@ -41,7 +41,7 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool) -> list[
             except MissingMeshError as error:
                 lost.append(Lost(shape.tag, name, f'link {quoted(link.get("name"))}', error))
                 link.remove(shape)
-    said = sentences(lost, file)
+    said = warnings_of(lost, file)
     if any(one.kind == 'collision' for one in lost) and robot.find('link/collision') is None:
         unseen = '' if robot.find('link/visual') is not None else ', and it cannot be seen'
         said.append(f'no collision shape is left in {file}: nothing touches it{unseen}')
@@ -99,8 +99,8 @@ def _resolve(name: str, folder: Path, file: Path) -> Path:
     for candidate in candidates:
         if candidate.is_file() or _readable(candidate) not in (None, candidate):
             return candidate.resolve()
-    raise MissingMeshError(f'no such file: {candidates[0]}', 'put it there, or correct its name',
-                           'file')
+    check_fetched(candidates[0])
+    raise MissingMeshError(f'{candidates[0]} is no file', cause='file')
 
 
 def _elsewhere(path: Path, file: Path) -> Iterator[Path]:
