@@ -24,10 +24,11 @@ def rejected_line(text):
 
 
 def statements(page):
-    """Return the blocks of a page that are no files, classes or functions, which are for files."""
+    """Return the blocks of a page that no file holds, as lessons and packages have them."""
+    of_files = page.parent.name == 'tutorials' or page.name.startswith('add_')
     return [block for block in blocks(page) if block.language == 'python' and not block.file
-            and not any(line.lstrip().startswith(('class ', 'def ', '@'))
-                        for line in block.text.splitlines())
+            and not (of_files and any(line.lstrip().startswith(('class ', 'def ', '@'))
+                                      for line in block.text.splitlines()))
             and not block.text.startswith(' ')]
 
 

@@ -8,7 +8,7 @@ from manip_sim.interface.topics import PUBLISHED, Topic
 
 
 class TouchedBodies(TopicSource):
-    """Pairs of bodies that touch, one in a line; a new line of the world is no news twice."""
+    """Pairs of bodies that touch, one in a line."""
 
     topic = Topic('~/touched', 'std_msgs/String', PUBLISHED, 'pairs of bodies that touch',
                   rate='on change', depth=1, latched=True)
