@@ -171,8 +171,8 @@ class World:
         for lidar in self.lidars:
             lidar.attach(spec)
         spec.compiler.discardvisual = not visual and mujoco.mj_version() >= _DISCARDS_VISUALS
-        if objects:
-            self._attach_objects(spec)
+        for item in self.objects if objects else ():
+            item.attach(spec)
         return spec
 
     def _prevent_slip(self, spec: mujoco.MjSpec) -> None:
@@ -196,10 +196,6 @@ class World:
                 yield robot.base
             if isinstance(robot, ManipulatorModel):
                 yield from robot.grippers.values()
-
-    def _attach_objects(self, spec: mujoco.MjSpec) -> None:
-        for item in self.objects:
-            item.attach(spec)
 
     def _compensate_gravity(self, spec: mujoco.MjSpec) -> None:
         # All that is mounted on a robot is below its root, also bodies that composing added.

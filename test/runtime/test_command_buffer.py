@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from manip_sim.models.robots import Panda
-from manip_sim.runtime.command_buffer import CommandBuffer
+from manip_sim.runtime.pending_commands import CommandBuffer
 from manip_sim.simulation.commands import (
     BaseTwist, GripperAction, GripperSetpoint, JointSetpoint, JointTrajectory, Status,
     TrajectoryStop)
