@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import logging
 from pathlib import Path
 from typing import Any
@@ -148,11 +148,12 @@ def name_unnamed_elements(spec: mujoco.MjSpec) -> None:
         'g{}_col' if geom.contype or geom.conaffinity else 'g{}_vis'))
 
 
-def _name_unnamed(elements: Iterable[Any], pattern: Callable[[Any], str]) -> None:
-    taken = {element.name for element in elements}
+def _name_unnamed(elements: Sequence[Any], pattern: Callable[[Any], str]) -> None:
+    names = [element.name for element in elements]
+    taken = set(names)
     next_number: dict[str, int] = {}
-    for element in elements:
-        if element.name:
+    for element, name in zip(elements, names):
+        if name:
             continue
         form = pattern(element)
         number = next_number.get(form, 0)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from typing import Any, overload, TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import FloatArray
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import compile_spec, load_spec, name_unnamed_elements
@@ -229,11 +229,11 @@ class MujocoXMLModel:
         self._own_model = alone
 
         not_free = alone.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)
-        self._bodies = _names(alone.body, range(1, alone.nbody))
-        self._joints = _names(alone.joint, np.flatnonzero(not_free).tolist())
-        self._actuators = _names(alone.actuator, range(alone.nu))
-        self._sensors = _names(alone.sensor, range(alone.nsensor))
-        self._cameras = _names(alone.camera, range(alone.ncam))
+        self._bodies = _names(alone, alone.name_bodyadr[1:])
+        self._joints = _names(alone, alone.name_jntadr[not_free])
+        self._actuators = _names(alone, alone.name_actuatoradr)
+        self._sensors = _names(alone, alone.name_sensoradr)
+        self._cameras = _names(alone, alone.name_camadr)
         self._record_shapes(alone, range(alone.nbody))
         self._check_important('site', self._important_sites.values(), self._sites)
         self._check_important('sensor', self._important_sensors.values(), self._sensors)
@@ -244,9 +244,9 @@ class MujocoXMLModel:
         own[list(bodies)] = True
         here = own[model.geom_bodyid]
         collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-        self._sites = _names(model.site, np.flatnonzero(own[model.site_bodyid]).tolist())
-        self._contact_geoms = _names(model.geom, np.flatnonzero(here & collides).tolist())
-        self._visual_geoms = _names(model.geom, np.flatnonzero(here & ~collides).tolist())
+        self._sites = _names(model, model.name_siteadr[own[model.site_bodyid]])
+        self._contact_geoms = _names(model, model.name_geomadr[here & collides])
+        self._visual_geoms = _names(model, model.name_geomadr[here & ~collides])
         for group in self._important_geoms.values():
             self._check_important('geom', group, self._contact_geoms + self._visual_geoms)
 
@@ -393,5 +393,7 @@ class MujocoXMLModel:
         return len(self._joints)
 
 
-def _names(kind: Callable[[int], Any], ids: Iterable[int]) -> list[str]:
-    return [kind(i).name for i in ids]
+def _names(model: mujoco.MjModel, addresses: IntArray) -> list[str]:
+    """Return the names at some addresses, such as those of ``name_geomadr``."""
+    names = model.names
+    return [names[address:names.index(b'\0', address)].decode() for address in addresses.tolist()]
