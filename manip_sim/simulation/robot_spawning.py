@@ -20,6 +20,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.world import World
+from manip_sim.quoting import shown
 from manip_sim.simulation.activation import (
     add_setpoint_activation, position_servos_without_dynamics)
 from manip_sim.simulation.carrying import ElementMap
@@ -58,8 +59,11 @@ def compose_base(world: World, visual: bool = False) -> Any:
     Return the ``mujoco.MjSpec`` of arena and robots as a simulation needs it, without objects.
 
     :param visual: with the geoms that cannot collide
-    :raises ModelError: if two parts have a name in common
+    :raises ModelError: if it is no world, or two parts have a name in common
     """
+    if not isinstance(world, World):
+        raise ModelError(
+            f"a simulation needs a World, such as compose('Panda'), got {shown(world)}")
     spec = world.compose(visual, objects=False)
     add_setpoint_activation(spec, [
         *(name for robot in world.robots for name in robot.all_actuators),

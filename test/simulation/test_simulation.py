@@ -309,3 +309,8 @@ def test_setpoints_move_in_intervals_of_whole_steps_of_about_four_milliseconds(
     robot.apply(*robot.parse.joint_command(robot.joints.names[:1], position=[0.5]))
     simulation.advance(steps)
     np.testing.assert_allclose(seen, intervals)
+
+
+def test_what_is_no_world_is_rejected_with_what_makes_one():
+    with pytest.raises(ModelError, match=r"a World, such as compose\('Panda'\), got 'Panda'$"):
+        Simulation('Panda')
