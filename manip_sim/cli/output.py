@@ -31,6 +31,7 @@ def write_whole(file: Path, write: Callable[[Path], object]) -> None:
 
     :param file: overwritten if it is there
     :param write: takes the path to write to, which has the same suffix
+    :raises OSError: with the name of the file, if it cannot be written
     """
     check_folder(file)
     # A file made by mkstemp is readable by its owner alone.
@@ -44,5 +45,9 @@ def write_whole(file: Path, write: Callable[[Path], object]) -> None:
         write(unfinished)
         unfinished.chmod(0o666 & ~mask)
         unfinished.replace(file)
+    except OSError as error:
+        if error.filename in (None, name):
+            error.filename = str(file)
+        raise
     finally:
         unfinished.unlink(missing_ok=True)

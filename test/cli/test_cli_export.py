@@ -200,6 +200,7 @@ def test_a_file_that_is_not_finished_does_not_replace_an_older_one(tmp_path):
         path.write_text('half')
         raise OSError(28, 'No space left on device')
 
-    with pytest.raises(OSError, match='No space left'):
+    with pytest.raises(OSError, match='No space left') as caught:
         write_whole(file, fail)
+    assert caught.value.filename == str(file)
     assert file.read_text() == 'old' and list(tmp_path.iterdir()) == [file]
