@@ -10,7 +10,8 @@ gets their contents under other names, so it opens no file by itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 import hashlib
 from pathlib import Path, PurePosixPath
 import re
@@ -23,12 +24,14 @@ from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES, places, 
 from manip_sim.models.loading import spec_from_string
 from manip_sim.models.regular_files import Files
 from manip_sim.models.trial import try_to_compile
-from manip_sim.models.xml_check import XmlModel
+from manip_sim.models.xml_check import AssetFolders, XmlModel
 from manip_sim.models.xml_limits import Budget, Limits
 from manip_sim.quoting import one_line, quoted
 
 #: What a model may consist of; all its files together have at most so many bytes.
 LIMITS = Limits(bytes=1_000_000, files=50, depth=10, made=1000, elements=1000, nested=100)
+#: What a robot may consist of.
+ROBOT_LIMITS = replace(LIMITS, elements=5000, keys=100)
 _MAX_ASSET_BYTES = 2 * MAX_FILE_BYTES
 _NAMES_A_FILE = re.compile(r'file.*', re.IGNORECASE)
 #: A NaN among numbers: MuJoCo takes it for no value, and prints a line for each.
@@ -37,6 +40,7 @@ _NAN = re.compile(r'(?:.*\s)?[+-]?nan(?:[\s(].*)?', re.IGNORECASE | re.DOTALL)
 _OF_FILES = ('meshdir', 'texturedir', 'assetdir', 'strippath')
 #: What has no meaning in a part of a world, but may ask for any amount of memory.
 _LEFT_OUT = ('size', 'keyframe')
+_LEFT_OUT_OF_ROBOTS = ('size',)
 #: Elements of a model that compiles so quickly that it need not be tried before.
 _LIGHT = frozenset((
     'mujoco', 'compiler', 'option', 'flag', 'default', 'asset', 'material', 'worldbody', 'body',
@@ -73,6 +77,14 @@ class HeldModel:
         """
         if not self.is_light:
             try_to_compile(self.name, self.xml, self.models, self.assets)
+        return self.load_tried()
+
+    def load_tried(self) -> mujoco.MjSpec:
+        """
+        Return a new spec, of a model that is compiled elsewhere first.
+
+        :raises ModelError: if it is no model
+        """
         spec = spec_from_string(self.xml, Path(self.name), self.models, self.assets)
         for reference in references(spec):
             if reference.file not in self.assets:
@@ -92,20 +104,50 @@ def hold_model(file: Path, files: Files) -> HeldModel:
     """
     model = XmlModel(file, Budget(LIMITS), files=files)
     held = HeldModel(str(file))
-    held.xml = _hold(model, held, files)
+    held.xml = _hold(model, held, files, _LEFT_OUT)
     held.is_light = held.is_light and not held.assets and model.elements <= _MAX_LIGHT_ELEMENTS
     return held
 
 
-def _hold(model: XmlModel, held: HeldModel, files: Files) -> str:
+def hold_robot(file: Path, files: Files) -> HeldModel:
+    """
+    Read the MJCF file of a robot and all that it names, as :func:`hold_model` does.
+
+    It keeps its keyframes, and may have more elements.
+    """
+    held = HeldModel(str(file), is_light=False)
+    model = XmlModel(file, Budget(ROBOT_LIMITS), files=files)
+    held.xml = _hold(model, held, files, _LEFT_OUT_OF_ROBOTS)
+    return held
+
+
+def hold_tree(root: ElementTree.Element, file: Path, files: Files) -> HeldModel:
+    """
+    Read all that a URDF names.
+
+    :param root: of its elements, changed in place
+    :param file: where it was read from
+    :param files: as for :func:`hold_model`
+    :raises ModelError: as :func:`hold_model` does
+    """
+    held = HeldModel(str(file), is_light=False)
+    held.xml = _hold_tree(root, {}, AssetFolders(file.parent), held, files, _LEFT_OUT_OF_ROBOTS)
+    return held
+
+
+def _hold(model: XmlModel, held: HeldModel, files: Files, left_out: Collection[str]) -> str:
     """Add the files of a model to what is held, and return the model that names them."""
-    root = model.tree
-    for section in [child for child in root if child.tag in _LEFT_OUT]:
+    return _hold_tree(model.tree, model.models, model.folders[0], held, files, left_out)
+
+
+def _hold_tree(root: ElementTree.Element, models: Mapping[str, XmlModel], own: AssetFolders,
+               held: HeldModel, files: Files, left_out: Collection[str]) -> str:
+    for section in [child for child in root if child.tag in left_out]:
         root.remove(section)
     for element in root.iter():
         held.is_light = held.is_light and element.tag in _LIGHT
         if element.tag == 'plugin':
-            raise ModelError(f'{one_line(held.name)}: an object cannot have plugins')
+            raise ModelError(f'{one_line(held.name)}: what is spawned cannot have plugins')
         for attribute in _OF_FILES if element.tag == 'compiler' else ('content_type',):
             element.attrib.pop(attribute, None)
         for attribute, name in element.items():
@@ -113,22 +155,25 @@ def _hold(model: XmlModel, held: HeldModel, files: Files) -> str:
                 raise ModelError(f'{one_line(held.name)}: {attribute[:60]} of '
                                  f'<{element.tag[:60]}> must be a number, got {quoted(name)}')
             if _NAMES_A_FILE.fullmatch(attribute) and name:
-                element.set(attribute, _name_of_held(model, element, name, held, files))
+                element.set(attribute, _content(models[name], held, files, left_out)
+                            if element.tag == 'model' else _name_of_held(
+                                element, name, own, root.tag == 'robot', held, files))
     return ElementTree.tostring(root, encoding='unicode')
 
 
-def _name_of_held(model: XmlModel, element: ElementTree.Element, name: str, held: HeldModel,
-                  files: Files) -> str:
-    if element.tag == 'model':
-        content = _hold(model.models[name], held, files).encode()
-        own_name = f'{_digest(content)}.xml'
-        held.models[own_name] = content
-        return own_name
+def _content(model: XmlModel, held: HeldModel, files: Files, left_out: Collection[str]) -> str:
+    content = _hold(model, held, files, left_out).encode()
+    name = f'{_digest(content)}.xml'
+    held.models[name] = content
+    return name
+
+
+def _name_of_held(element: ElementTree.Element, name: str, own: AssetFolders, is_urdf: bool,
+                  held: HeldModel, files: Files) -> str:
     if element.tag not in ('mesh', 'texture'):
         raise ModelError(f'{one_line(held.name)}: <{element.tag[:60]}> names the file '
-                         f'{quoted(name, 200)}, which an object cannot have')
-    own = model.folders[0]
-    names = [name, PurePosixPath(name).name] if model.root == 'robot' else [name]
+                         f'{quoted(name, 200)}, which what is spawned cannot have')
+    names = [name, PurePosixPath(name).name] if is_urdf else [name]
     found = files.first([place for each in names for place in places(element.tag, each, own)])
     content = files.read(found, f'{element.tag} file', MAX_FILE_BYTES)
     suffix = found.suffix.lower()

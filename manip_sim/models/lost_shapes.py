@@ -13,6 +13,7 @@ from typing import Any, TYPE_CHECKING
 from manip_sim.quoting import quoted
 
 if TYPE_CHECKING:  # It reads models that say what they lost.
+    from manip_sim.models.robots import RobotModel
     from manip_sim.models.world import World
 
 #: What a file holds in a clone of a repository whose large files were not fetched.
@@ -96,14 +97,24 @@ def warnings_of(every: Iterable[Lost], file: Path) -> list[str]:
     return found
 
 
-def inferred_by_model(world: World) -> Iterator[tuple[str, list[str]]]:
-    """Yield the name of each model of a world, and the sentences on what was inferred of it."""
-    models: list[Any] = [world.arena, *world.objects, *world.robots]
-    for model in (*models, *(part for robot in world.robots for part in robot.models)):
+def inferred_by_model(world: World, robot: RobotModel | None = None
+                      ) -> Iterator[tuple[str, list[str]]]:
+    """
+    Yield the name of each model of a world, and the sentences on what was inferred of it.
+
+    :param robot: whose models are meant; None: the whole world
+    """
+    robots = world.robots if robot is None else [robot]
+    models: list[Any] = [*([world.arena, *world.objects] if robot is None else ()), *robots]
+    for model in (*models, *(part for robot in robots for part in robot.models)):
         yield model.name, getattr(model, 'inferred', None) or []
 
 
-def lost_shapes(world: World) -> list[str]:
-    """Return which shapes the models of a world lack because their files cannot be read."""
-    return [f'{name}: {sentence}' for name, sentences in inferred_by_model(world)
+def lost_shapes(world: World, robot: RobotModel | None = None) -> list[str]:
+    """
+    Return which shapes the models of a world lack because their files cannot be read.
+
+    :param robot: whose models are meant; None: the whole world
+    """
+    return [f'{name}: {sentence}' for name, sentences in inferred_by_model(world, robot)
             for sentence in sentences if isinstance(sentence, LostShape)]

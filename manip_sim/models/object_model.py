@@ -33,8 +33,8 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
 #: The least version of MuJoCo that deletes elements; those before end the process.
 _DELETES = 4000000
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: What an object cannot have, by the field of ``mujoco.MjModel`` that counts it.
-_NOT_IN_OBJECTS = {
+#: What is spawned cannot have, by the field of ``mujoco.MjModel`` that counts it.
+NOT_SPAWNED = {
     'nflex': 'flexible bodies', 'nskin': 'skins', 'nhfield': 'height fields',
     'nplugin': 'plugins', 'nmocap': 'mocap bodies', 'nhistory': 'delays',
     'nplastic': 'plastic joints'}
@@ -243,7 +243,7 @@ class ObjectModel(PlacedModel):
             joints[0].name = 'joint'
 
     def _check_contents(self) -> None:
-        for size, what in _NOT_IN_OBJECTS.items():
+        for size, what in NOT_SPAWNED.items():
             if getattr(self._own_model, size, 0) > (size == 'nmocap' and self.visual):
                 raise ModelError(f'{self.origin}: an object cannot have {what}')
         if not self.visual and not MIN_MASS_KG <= self.mass_kg <= MAX_MASS_KG:

@@ -10,12 +10,10 @@ from collections.abc import Callable
 from manip_sim.models.held_models import hold_model
 from manip_sim.models.objects import create_object, object_from_model, ObjectModel
 from manip_sim.models.regular_files import OneText
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
 
 #: Name of an object that has none.
 UNNAMED = 'object'
-#: Longest YAML, which is slow to read.
-MAX_YAML = 50_000
 
 
 def object_from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
@@ -26,7 +24,7 @@ def object_from_text(text: OneText) -> tuple[bool, Callable[[], ObjectModel]]:
     :raises ModelError: if it cannot be read; what makes the object may raise it too
     """
     if not text.content.startswith(b'<'):
-        values = parse_yaml(text.read(text.file, 'YAML', MAX_YAML), str(text.file))
+        values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))
         return True, lambda: create_object({'name': UNNAMED, **values}, text)
     model = hold_model(text.file, text)
     return model.is_light, lambda: named_by_itself(object_from_model(model, UNNAMED))

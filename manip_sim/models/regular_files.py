@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 import os
 from pathlib import Path
 import stat
 import sys
+from typing import Any
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line, quoted
@@ -81,6 +82,9 @@ def _explained(file: Path, kind: str) -> Iterator[None]:
 class Files:
     """The files that a model may be read from: all that the user of the process may read."""
 
+    #: What to say of a file that is not found.
+    rule = ''
+
     def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
         """
         Return the content of a file, as :func:`read_file` does.
@@ -92,6 +96,18 @@ class Files:
     def first(self, places: Sequence[Path]) -> Path:
         """Return the first place where there is a file, or the first place if there is none."""
         return next((place for place in places if os.path.exists(place)), places[0])
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether there is a file that may be read."""
+        return path.is_file()
+
+    def is_folder(self, path: Path) -> bool:
+        """Return whether there is a folder whose files may be read."""
+        return path.is_dir()
+
+    def listed(self, folder: Path) -> list[Path]:
+        """Return what is in a folder, sorted; any of it may not be readable."""
+        return sorted(folder.iterdir())
 
 
 class FilesBelow(Files):
@@ -110,6 +126,8 @@ class FilesBelow(Files):
             if not folder.is_dir():
                 raise ModelError(f'no such folder in {what}: {one_line(str(folder))}')
         self._folders = [Path(os.path.realpath(folder)) for folder in self._given]
+        self.rule = (f'; only files below {what} may be read: '
+                     + ', '.join(one_line(str(folder)) for folder in self._given))
 
     def places(self, path: str) -> list[Path]:
         """Return where a path may lead: relative ones begin in each of the folders."""
@@ -124,10 +142,7 @@ class FilesBelow(Files):
         :raises ModelError: if it is not below the folders, or cannot be read
         """
         with _explained(file, kind):
-            if not self._has(file):
-                raise ModelError(
-                    f'{kind} {quoted(str(file), 200)} must not be read: only files below '
-                    f'{self._what} may be: {", ".join(one_line(str(f)) for f in self._given)}')
+            self.check(file, kind)
             descriptor = opened(file, max_bytes)
             with open(descriptor, 'rb') as stream:
                 # A link may have changed since; this is the file that is open.
@@ -135,9 +150,29 @@ class FilesBelow(Files):
                     raise OSError(0, 'it has been moved')
                 return stream.read(max_bytes)
 
+    def check(self, path: Path, kind: str) -> None:
+        """
+        Check that a path is below the folders, whether there is a file or not.
+
+        :param kind: what it is, for the message
+        :raises ModelError: if it is not
+        """
+        if not self._has(path):
+            raise ModelError(
+                f'{kind} {quoted(str(path), 200)} must not be read: only files below '
+                f'{self._what} may be: {", ".join(one_line(str(f)) for f in self._given)}')
+
     def first(self, places: Sequence[Path]) -> Path:
         """Return the first place with a file that may be read, or else the first place."""
         return super().first([place for place in places if self._has(place)] or places[:1])
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether there is a file that may be read."""
+        return self._has(path) and os.path.isfile(path)
+
+    def is_folder(self, path: Path) -> bool:
+        """Return whether there is a folder whose files may be read."""
+        return self._has(path / 'any file') and os.path.isdir(path)
 
     def _has(self, file: Path) -> bool:
         try:
@@ -155,6 +190,8 @@ class OneText(Files):
     :param name: what it is called in messages
     :ivar file: what to read it as
     """
+
+    rule = '; a text must not name files, only a file below spawn_roots may'
 
     def __init__(self, text: str, name: str) -> None:
         self.content = text.encode(errors='replace')
@@ -177,3 +214,78 @@ class OneText(Files):
     def first(self, places: Sequence[Path]) -> Path:
         """Return the first place; no file is looked for."""
         return places[0]
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether it is what the text is read as."""
+        return path == self.file
+
+    def is_folder(self, path: Path) -> bool:
+        """Return that there are no folders."""
+        return False
+
+
+class KeptFiles(Files):
+    """
+    Files that are read once, so that nobody can change them in between.
+
+    A copy, also in another process, has what was read before, and reads nothing more.
+
+    :param files: those that may be read
+    """
+
+    def __init__(self, files: Files) -> None:
+        self.rule = files.rule
+        self._files: Files | None = files
+        self._contents: dict[Path, bytes] = {}
+        self._answers: dict[tuple[str, Path], Any] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy needs."""
+        return {**self.__dict__, '_files': None}
+
+    def read(self, file: Path, kind: str, max_bytes: int) -> bytes:
+        """
+        Return the content of a file, as at the first time.
+
+        :raises ModelError: as the files do, or if a copy has not got it
+        """
+        if file not in self._contents:
+            if self._files is None:
+                raise ModelError(f'{kind} {quoted(str(file), 200)} was not read before')
+            self._contents[file] = self._files.read(file, kind, max_bytes)
+        return self._contents[file]
+
+    def first(self, places: Sequence[Path]) -> Path:
+        """Return the first place with a file that may be read, or else the first place."""
+        kept = next((place for place in places if place in self._contents), None)
+        if kept is None:
+            return places[0] if self._files is None else self._files.first(places)
+        return kept
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether there was a file that may be read."""
+        return bool(self._asked('is_file', path, False))
+
+    def is_folder(self, path: Path) -> bool:
+        """Return whether there was a folder whose files may be read."""
+        return bool(self._asked('is_folder', path, False))
+
+    def listed(self, folder: Path) -> list[Path]:
+        """Return what was in a folder."""
+        found: list[Path] = self._asked('listed', folder, [])
+        return found
+
+    def named(self, name: Callable[[Path, bytes], str]) -> dict[str, Path]:
+        """
+        Return the files that were read, by other names.
+
+        :param name: returns the name for a file and its content
+        """
+        return {name(file, content): file for file, content in self._contents.items()}
+
+    def _asked(self, what: str, path: Path, unknown: Any) -> Any:
+        if self._files is None:
+            return self._answers.get((what, path), unknown)
+        if (what, path) not in self._answers:
+            self._answers[what, path] = getattr(self._files, what)(path)
+        return self._answers[what, path]

@@ -16,6 +16,8 @@ from manip_sim.models.regular_files import opened
 from manip_sim.quoting import one_line, quoted, shown
 
 _MAX_BYTES = 1_000_000
+#: Longest YAML of a request, which is slow to read.
+MAX_REQUESTED = 50_000
 
 
 class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Compile a model in a process of its own first, which can be given up.
+Load or compile a model in a process of its own first, which can be given up.
 
 MuJoCo cannot be interrupted. The process has little time and memory, and cannot open files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import hashlib
 import os
 from pathlib import Path
@@ -18,6 +18,7 @@ import resource
 import signal
 import subprocess
 import sys
+from typing import Any
 
 from manip_sim.errors import ModelError
 from manip_sim.quoting import one_line
@@ -44,8 +45,34 @@ def try_to_compile(name: str, xml: str, models: Mapping[str, bytes],
     :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
     :raises ModelError: if it does not compile, or not within the limits
     """
+    try_to_do(name, compile_held, xml, dict(models), dict(assets), max_cpu_s=max_cpu_s)
+
+
+def compile_held(xml: str, models: Mapping[str, bytes], assets: Mapping[str, bytes]) -> None:
+    """
+    Compile a model.
+
+    :raises ModelError: if it does not compile
+    """
+    from manip_sim.models.loading import compile_spec, spec_from_string
+    compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it')
+
+
+def try_to_do(name: str, function: Callable[..., Any], *arguments: Any,
+              max_cpu_s: int | None = None) -> None:
+    """
+    Call a function in another process; return if that can be done here, too.
+
+    What passed once is not tried again.
+
+    :param name: what it is, for messages
+    :param function: of a module; imports nothing when it is called
+    :param arguments: that can be pickled
+    :param max_cpu_s: CPU time that it may take [s]; None: :data:`MAX_CPU_S`
+    :raises ModelError: if the function does, or does not end within the limits
+    """
     cpu_s = max_cpu_s or MAX_CPU_S
-    work = pickle.dumps((cpu_s, MAX_MEMORY_BYTES, xml, dict(models), dict(assets)))
+    work = pickle.dumps((cpu_s, MAX_MEMORY_BYTES, function, arguments))
     digest = hashlib.sha256(work).digest()
     if digest in _passed:
         return
@@ -74,7 +101,7 @@ def _tried(work: bytes, cpu_s: int) -> str:
     if process.returncode == 0:
         return problem.decode()
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f'takes more than {cpu_s} s to compile, which is the limit'
+        return f'takes more than {cpu_s} s to load, which is the limit'
     return (f'cannot be compiled: MuJoCo crashes, or needs more than '
             f'{MAX_MEMORY_BYTES / 1e9:.0f} GB')
 
@@ -86,16 +113,16 @@ def give_up() -> None:
 
 
 def main() -> None:
-    """Compile the model on standard input, and write what is wrong to standard output."""
-    from manip_sim.models.loading import compile_spec, spec_from_string
+    """Do what is on standard input, and write what is wrong to standard output."""
+    from manip_sim.models import loading  # noqa: F401, because no file can be opened later.
     # By the function above, so that it can be trusted.
-    cpu_s, memory, xml, models, assets = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
+    cpu_s, memory, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
     os.nice(5)
     for limit, value in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0),
                          (resource.RLIMIT_FSIZE, 0), (resource.RLIMIT_NOFILE, 0)):
         resource.setrlimit(limit, (value, value))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
     try:
-        compile_spec(spec_from_string(xml, Path('it'), models, assets), 'it')
+        function(*arguments)
     except ModelError as error:
         sys.stdout.write(str(error).removeprefix('it '))

@@ -11,6 +11,7 @@ from typing import Any
 from manip_sim.interface.topics import Scope
 from manip_sim.models import World
 from manip_sim.models.lost_shapes import inferred_by_model, LostShape
+from manip_sim.models.robots import RobotModel
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.modes import MODES, POSITION
 
@@ -58,13 +59,14 @@ def _parts(scope: Scope, robot: SimulatedRobot, value: Value) -> Iterator[str]:
             yield f'    limits {limits} {" or ".join(MODES[mode].units)}'
 
 
-def inferred(world: World) -> Iterator[str]:
+def inferred(world: World, robot: RobotModel | None = None) -> Iterator[str]:
     """
     Yield what was inferred about each model that comes from a file, but for lost shapes.
 
     :param world: the world of the models
+    :param robot: that all is about; None: the whole world
     """
-    for name, sentences in inferred_by_model(world):
+    for name, sentences in inferred_by_model(world, robot):
         kept = [sentence for sentence in sentences if not isinstance(sentence, LostShape)]
         if kept:
             yield f'{name}: inferred: {"; ".join(kept)}'

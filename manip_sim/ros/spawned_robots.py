@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
@@ -16,11 +17,17 @@ from manip_sim.interface.world_topics import topics_of_world
 from manip_sim.models import compose_robot
 from manip_sim.models.bases import base_names
 from manip_sim.models.composing import DEFAULT, NONE
+from manip_sim.models.files.requested_robot import load_requested
+from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
 from manip_sim.models.grippers import gripper_names
+from manip_sim.models.lost_shapes import lost_shapes
+from manip_sim.models.regular_files import FilesBelow, OneText
 from manip_sim.models.robots import robot_names, RobotModel
+from manip_sim.models.sources import is_path
 from manip_sim.quoting import quoted, shown
 from manip_sim.ros.actions import offers_of
 from manip_sim.ros.background import in_background
+from manip_sim.ros.introduction import inferred
 from manip_sim.ros.rejection import Rejection
 from manip_sim.ros.standard_codes import ResultCode, SpawnCode
 from manip_sim.simulation.poses import Pose
@@ -29,22 +36,30 @@ from manip_sim.simulation.robot_spawning import (
 
 #: Ends of goals, results and their answers each take a round of the executor.
 _ROUNDS = 6
+#: Name of a robot that is sent as text.
+UNNAMED = 'robot'
 
 
 class RequestedRobot:
     """
-    A robot of the catalogue, as a request describes it; no file that a request names is read.
+    A robot, as a request describes it.
 
-    :param values: ``robot``, and where they are not the robot's own ``gripper`` and ``base``:
-        names of the catalogue, which includes the folders of ``model_path``; and ``name``
+    :param values: ``robot``, a name of the catalogue, which includes the folders of
+        ``model_path``, or a file; where they are not the robot's own ``gripper`` and ``base``,
+        names of the catalogue; and ``name``
     :param where: where they come from, for messages
+    :param files: those that a request may name
+    :param folder: where relative paths begin; None: in the folders of ``spawn_roots``
     :raises ModelError: on one line, naming the key
     """
 
     #: The key that only robots have.
     KEY = 'robot'
 
-    def __init__(self, values: Mapping[str, Any], where: str) -> None:
+    def __init__(self, values: Mapping[str, Any], where: str, files: FilesBelow,
+                 folder: Path | None = None) -> None:
+        self._given: Path | OneText | None = None
+        self._files = files
         known = {'name': None, self.KEY: robot_names(),
                  'gripper': [DEFAULT, NONE, *gripper_names()],
                  'base': [DEFAULT, NONE, *base_names()]}
@@ -54,14 +69,32 @@ class RequestedRobot:
             names = known[key]
             if not isinstance(value, str):
                 raise ModelError(f'{where}: {key}: expected a name, got {shown(value)}')
-            if names is not None and value not in names:
+            if names is None or value in names:
+                continue
+            if key != self.KEY or not is_path(value):
                 raise ModelError(f'{where}: {UnknownNameError(key, value, names)}')
+            self._given = files.first(
+                files.places(value) if folder is None else [folder / value])
+            files.check(self._given, 'robot file')
         self._values = values
+
+    @classmethod
+    def from_text(cls, text: OneText, files: FilesBelow) -> RequestedRobot:
+        """
+        Return the robot that a URDF is, which a request sends as text.
+
+        :param text: names no files
+        """
+        robot = cls({}, str(text.file), files)
+        robot._given, robot._values = text, {cls.KEY: UNNAMED}
+        return robot
 
     @property
     def name(self) -> str:
         """The name that it gives itself, or what kind of robot it is."""
-        found: str = self._values.get('name', self._values[self.KEY])
+        named: str = self._values[self.KEY]
+        own = named if self._given is None else stem_of(Path(split_arguments(named)[0]))
+        found: str = self._values.get('name', own)
         return found
 
     def create(self, name: str, pose: Pose) -> RobotModel:
@@ -73,7 +106,8 @@ class RequestedRobot:
         :raises ModelError: if the parts do not fit together
         """
         robot = compose_robot(
-            self._values[self.KEY], self._values.get('gripper', DEFAULT),
+            self._values[self.KEY] if self._given is None else load_requested(
+                self._given, self._files, name), self._values.get('gripper', DEFAULT),
             self._values.get('base', DEFAULT), prefix=f'{name}_', idn=name)
         robot.set_base_xpos(pose.position)
         robot.set_base_quat(pose.quat_xyzw)
@@ -160,6 +194,10 @@ class SpawnedRobots:
         if node.actions is not None:
             node.actions.add(offers_of(served.commands, self._thread))
         node.descriptions.add(scope, robot)
+        for note in inferred(self._simulation.world, robot.robot_model):
+            node.get_logger().info(note)
+        for sentence in lost_shapes(self._simulation.world, robot.robot_model):
+            node.get_logger().warning(sentence)
         self._changed()
 
     def _changed(self) -> None:

@@ -16,14 +16,15 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
 from manip_sim.errors import CommandError, ModelError
+from manip_sim.models.files.urdf import is_moving_urdf
 from manip_sim.models.held_models import hold_model
 from manip_sim.models.object_model import check_object_name
 from manip_sim.models.object_texts import (
-    MAX_YAML, named_by_itself, object_from_text, UNNAMED)
+    named_by_itself, object_from_text, UNNAMED)
 from manip_sim.models.objects import create_object, object_from_model, ObjectModel
 from manip_sim.models.quaternion import xyzw_to_wxyz
 from manip_sim.models.regular_files import FilesBelow, OneText
-from manip_sim.models.strict_yaml import parse_yaml
+from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml
 from manip_sim.quoting import quoted
 from manip_sim.ros.background import in_background
 from manip_sim.ros.messages import WORLD
@@ -38,7 +39,8 @@ from manip_sim.simulation.spawning import plan_with, plan_without, WorldPlan
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
 #: Formats of files and texts.
-FORMATS = ('mjcf', 'yaml')
+FORMATS = ('mjcf', 'urdf', 'yaml')
+_URDF = ('.urdf', '.xacro')
 _YAML, _MJCF = ('.yaml', '.yml'), ('.xml', '.mjcf')
 #: Longest text that is read in the executor.
 _MAX_QUICK = 5_000
@@ -185,25 +187,29 @@ def _prepared(request: Any, files: FilesBelow) -> tuple[bool, Callable[[], _Item
     if not text.content:
         raise Rejection(SpawnCode.NO_RESOURCE, 'give a file (uri) or a text (resource_string)')
     if len(text.content) > _MAX_QUICK:
-        return False, lambda: _from_text(text)[1]()
-    return _from_text(text)
+        return False, lambda: _from_text(text, files)[1]()
+    return _from_text(text, files)
 
 
-def _from_text(text: OneText) -> tuple[bool, Callable[[], _Item]]:
+def _from_text(text: OneText, files: FilesBelow) -> tuple[bool, Callable[[], _Item]]:
+    if is_moving_urdf(text.content):
+        return False, lambda: RequestedRobot.from_text(text, files)
     if not text.content.startswith(b'<'):
-        values = parse_yaml(text.read(text.file, 'YAML', MAX_YAML), str(text.file))
+        values = parse_yaml(text.read(text.file, 'YAML', MAX_REQUESTED), str(text.file))
         if RequestedRobot.KEY in values:
-            return False, lambda: RequestedRobot(values, str(text.file))
+            return False, lambda: RequestedRobot(values, str(text.file), files)
     return object_from_text(text)
 
 
 def _from_file(path: str, files: FilesBelow) -> _Item:
     file = files.first(files.places(path))
     if file.suffix in _YAML:
-        values = parse_yaml(files.read(file, 'YAML file', MAX_YAML), str(file))
+        values = parse_yaml(files.read(file, 'YAML file', MAX_REQUESTED), str(file))
         if RequestedRobot.KEY in values:
-            return RequestedRobot(values, str(file))
+            return RequestedRobot(values, str(file), files, file.parent)
         return create_object(file, files)
+    if file.suffix in _URDF:
+        return RequestedRobot({RequestedRobot.KEY: str(file)}, str(file), files)
     return named_by_itself(object_from_model(hold_model(file, files), UNNAMED))
 
 
@@ -216,9 +222,9 @@ def _path(uri: str) -> str:
         raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
                         f'uri {quoted(uri)}: only paths and file:// can be read')
     path = unquote(parts.path)
-    if Path(path).suffix not in (*_MJCF, *_YAML):
+    if Path(path).suffix not in (*_MJCF, *_URDF, *_YAML):
         raise Rejection(SpawnCode.UNSUPPORTED_FORMAT,
-                        f'uri {quoted(uri)}: only MJCF (.xml, .mjcf) and YAML can be read')
+                        f'uri {quoted(uri)}: only MJCF (.xml, .mjcf), URDF and YAML can be read')
     return path
 
 

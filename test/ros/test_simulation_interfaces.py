@@ -120,7 +120,7 @@ def test_the_features_are_those_that_work(serve, client):
         SimulatorFeatures.STEP_SIMULATION_SINGLE, SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
         SimulatorFeatures.SPAWNING, SimulatorFeatures.SPAWNING_RESOURCE_STRING,
         SimulatorFeatures.DELETING}
-    assert list(features.spawn_formats) == ['mjcf', 'yaml']
+    assert list(features.spawn_formats) == ['mjcf', 'urdf', 'yaml']
     assert 'control period' in features.custom_info
 
 

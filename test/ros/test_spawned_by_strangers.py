@@ -26,12 +26,14 @@ from visualization_msgs.msg import Marker
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import spawn_files
 from manip_sim.models import held_models, trial
+from manip_sim.models.files import requested_robot
 from manip_sim.models.regular_files import FilesBelow
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.background import begin, in_background, THREAD_NAME
-from manip_sim.ros.spawned_robots import SpawnedRobots
+from manip_sim.ros.spawned_robots import RequestedRobot, SpawnedRobots
 from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.simulation.poses import Pose
 from manip_sim.startup import leave
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'models'))
@@ -111,7 +113,7 @@ def test_a_mesh_that_takes_too_long_is_rejected_while_all_else_goes_on(
     client.spin_until(future.done)
     assert not future.result().success
     assert future.result().message == (
-        f'{tmp_path}/o.xml takes more than 1 s to compile, which is the limit')
+        f'{tmp_path}/o.xml takes more than 1 s to load, which is the limit')
     assert node.simulation.plan.object_names == ['cube']
 
 
@@ -209,7 +211,7 @@ def test_what_is_tried_is_given_up_by_a_process_that_ends(tmp_path, monkeypatch)
     while not trial._running:
         assert not loading.done()
     trial.give_up()
-    with pytest.raises(ManipSimError, match='to compile, which is the limit'):
+    with pytest.raises(ManipSimError, match='to load, which is the limit'):
         loading.result(START_S)
     assert not trial._running
 
@@ -238,11 +240,11 @@ def hostile(tmp_path_factory):
     roots, private = folder / 'roots', folder / 'private'
     for made in (roots, private, roots / 'sub', roots / 'dir.xml'):
         made.mkdir()
-    for name in ('key', 'key.xml', 'key.stl', 'key.png', 'key.yaml'):
+    for name in ('key', 'key.xml', 'key.stl', 'key.png', 'key.yaml', 'key.urdf'):
         (private / name).write_text(f'<mujoco>{MESH}</mujoco> PRIVATE')
     (roots / 'good.xml').write_text(MESH.replace('m.stl', 'good.stl'))
     (roots / 'good.stl').write_bytes(slow_mesh(20))
-    for suffix in ('.xml', '.stl', '.png', '.yaml'):
+    for suffix in ('.xml', '.stl', '.png', '.yaml', '.urdf'):
         (roots / f'out{suffix}').symlink_to(private / f'key{suffix}')
         (roots / f'loop{suffix}').symlink_to(roots / f'loop{suffix}')
         (roots / f'zero{suffix}').symlink_to('/dev/zero')
@@ -274,7 +276,8 @@ PATHS = st.builds(lambda scheme, stem, suffix: f'{scheme}{stem}{suffix}',
                   st.sampled_from(['', '', '', 'file://', 'package://', 'package://private/',
                                    'http://', '//']),
                   st.one_of(st.sampled_from(STEMS), st.text(max_size=8)),
-                  st.sampled_from(['.xml', '.stl', '.png', '.obj', '.yaml', '.mjcf', '']))
+                  st.sampled_from(['.xml', '.stl', '.png', '.obj', '.yaml', '.mjcf', '.urdf',
+                                   '.urdf.xacro a:=b', '']))
 ATTRIBUTES = ('file', 'filename', 'fileright', 'fileup', 'meshdir', 'texturedir', 'assetdir',
               'content_type', 'name', 'type', 'model', 'plugin', 'class', 'File')
 ELEMENTS = ('include', 'mesh', 'texture', 'hfield', 'skin', 'model', 'flexcomp', 'plugin', 'body',
@@ -290,11 +293,17 @@ TREES = st.recursive(
             lambda given: ''.join(f' {key}={quoteattr(value)}' for key, value in given.items())),
         st.lists(inner, max_size=3).map(''.join)), max_leaves=8)
 BODY = '<worldbody><body><freejoint/><geom size="0.1"/></body></worldbody>'
+ROBOT = ('<robot name="r"><link name="a"/><link name="b"><visual><geometry><mesh filename={}/>'
+         '</geometry></visual></link><joint name="j" type="revolute"><parent link="a"/>'
+         '<child link="b"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>{}</robot>')
 TEXTS = st.one_of(
     st.builds(lambda root, tree, end: f'<{root}>{tree}{BODY}</{root}{end}>',
               st.sampled_from(['mujoco', 'robot', 'sdf']), TREES,
               st.sampled_from(['', '', '', ' '])),
     st.builds(lambda path: f'{{name: o, file: {path!r}}}', PATHS),
+    st.builds(lambda path: f'{{robot: {path!r}}}', PATHS),
+    st.builds(lambda path: f'{{model: {path!r}, base: {path!r}}}', PATHS),
+    st.builds(lambda path, more: ROBOT.format(quoteattr(path), more), PATHS, TREES),
     st.builds(lambda path: f'objects: [{{name: o, file: {path!r}}}]', PATHS),
     st.text(max_size=30), st.binary(max_size=30).map(lambda data: data.decode('latin-1')))
 
@@ -302,7 +311,9 @@ TEXTS = st.one_of(
 def door(files, text='', uri=''):
     """Return what is spawned, or the one line that says why nothing is."""
     try:
-        return spawning_services._prepared(request(text, uri), files)[1]()
+        found = spawning_services._prepared(request(text, uri), files)[1]()
+        return found.create('left', Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))) if (
+            isinstance(found, RequestedRobot)) else found
     except ManipSimError as error:
         assert error.args and str(error) and '\n' not in str(error) and len(str(error)) < 3000
         return None
@@ -312,6 +323,7 @@ def door(files, text='', uri=''):
 def tried_here(monkeypatch):
     """Compile in this process, where nothing else keeps MuJoCo from opening files."""
     monkeypatch.setattr(held_models, 'try_to_compile', lambda *_: None)
+    monkeypatch.setattr(requested_robot, 'try_to_do', lambda *_, **__: None)
 
 
 @settings(max_examples=300)
@@ -331,9 +343,10 @@ def test_no_text_and_no_file_reads_what_is_private(hostile, tried_here, text):
     roots, private, opened = hostile
     text = text.replace('PRIVATE', str(private))
     door(FilesBelow([roots], 'spawn_roots'), text)
-    for name in ('try.xml', 'try.yaml'):
+    for name in ('try.xml', 'try.yaml', 'try.urdf'):
         (roots / name).write_bytes(text.encode(errors='replace'))
         door(FilesBelow([roots], 'spawn_roots'), uri=name)
+        door(FilesBelow([roots], 'spawn_roots'), f'{{robot: {name}}}')
     assert opened.take() == set()
 
 

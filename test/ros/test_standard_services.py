@@ -154,7 +154,7 @@ def test_features_are_numbers_and_formats_are_told(standard):
     features = standard.call('get_simulator_features').features
     assert {type(number) for number in features.features} == {int}
     assert set(features.features) == set(Feature)
-    assert features.spawn_formats == ['mjcf', 'yaml']
+    assert features.spawn_formats == ['mjcf', 'urdf', 'yaml']
     assert 'control period' in features.custom_info
 
 

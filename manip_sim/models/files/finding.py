@@ -11,6 +11,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.part_descriptions import (
     ArenaDescription, Description, DescriptionT, read_description, RobotDescription)
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
+from manip_sim.models.regular_files import Files
 from manip_sim.models.sources import is_path
 from manip_sim.quoting import one_line
 
@@ -18,7 +19,8 @@ YAML = ('.yaml', '.yml')
 MODELS = ('.xml', '.mjcf', '.urdf', SUFFIX)
 
 
-def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, DescriptionT, str]:
+def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | None = None
+               ) -> tuple[Path, DescriptionT, str]:
     """
     Return the file of a model, its description, and the file that the latter was read from.
 
@@ -28,11 +30,12 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, D
     :param path: a model, a YAML file, or a folder; arguments may follow the name of a xacro file
     :param kind: the type of the description
     :param stem: the fixed name of a YAML file, without its suffix, such as ``robot``
+    :param files: those that a request may read; None: all
     :raises ModelError: if a file is missing, or it is not clear which one is meant
     """
     try:
         file, arguments = split_arguments(str(path))
-        found, description, where = _find(Path(file).expanduser(), kind, stem)
+        found, description, where = _find(Path(file).expanduser(), kind, stem, files)
         if arguments:
             description.xacro_args = {**description.xacro_args, **arguments}
         return found, description, where
@@ -41,31 +44,33 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, D
                          f'{getattr(error, "strerror", None) or error}') from error
 
 
-def _find(path: Path, kind: type[DescriptionT], stem: str) -> tuple[Path, DescriptionT, str]:
-    if path.is_dir():
-        path = _in_folder(path, stem)
-    if not path.is_file():
+def _find(path: Path, kind: type[DescriptionT], stem: str, files: Files | None
+          ) -> tuple[Path, DescriptionT, str]:
+    at = files or Files()
+    if at.is_folder(path):
+        path = _in_folder(path, stem, at)
+    if not at.is_file(path):
         raise ModelError(f'no such file: {one_line(str(path), 200)}')
     if path.suffix.lower() in YAML:
-        description = _described(path, kind)
-        return _model_of(path, description, stem), description, str(path)
+        description = _described(path, kind, files)
+        return _model_of(path, description, stem, at), description, str(path)
     if path.suffix.lower() not in MODELS:
         raise ModelError(f'{path} is neither a model ({", ".join(MODELS)}) nor a description '
                          f'({", ".join(YAML)})')
     for name in (stem_of(path), stem):
         for suffix in YAML:
             beside = path.with_name(name + suffix)
-            if not beside.is_file():
+            if not at.is_file(beside):
                 continue
-            description = _described(beside, kind)
-            if _model_of(beside, description, stem).resolve() == path.resolve():
+            description = _described(beside, kind, files)
+            if _model_of(beside, description, stem, at).resolve() == path.resolve():
                 return path, description, str(beside)
     return path, kind(), str(path)
 
 
-def _described(file: Path, kind: type[DescriptionT]) -> DescriptionT:
+def _described(file: Path, kind: type[DescriptionT], files: Files | None) -> DescriptionT:
     """Read a description; relative paths of other files in it start from its folder."""
-    description = read_description(file, kind)
+    description = read_description(file, kind, files)
     if isinstance(description, RobotDescription):
         for part in (*description.by_arm.values(), description):
             key = 'base' if part is description else 'gripper'
@@ -75,13 +80,13 @@ def _described(file: Path, kind: type[DescriptionT]) -> DescriptionT:
     return description
 
 
-def _in_folder(folder: Path, stem: str) -> Path:
+def _in_folder(folder: Path, stem: str, files: Files) -> Path:
     names = [*(stem + suffix for suffix in YAML),
              *(name + suffix for name in (folder.name, stem) for suffix in (*YAML, *MODELS))]
     for name in names:
-        if (folder / name).is_file():
+        if files.is_file(folder / name):
             return folder / name
-    models = _models_in(folder)
+    models = _models_in(folder, files)
     if len(models) == 1:
         return models[0]
     found = ', '.join(file.name for file in models[:5]) or 'no model'
@@ -89,25 +94,25 @@ def _in_folder(folder: Path, stem: str) -> Path:
                      f'alone, but {found}')
 
 
-def _models_in(folder: Path) -> list[Path]:
+def _models_in(folder: Path, files: Files) -> list[Path]:
     """Return the models in a folder; of xacro files those that are whole robots by their name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in MODELS
-                  and not (file.suffix.lower() == SUFFIX and stem_of(file) == file.stem))
+    return [file for file in files.listed(folder) if file.suffix.lower() in MODELS
+            and not (file.suffix.lower() == SUFFIX and stem_of(file) == file.stem)]
 
 
-def _model_of(file: Path, description: Description, stem: str) -> Path:
+def _model_of(file: Path, description: Description, stem: str, files: Files) -> Path:
     """Return the model that a YAML file describes."""
     if description.model is not None:
         model = file.parent / Path(description.model).expanduser()
-        if not model.is_file():
-            raise ModelError(f"'model' of {file}: no such file: {model}")
+        if not files.is_file(model):
+            raise ModelError(f"'model' of {file}: no such file: {model}{files.rule}")
         return model
     if isinstance(description, ArenaDescription) and description.arena is not None:
         return file
     for suffix in (*MODELS, f'.urdf{SUFFIX}'):
-        if file.with_suffix(suffix).is_file():
+        if files.is_file(file.with_suffix(suffix)):
             return file.with_suffix(suffix)
-    models = _models_in(file.parent) if file.stem == stem else []
+    models = _models_in(file.parent, files) if file.stem == stem else []
     if len(models) == 1:
         return models[0]
     if isinstance(description, ArenaDescription) and description.has_parts:

@@ -23,7 +23,9 @@ from manip_sim.models.files.mjcf_meshes import load_mjcf
 from manip_sim.models.files.mocap_bodies import find_mocap_bodies, MocapBodies
 from manip_sim.models.files.scenery import single_tree
 from manip_sim.models.files.urdf import is_urdf, load_urdf
+from manip_sim.models.held_models import hold_robot
 from manip_sim.models.loading import compile_spec, name_unnamed_elements
+from manip_sim.models.regular_files import Files
 
 #: A joint that is nearer to an end than this fraction of its range is at that end.
 _AT_END = 0.05
@@ -132,6 +134,7 @@ class ModelFile:
     :ivar inferred: what was inferred or left out, in sentences
     :ivar keyframes: positions of scalar joints by keyframe and name [rad or m]
     :ivar mocap: its mocap bodies, which the spec has no more, or None
+    :ivar is_urdf: whether the file is URDF, not MJCF
     """
 
     file: Path
@@ -141,11 +144,12 @@ class ModelFile:
     inferred: list[str] = field(default_factory=list)
     keyframes: dict[str, dict[str, float]] = field(default_factory=dict)
     mocap: MocapBodies | None = None
+    is_urdf: bool = False
 
 
 def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | None = None,
                servos: bool = True, xacro_args: Mapping[str, str] | None = None,
-               expects_meshes: bool = True) -> ModelFile:
+               expects_meshes: bool = True, files: Files | None = None) -> ModelFile:
     """
     Read a robot, hand or base.
 
@@ -155,16 +159,23 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
     :param servos: give joints position servos if the file has no actuators
     :param xacro_args: arguments of a xacro file, by name
     :param expects_meshes: as for :func:`load_urdf`
+    :param files: those that a request may read; None: all
     :raises ModelError: if the file cannot be read, does not compile or is not one tree of bodies
     :raises UnknownNameError: if it lacks the keyframe in ``wanted``
     """
-    spec, notes = (load_urdf(file, xacro_args, expects_meshes) if is_urdf(file)
-                   else load_mjcf(file, expects_meshes))
+    urdf = is_urdf(file, files)
+    notes: list[str] = []
+    if urdf:
+        spec, notes = load_urdf(file, xacro_args, expects_meshes, files)
+    elif files is None:
+        spec, notes = load_mjcf(file, expects_meshes)
+    else:
+        spec = hold_robot(file, files).load_tried()
     notes += _gravity_of_file(spec)
     name_unnamed_elements(spec)
     _infer_inertias_once(spec)
     model = compile_alone(spec, str(file))
-    if is_urdf(file):
+    if urdf:
         lighter = lighten(spec, model)
         model = compile_alone(spec, str(file)) if lighter else model
         notes += [*lighter, *masses_from_shapes(spec, model)]
@@ -191,7 +202,7 @@ def read_model(file: Path, keyframes: Sequence[str] = ('home',), wanted: str | N
         start = {name: place for name, place in start.items() if spec.joint(name) is not None}
         named = {key: {name: place for name, place in places.items() if name in start}
                  for key, places in named.items()}
-    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named, mocap)
+    return ModelFile(file, spec, BodyTree(model), start, [*notes, *changes], named, mocap, urdf)
 
 
 def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:

@@ -11,8 +11,9 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from manip_sim.models.files.urdf import is_urdf
+from manip_sim.errors import ModelError
 from manip_sim.models.files.xacro_expansion import stem_of
+from manip_sim.models.regular_files import Files
 from manip_sim.quoting import one_line, quoted
 
 #: Links that are nearer to each other than this touch [m].
@@ -23,7 +24,7 @@ _MAX_BYTES = 10_000_000
 
 
 def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[str, float],
-                     file: Path) -> list[str]:
+                     file: Path, urdf: bool, files: Files | None = None) -> list[str]:
     """
     Exclude collisions of links that overlap at the start.
 
@@ -35,10 +36,11 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping[
     :param model: the same, compiled, as it was in the file
     :param start: where joints start, by name [rad or m]
     :param file: where it was read from
+    :param urdf: whether that is a URDF
+    :param files: those that a request may read; None: all
     :returns: what was done, in sentences
     """
-    urdf = is_urdf(file)
-    pairs, notes = _of_srdf(file) if urdf else (set(), [])
+    pairs, notes = disabled_pairs(file, files or Files()) if urdf else (set(), [])
     excluded = 0
     for one, other in sorted(pairs):
         if spec.body(one) is not None and spec.body(other) is not None:
@@ -79,19 +81,17 @@ def _overlapping(model: mujoco.MjModel, start: Mapping[str, float], everywhere: 
             yield model.body(fixed).name, model.body(other).name
 
 
-def _of_srdf(file: Path) -> tuple[set[tuple[str, str]], list[str]]:
+def disabled_pairs(file: Path, files: Files) -> tuple[set[tuple[str, str]], list[str]]:
     """Return the pairs that the SRDF beside a URDF disables, and what to say of it."""
     srdf = file.with_name(f'{stem_of(file)}.srdf')
-    if not srdf.is_file():
+    if not files.is_file(srdf):
         return set(), []
     try:
-        if srdf.stat().st_size > _MAX_BYTES:
-            raise OSError(f'it is larger than {_MAX_BYTES} bytes')
-        text = srdf.read_text(encoding='utf-8')
+        text = files.read(srdf, 'SRDF', _MAX_BYTES).decode('utf-8')
         if '<!ENTITY' in text:
             raise OSError('it declares entities')
         root = ElementTree.fromstring(text)
-    except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
+    except (OSError, ModelError, UnicodeDecodeError, ElementTree.ParseError) as error:
         return set(), [f'{quoted(srdf.name)} is ignored: {one_line(str(error))}']
     return {_key(pair.get('link1', ''), pair.get('link2', ''))
             for pair in root.iter('disable_collisions')}, []

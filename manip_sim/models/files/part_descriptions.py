@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.strict_descriptions import (
     AfterValidator, BaseModel, ConfigDict, Field, ValidationError)
-from manip_sim.models.strict_yaml import read_yaml
+from manip_sim.models.regular_files import Files
+from manip_sim.models.strict_yaml import MAX_REQUESTED, parse_yaml, read_yaml
 from manip_sim.quoting import quoted
 
 
@@ -182,16 +183,19 @@ class ArenaDescription(Description):
 DescriptionT = TypeVar('DescriptionT', bound=Description)
 
 
-def read_description(file: Path, kind: type[DescriptionT]) -> DescriptionT:
+def read_description(file: Path, kind: type[DescriptionT], files: Files | None = None
+                     ) -> DescriptionT:
     """
     Read a description from a YAML file.
 
     :param kind: the type of the description
+    :param files: those that a request may read; None: all
     :raises ModelError: if it cannot be read or a value is of the wrong kind
     :raises UnknownNameError: if it has an unknown key, naming the nearest ones
     """
     try:
-        return kind.model_validate(read_yaml(file))
+        return kind.model_validate(read_yaml(file) if files is None else parse_yaml(
+            files.read(file, 'YAML file', MAX_REQUESTED), str(file)))
     except ValidationError as error:
         # A union has errors of all its members; those of the best fitting one are the deepest.
         deepest = max(error.errors(), key=lambda found: len(found['loc']))

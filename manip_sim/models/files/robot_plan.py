@@ -26,6 +26,7 @@ from manip_sim.models.files.own_hand import OwnHand
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.files.start import start_pose
+from manip_sim.models.regular_files import Files
 
 _KEYFRAMES = ('home',)
 #: Why a hand alone ends an arm, and how far above the floor its fingers stay [m].
@@ -67,23 +68,25 @@ class RobotPlan:
     mocap: MocapBodies | None
 
 
-def plan_robot(file: Path, description: RobotDescription, where: str) -> RobotPlan:
+def plan_robot(file: Path, description: RobotDescription, where: str, files: Files | None = None
+               ) -> RobotPlan:
     """
     Read a robot and complete it.
 
     :param file: MJCF or URDF
     :param where: the file that the description was read from, for messages
+    :param files: those that a request may read; None: all
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
     keyframe = description.start if isinstance(description.start, str) else None
     model_file = read_model(file, _KEYFRAMES, keyframe, xacro_args=description.xacro_values,
-                            expects_meshes=description.meshes is None)
+                            expects_meshes=description.meshes is None, files=files)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = start_pose(model_file, description.start, where)
     if not any(tree.is_scalar(joint) for joint in range(tree.model.njnt)):
         raise ModelError(f'{file} is not a robot: it has no hinge or slide joint')
-    notes += exclude_overlaps(spec, tree.model, start, file)
+    notes += exclude_overlaps(spec, tree.model, start, file, model_file.is_urdf, files)
     mocap = model_file.mocap
     if mocap is not None:
         notes += mocap.notes() if description.mocap else mocap.left_out()

@@ -18,8 +18,9 @@ from manip_sim.errors import ModelError
 from manip_sim.models.files.inertias import make_physical
 from manip_sim.models.files.urdf_meshes import find_meshes
 from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
+from manip_sim.models.held_models import hold_tree, HeldModel, ROBOT_LIMITS
 from manip_sim.models.loading import spec_from_string
-from manip_sim.models.regular_files import OneText
+from manip_sim.models.regular_files import Files, OneText
 from manip_sim.models.xml_check import check_xml, XmlModel
 from manip_sim.models.xml_limits import Budget
 from manip_sim.quoting import one_line, quoted, quoted_names
@@ -27,28 +28,48 @@ from manip_sim.quoting import one_line, quoted, quoted_names
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
 _LIGHT_KG, _LIGHT_INERTIA = 1e-3, 1e-6
 _HEAD = 4096
+#: Types of joints that move.
+_MOVES = re.compile(rb'type\s*=\s*["\'](?:revolute|continuous|prismatic)["\']')
+#: Elements of a URDF that MuJoCo reads.
+_READ_BY_MUJOCO = ('link', 'joint', 'material', 'mujoco', 'include')
 #: Elements of which an element has one.
 _SINGLE = {'visual': ('origin', 'geometry', 'material'), 'collision': ('origin', 'geometry'),
            'inertial': ('origin', 'mass', 'inertia'),
            'joint': ('origin', 'axis', 'parent', 'child', 'limit', 'dynamics', 'mimic')}
 
 
-def is_urdf(file: Path) -> bool:
-    """Return whether a file is URDF: by its ending, or because its first element is ``robot``."""
+def is_urdf(file: Path, files: Files | None = None) -> bool:
+    """
+    Return whether a file is URDF: by its ending, or because its first element is ``robot``.
+
+    :param files: those that a request may read; None: all
+    :raises ModelError: if a request must not or cannot read it
+    """
     if file.suffix.lower() in ('.urdf', XACRO):
         return True
+    if files is not None:
+        return _begins_urdf(files.read(file, 'model file', ROBOT_LIMITS.bytes))
     if not file.is_file():  # Reading a device or a pipe may never end.
         return False
     try:
-        with open(file, encoding='utf-8', errors='replace') as stream:
-            first = re.search(r'<([A-Za-z_]\w*)', stream.read(_HEAD))
+        with open(file, 'rb') as stream:
+            return _begins_urdf(stream.read(_HEAD))
     except OSError:
         return False
-    return first is not None and first.group(1) == 'robot'
 
 
-def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_meshes: bool = True
-              ) -> tuple[Any, list[str]]:
+def _begins_urdf(content: bytes) -> bool:
+    first = re.search(rb'<([A-Za-z_]\w*)', content[:_HEAD])
+    return first is not None and first.group(1) == b'robot'
+
+
+def is_moving_urdf(content: bytes) -> bool:
+    """Return whether a text is URDF with joints that move: a robot, not an object."""
+    return _begins_urdf(content) and _MOVES.search(content) is not None
+
+
+def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_meshes: bool = True,
+              files: Files | None = None) -> tuple[Any, list[str]]:
     """
     Read a spec from a URDF file, or from a xacro file that makes one.
 
@@ -58,11 +79,46 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
 
     :param xacro_args: arguments of a xacro file, by name
     :param expects_meshes: make the sentences on meshes that cannot be read a :class:`LostShape`
+    :param files: those that a request may read; None: all
     :returns: a new ``mujoco.MjSpec``, and a sentence for each thing left out or invented
     :raises ModelError: if it cannot be read
     """
-    robot = _parse(file, _text(file, xacro_args or {}))
-    notes = [*find_meshes(robot, file, expects_meshes), *_drop_empty_shapes(robot),
+    robot, notes = _read(file, xacro_args or {}, expects_meshes, files)
+    spec = (spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
+            if files is None else _hold(robot, file, files).load_tried())
+    _let_visual_meshes_be_flat(spec)
+    for joint in robot.iter('joint'):
+        _complete_joint(spec, joint, file)
+    notes += _give_mass(spec, robot)
+    notes += _take_gravity(spec, robot)
+    return spec, notes
+
+
+def hold_urdf(file: Path, xacro_args: Mapping[str, str], files: Files) -> HeldModel:
+    """
+    Read a URDF file and all that it names, as :func:`load_urdf` does, without MuJoCo.
+
+    :raises ModelError: as :func:`load_urdf`
+    """
+    return _hold(_read(file, xacro_args, True, files)[0], file, files)
+
+
+def _hold(robot: ElementTree.Element, file: Path, files: Files) -> HeldModel:
+    """Read what a URDF names, and leave out what MuJoCo does not read."""
+    read = ElementTree.Element('robot', robot.attrib)
+    read.extend([child for child in robot if child.tag in _READ_BY_MUJOCO])
+    for material in read.iter('material'):  # Textures are not read.
+        for texture in material.findall('texture'):
+            material.remove(texture)
+    return hold_tree(read, file, files)
+
+
+def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files: Files | None
+          ) -> tuple[ElementTree.Element, list[str]]:
+    """Return the elements, ready for MuJoCo, and what was left out, in sentences."""
+    robot = _parse(file, _text(file, xacro_args) if files is None
+                   else _requested(file, xacro_args, files))
+    notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
              *make_physical(robot)]
     for element in list(robot.iter()):  # Other readers take the first, too; MuJoCo refuses two.
         for tag in _SINGLE.get(element.tag, ()):
@@ -73,13 +129,7 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
                              ('strippath', 'false'), ('balanceinertia', 'true')):
         compiler.set(attribute, value)
     compiler.attrib.pop('meshdir', None)
-    spec = spec_from_string(ElementTree.tostring(robot, encoding='unicode'), file)
-    _let_visual_meshes_be_flat(spec)
-    for joint in robot.iter('joint'):
-        _complete_joint(spec, joint, file)
-    notes += _give_mass(spec, robot)
-    notes += _take_gravity(spec, robot)
-    return spec, notes
+    return robot, notes
 
 
 def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
@@ -88,6 +138,21 @@ def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
     for mesh in spec.meshes:
         if mesh.name not in colliding:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
+
+def _requested(file: Path, xacro_args: Mapping[str, str], files: Files) -> str:
+    """
+    Return the text of a URDF that a request names.
+
+    :raises ModelError: if it is xacro, which runs code, or cannot be read
+    """
+    if file.suffix.lower() == XACRO or xacro_args:
+        raise ModelError(
+            f'{one_line(str(file), 200)}: xacro evaluates Python and reads other files, so it is '
+            f"not expanded by request: spawn the URDF that 'xacro {one_line(file.name, 60)} > "
+            "robot.urdf' writes below spawn_roots, or add the file to a folder of model_path")
+    XmlModel(file, Budget(ROBOT_LIMITS), files=files)
+    return _decoded(file, files.read(file, 'URDF', ROBOT_LIMITS.bytes))
 
 
 def _text(file: Path, xacro_args: Mapping[str, str]) -> str:
@@ -99,9 +164,15 @@ def _text(file: Path, xacro_args: Mapping[str, str]) -> str:
         raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
     check_xml(file)
     try:
-        return file.read_text(encoding='utf-8')
+        content = file.read_bytes()
     except OSError as error:
         raise ModelError(f'cannot read {file}: {error.strerror}') from error
+    return _decoded(file, content)
+
+
+def _decoded(file: Path, content: bytes) -> str:
+    try:
+        return content.decode('utf-8')
     except UnicodeDecodeError as error:
         raise ModelError(f'{file} is not XML that can be read: '
                          f'{one_line(str(error))}') from error
@@ -187,9 +258,8 @@ def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
     light = []
     for body in spec.bodies[1:]:
         # What moves on it may be heavy: MuJoCo wants a mass of its own nevertheless.
-        carried = [body, *_fixed_on(body)]
         if (body.name in without and len(body.joints)
-                and not any(_has_mass(other, without) for other in carried)):
+                and not any(_has_mass(other, without) for other in _with_fixed(body))):
             body.mass, body.inertia = _LIGHT_KG, [_LIGHT_INERTIA] * 3
             body.explicitinertial = True
             light.append(body.name)
@@ -211,11 +281,13 @@ def _take_gravity(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
             f'{quoted_names(light)}'] if light else []
 
 
-def _fixed_on(body: Any) -> Iterator[Any]:
-    for child in body.bodies:
-        if not child.joints:
-            yield child
-            yield from _fixed_on(child)
+def _with_fixed(body: Any) -> Iterator[Any]:
+    """Yield a body and all that is fixed on it."""
+    left = [body]
+    while left:
+        body = left.pop()
+        yield body
+        left += [child for child in body.bodies if not child.joints]
 
 
 def _has_mass(body: Any, without_inertia: set[str]) -> bool:

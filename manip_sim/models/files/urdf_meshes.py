@@ -10,21 +10,26 @@ from pathlib import Path
 import re
 from xml.etree import ElementTree
 
+from manip_sim.errors import ModelError
+from manip_sim.models.asset_files import check_content, MAX_FILE_BYTES
 from manip_sim.models.files.mesh_conversion import converted, SUFFIXES
 from manip_sim.models.files.package_folders import package_folders
 from manip_sim.models.lost_shapes import (
     check_fetched, Lost, LostShape, MissingMeshError, warnings_of)
+from manip_sim.models.regular_files import Files
 from manip_sim.quoting import quoted
 
 _MESHES = ('.stl', '.obj', '.msh')
 _PACKAGE = re.compile(r'(?:package|model)://([^/]+)/(.+)')
 
 
-def find_meshes(robot: ElementTree.Element, file: Path, expected: bool) -> list[str]:
+def find_meshes(robot: ElementTree.Element, file: Path, expected: bool,
+                files: Files | None = None) -> list[str]:
     """
     Make the paths of meshes absolute; remove shapes that are missing or MuJoCo cannot read.
 
     :param expected: whether to warn of these shapes
+    :param files: those that a request may read; None: all
     :returns: sentences about them, a :class:`LostShape` each if they are expected
     """
     extension = robot.find('mujoco/compiler')
@@ -37,7 +42,7 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool) -> list[
                 continue
             name = mesh.get('filename', '')
             try:
-                mesh.set('filename', str(_read(_resolve(name, folder, file))))
+                mesh.set('filename', str(_read(_resolve(name, folder, file, files), files)))
             except MissingMeshError as error:
                 lost.append(Lost(shape.tag, name, f'link {quoted(link.get("name"))}', error))
                 link.remove(shape)
@@ -48,13 +53,20 @@ def find_meshes(robot: ElementTree.Element, file: Path, expected: bool) -> list[
     return [LostShape(sentence) for sentence in said] if expected else said
 
 
-def _read(mesh: Path) -> Path:
+def _read(mesh: Path, files: Files | None) -> Path:
     """
     Return a mesh, or one of its stem or its content in a format that MuJoCo reads.
 
     :raises MissingMeshError: if there is none
     """
-    found = _readable(mesh) or mesh
+    found = _readable(mesh, files or Files()) or mesh
+    if files is not None:
+        try:
+            content = files.read(found, 'mesh file', MAX_FILE_BYTES)
+            check_content('mesh', found.suffix.lower(), content, str(found))
+        except ModelError as error:
+            raise MissingMeshError(str(error)) from error
+        return found
     check_fetched(found)
     if found.suffix.lower() in _MESHES:
         return found
@@ -67,40 +79,42 @@ def _read(mesh: Path) -> Path:
     return made
 
 
-def _readable(mesh: Path) -> Path | None:
+def _readable(mesh: Path, files: Files) -> Path | None:
     """Return a mesh, or one of its stem in a format that MuJoCo reads, or None."""
     if mesh.suffix.lower() in _MESHES:
         return mesh
     return next((other for suffix in _MESHES
-                 if (other := mesh.with_suffix(suffix)).is_file()), None)
+                 if files.is_file(other := mesh.with_suffix(suffix))), None)
 
 
-def _resolve(name: str, folder: Path, file: Path) -> Path:
+def _resolve(name: str, folder: Path, file: Path, files: Files | None) -> Path:
     """
     Return the path of a mesh.
 
     :raises MissingMeshError: if its package or its file does not exist
     """
-    match = _PACKAGE.fullmatch(name)
+    match, at = _PACKAGE.fullmatch(name), files or Files()
     if match is None:
         path = folder / name.removeprefix('file://')
-        candidates = [path, *_elsewhere(path, file)]
+        candidates = [path, *(_elsewhere(path, file) if files is None else ())]
     else:
         package, rest = match.groups()
-        roots = list(package_folders(package, file)) or [
+        roots = list(package_folders(package, file, files)) or [
             # The package has another name here.
-            folder for folder in file.resolve().parents[:2] if (folder / rest).is_file()]
+            folder for folder in file.resolve().parents[:2] if at.is_file(folder / rest)]
         if not roots:
             raise MissingMeshError(
                 f'package {quoted(package)} is neither in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH '
-                'nor a folder above the file', f'source the workspace that has {quoted(package)}, '
-                'or add its folder to ROS_PACKAGE_PATH', f'package {package}')
+                f'nor a folder above the file{at.rule}',
+                f'source the workspace that has {quoted(package)}, or add its folder to '
+                'ROS_PACKAGE_PATH', f'package {package}')
         candidates = [root / rest for root in roots]
     for candidate in candidates:
-        if candidate.is_file() or _readable(candidate) not in (None, candidate):
-            return candidate.resolve()
-    check_fetched(candidates[0])
-    raise MissingMeshError(f'{candidates[0]} is no file', cause='file')
+        if at.is_file(candidate) or _readable(candidate, at) not in (None, candidate):
+            return Path(candidate.resolve())
+    if files is None:
+        check_fetched(candidates[0])
+    raise MissingMeshError(f'{candidates[0]} is no file{at.rule}', cause='file')
 
 
 def _elsewhere(path: Path, file: Path) -> Iterator[Path]:

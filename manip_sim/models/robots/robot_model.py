@@ -8,6 +8,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Union
 
 import mujoco
@@ -45,8 +47,10 @@ class RobotModel(Subsystems, ABC):
     :param fname: path of an MJCF file with one root body
     :param idn: number or word in names, as in ``robot0_joint1``
     :raises ModelError: if the file has no root body or several
+    :ivar held_files: the files whose contents its spec holds, by their names in the spec
     """
 
+    held_files: Mapping[str, Path] = MappingProxyType({})
     #: Point that stands on a base or the floor, in the frame of the root [m]; None: it is the
     #: origin of the file's world.
     _foot_offset: tuple[float, float, float] | None = None

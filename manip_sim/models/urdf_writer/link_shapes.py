@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 import struct
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -57,7 +58,8 @@ def uri_of(file: Path) -> str:
     return f'file://{resolved}'
 
 
-def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, MeshFile]:
+def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel,
+                    held: Mapping[str, Path] = MappingProxyType({})) -> dict[str, MeshFile]:
     """
     Return the files that the meshes were read from, by name of the mesh.
 
@@ -65,10 +67,11 @@ def files_of_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Mes
 
     :param spec: the ``mujoco.MjSpec``, whose files are absolute paths
     :param model: compiled from it
+    :param held: the files whose contents the spec holds, by their names in it
     """
     found = {}
     for mesh in spec.meshes:
-        file = Path(mesh.file)
+        file = held.get(mesh.file, Path(mesh.file))
         turn, scale = matrix_of(_unit(mesh.refquat)).T, np.array(mesh.scale, dtype=float)
         turned = not np.allclose(turn, np.eye(3), atol=1e-12)
         if (file.suffix.lower() not in _READABLE or not file.is_absolute()

@@ -214,7 +214,9 @@ def urdfs_of(world: World, hardware: Mapping[str, Hardware] | None = None) -> di
     """
     spec = world.compose(objects=False)
     model = compile_spec(spec, world.name)
-    meshes, wanted = files_of_meshes(spec, model), hardware or {}
+    held = {robot.naming_prefix + name: file for robot in world.robots
+            for name, file in robot.held_files.items()}
+    meshes, wanted = files_of_meshes(spec, model, held), hardware or {}
     return {robot.name_in_world:
             write_urdf(model, robot, meshes, wanted.get(robot.name_in_world),
                        [lidar.name for lidar in world.lidars])

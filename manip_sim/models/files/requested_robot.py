@@ -1,0 +1,114 @@
+# Copyright 2026 The manip_sim developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Load a robot for somebody who is not trusted: from a file below some folders, or from a text.
+
+All files are read first. Then the robot is loaded from their contents in another process, which
+has little time and memory and cannot open files, and after that here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import copy
+from pathlib import Path
+
+import numpy as np
+
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.bases import base_names
+from manip_sim.models.composing import DEFAULT, NONE
+from manip_sim.models.files.file_robot import FileManipulator, FileRobot
+from manip_sim.models.files.finding import find_model
+from manip_sim.models.files.overlaps import disabled_pairs
+from manip_sim.models.files.part_descriptions import RobotDescription
+from manip_sim.models.files.robot_plan import plan_robot
+from manip_sim.models.files.urdf import hold_urdf, is_urdf
+from manip_sim.models.grippers import gripper_names
+from manip_sim.models.held_models import held_name, hold_robot
+from manip_sim.models.object_model import NOT_SPAWNED
+from manip_sim.models.regular_files import Files, KeptFiles, OneText
+from manip_sim.models.trial import try_to_do
+from manip_sim.quoting import one_line
+
+#: Greatest number of degrees of freedom.
+MAX_DOF = 100
+#: CPU time for loading in another process [s].
+MAX_CPU_S = 10
+
+
+def load_requested(given: Path | OneText, files: Files, idn: int | str = 0) -> FileRobot:
+    """
+    Load a robot from a file that a request names, or from its text.
+
+    Everything is as in ``load_robot``, but grippers and bases that its description names are of
+    the catalogue, meshes are not converted, and xacro is not expanded.
+
+    :param given: what :func:`find_model` takes, or a URDF or MJCF text
+    :param files: those that may be read; of a text, none
+    :param idn: number or word in names
+    :raises ModelError: on one line, if a file must not be or cannot be read, or it takes too long,
+        is too large or is no robot
+    :raises UnknownNameError: if the description has a key or name that is not known
+    """
+    if isinstance(given, OneText):
+        kept = KeptFiles(given)
+        file, description, where = given.file, RobotDescription(), str(given.file)
+    else:
+        kept = KeptFiles(files)
+        file, description, where = find_model(given, RobotDescription, 'robot', kept)
+    _check_names(description, where)
+    with _of_strangers(file):
+        if is_urdf(file, kept):
+            hold_urdf(file, description.xacro_values, kept)
+            disabled_pairs(file, kept)
+        else:
+            hold_robot(file, kept)
+    held = file, description, where, copy.copy(kept), idn
+    try_to_do(one_line(str(file), 200), load_held, *held, max_cpu_s=MAX_CPU_S)
+    return load_held(*held)
+
+
+def load_held(file: Path, description: RobotDescription, where: str, files: KeptFiles,
+              idn: int | str) -> FileRobot:
+    """
+    Load a robot from contents that were read before.
+
+    :raises ModelError: as :func:`load_requested` does
+    """
+    with _of_strangers(file):
+        plan = plan_robot(file, description, where, files)
+        robot = (FileManipulator if plan.ends else FileRobot)(plan, idn)
+        robot.held_files = files.named(held_name)
+        model = robot.compile()
+    if model.nv > MAX_DOF:
+        raise ModelError(f'{one_line(str(file), 200)} has {model.nv} degrees of freedom, and at '
+                         f'most {MAX_DOF} can be spawned')
+    for size, what in NOT_SPAWNED.items():
+        if size != 'nmocap' and getattr(model, size, None):
+            raise ModelError(f'{one_line(str(file), 200)}: what is spawned cannot have {what}')
+    return robot
+
+
+@contextmanager
+def _of_strangers(file: Path) -> Iterator[None]:
+    """Compute with any numbers: those that are not finite in the end are rejected."""
+    try:
+        with np.errstate(all='ignore'):
+            yield
+    except (ArithmeticError, RecursionError, np.linalg.LinAlgError) as error:
+        raise ModelError(f'{one_line(str(file), 200)} cannot be used, its numbers are too large '
+                         f'or its bodies nested too deeply: {one_line(str(error))}') from error
+
+
+def _check_names(description: RobotDescription, where: str) -> None:
+    """Reject grippers and bases that are not of the catalogue: each would be a file to read."""
+    grippers = [(f'arms.{side}.gripper', arm.gripper) for side, arm in description.by_arm.items()]
+    for key, named, known in ((*entry, names) for entries, names in (
+            (grippers, gripper_names), ([('base', description.base)], base_names))
+            for entry in entries):
+        if named is not None and named not in (names := [DEFAULT, NONE, *known()]):
+            raise ModelError(f'{where}: {UnknownNameError(key, named, names)}; by request it is '
+                             'one of the catalogue, with the folders of model_path')
