@@ -114,7 +114,10 @@ def give_up() -> None:
 
 def main() -> None:
     """Do what is on standard input, and write what is wrong to standard output."""
-    from manip_sim.models import loading  # noqa: F401, because no file can be opened later.
+    # No file can be opened later, and numpy imports this only when it is used.
+    import numpy.random  # noqa: F401
+
+    from manip_sim.models import loading  # noqa: F401
     # By the function above, so that it can be trusted.
     cpu_s, memory, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
     os.nice(5)
@@ -126,3 +129,5 @@ def main() -> None:
         function(*arguments)
     except ModelError as error:
         sys.stdout.write(str(error).removeprefix('it '))
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        sys.stdout.write(f'cannot be loaded: {type(error).__name__}: {one_line(str(error), 200)}')

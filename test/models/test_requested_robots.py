@@ -29,7 +29,7 @@ from manip_sim.models.urdf_writer.writer import urdf_of
 
 DATA = Path(__file__).resolve().parents[1] / 'data/files'
 ROBOTS = sorted(file.name for file in DATA.iterdir() if file.suffix in ('.xml', '.urdf')
-                and file.stem not in ('room', 'no_meshes'))
+                and file.stem not in ('room', 'no_meshes', 'lost_mesh'))
 #: Arrays of a model that its file decides.
 NUMBERS = [name for name in dir(mujoco.MjModel)
            if name.startswith(('body_', 'jnt_', 'dof_', 'geom_', 'actuator_', 'eq_', 'mesh_vert',
@@ -140,13 +140,13 @@ def test_xacro_is_not_expanded_and_the_message_leads_to_the_fix(roots, name):
 
 
 @pytest.mark.parametrize(('mesh', 'problem'), [
-    ('../../private/link.stl', 'no such file'),
+    ('../../private/link.stl', 'is no file; only files below spawn_roots may be read'),
     ('PRIVATE/link.stl', 'only files below spawn_roots may be read'),
-    ('file://PRIVATE/link.stl', 'no such file'),
+    ('file://PRIVATE/link.stl', 'is no file'),
     ('package://private/link.stl', "package 'private'"),
     ('package://../private/link.stl', 'package'),
-    ('package://lab_arm/../../private/link.stl', 'no such file'),
-    ('lab_arm/out.stl', 'no such file'), ('fake.stl', 'is not a binary STL'),
+    ('package://lab_arm/../../private/link.stl', 'is no file'),
+    ('lab_arm/out.stl', 'is no file'), ('fake.stl', 'is not a binary STL'),
     ('other.dae', 'a type that cannot be spawned')])
 def test_a_mesh_that_may_not_be_read_is_left_out_and_told(mesh, problem, roots, opened, here):
     (roots / 'lab_arm/out.stl').symlink_to(roots.parent / 'private/link.stl')
@@ -216,6 +216,18 @@ def chain(links):
 def test_what_costs_too_much_or_is_no_robot_is_rejected_on_one_line(text, problem, roots, here):
     (roots / 'try.urdf').write_text(text)
     assert problem in rejection(roots / 'try.urdf', roots)
+
+
+@pytest.mark.parametrize('name', ['masses.urdf', 'two_hands.xml', 'rover.xml'])
+def test_a_robot_passes_in_another_process_which_opens_no_file(name, tmp_path):
+    shutil.copy(DATA / name, tmp_path / name)
+    requested(tmp_path / name, tmp_path)
+
+
+def test_an_error_of_another_kind_is_told_too(roots, monkeypatch):
+    monkeypatch.setattr(requested_robot, 'load_held', open)
+    reason = rejection(roots / 'hand.xml', roots)
+    assert 'cannot be loaded: TypeError' in reason
 
 
 def test_a_robot_that_takes_too_long_is_given_up_in_another_process(roots, monkeypatch):
